@@ -22,6 +22,7 @@ from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
+from factors.noise_size import refuse_other_size
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
@@ -53,7 +54,7 @@ class Factor(Traits, Abstract):
     Raises
     ------
     GraphError
-        Keys and measurements that do not fit together.
+        Keys, measurements and noise that do not fit together, as far as that is known without values.
 
     Attributes
     ----------
@@ -99,6 +100,7 @@ class Factor(Traits, Abstract):
             raise GraphError(f"{name}: z is not an array of numbers: {error}", keys, name) from error
         self._z.setflags(write=False)
         self._noise = noise
+        refuse_other_size(self, noise)
         self.convention = check_convention(convention)
         self._model: Model | None = None
 
@@ -157,7 +159,7 @@ class Factor(Traits, Abstract):
         return (self[k] for k in range(len(self)))
 
     def sizes(self) -> tuple[int, ...]:
-        """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
+        """How many numbers a measurement may have, known before its `__init__` and the spaces are; () for any."""
         return ()
 
     @property

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.noise import Noise
+from factors.noise_size import numbers_of_z
 from models import LieGroup, Manifold
 from models.algebra import Array
 from models.errors import GraphError
@@ -62,6 +63,9 @@ class Between(Factor):
         if not isinstance(manifolds[0], LieGroup):
             raise GraphError(f"{self!r}: {manifolds[0]} is no group, so it has no differences of elements")
         return manifolds[0]
+
+    def noise_sizes(self) -> tuple[int, ...]:
+        return numbers_of_z(self)
 
     def relative_poses(self, model: Model) -> Array:
         return model.z

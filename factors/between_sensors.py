@@ -9,6 +9,7 @@ from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset
 from factors.noise import Noise
+from factors.noise_size import numbers_of_z
 from models import LieGroup, Manifold
 from models.algebra import Array, product
 from models.errors import GraphError
@@ -90,6 +91,9 @@ class BetweenSensors(Factor):
         for offset in [self.offset] if isinstance(self.offset, Keys) else self.offset:
             check_offset(self, offset, group, manifolds[-1])
         return group
+
+    def noise_sizes(self) -> tuple[int, ...]:
+        return numbers_of_z(self)
 
     def relative_poses(self, model: Model) -> Array | None:
         group = model.manifolds[0]

@@ -68,6 +68,9 @@ class BundleProjection(Factor):
     def __init__(self, camera: Keys, intrinsics: Keys, point: Keys, z: npt.ArrayLike, noise: Noise) -> None:
         super().__init__([camera, intrinsics, point], z, noise)
 
+    def sizes(self) -> tuple[int, ...]:
+        return (2,)
+
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return Measured("u", "v")
 

@@ -99,6 +99,9 @@ class FunctionFactor(Factor):
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return R(self.dim)
 
+    def noise_sizes(self) -> tuple[int, ...]:
+        return (self.dim,)
+
     def names(self, space: Manifold) -> tuple[str, ...]:
         return tuple(f"r{k}" for k in range(self.dim))
 

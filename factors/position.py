@@ -68,8 +68,8 @@ class Position(Factor):
         components: Sequence[str] | None = None,
         offset: npt.ArrayLike | None = None,
     ) -> None:
-        super().__init__([pose], z, noise)
         self.components = None if components is None else component_names(components)
+        super().__init__([pose], z, noise)
         self.offset = None if offset is None else fixed_offset(self, offset)
 
     def sizes(self) -> tuple[int, ...]:

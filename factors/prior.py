@@ -11,6 +11,7 @@ from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset
 from factors.noise import Noise, component_names
+from factors.noise_size import numbers_of_z
 from models import LieGroup, Manifold
 from models.algebra import Array, Index
 from models.errors import GraphError
@@ -69,8 +70,8 @@ class Prior(Factor):
         convention: str = "log",
         offset: npt.ArrayLike | None = None,
     ) -> None:
-        super().__init__([key], z, noise, convention)
         self.components = None if components is None else component_names(components)
+        super().__init__([key], z, noise, convention)
         self.offset = None if offset is None else fixed_offset(self, offset)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
@@ -88,6 +89,9 @@ class Prior(Factor):
         if unknown or not self.components or len(set(self.components)) < len(self.components):
             raise GraphError(f"components {self.components} of {space}, which has {space.components}")
         return np.array([space.components.index(c) for c in self.components])
+
+    def noise_sizes(self) -> tuple[int, ...]:
+        return numbers_of_z(self) if self.components is None else (len(self.components),)
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         group = manifolds[0]

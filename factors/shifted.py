@@ -68,6 +68,7 @@ class Shifted(Factor):
     def __init__(self, factor: Factor, G: npt.ArrayLike, key: Keys) -> None:
         if not isinstance(factor, Factor) or factor.opaque or factor.limit_only or factor.eliminated:
             raise GraphError(f"Shifted: expected a factor that measures, such as a Heading, got {factor!r:.80}")
+        self.factor = factor
         super().__init__([*factor.keys, key], factor.z, factor.noise, factor.convention)
         rates = constant(self, "G", G)
         self.G = rates[None] if rates.ndim == 2 else rates
@@ -78,7 +79,7 @@ class Shifted(Factor):
                 self.keys,
                 self.name,
             )
-        self.factor, self.key = factor, self.keys[-1]
+        self.key = self.keys[-1]
         self.slots = (*factor.slots, None)
         self.relative, self.damped = factor.relative, factor.damped
         self.unmoved = (*factor.unmoved, len(factor.keys))
@@ -91,6 +92,9 @@ class Shifted(Factor):
 
     def sizes(self) -> tuple[int, ...]:
         return self.factor.sizes()
+
+    def noise_sizes(self) -> tuple[int, ...]:
+        return self.factor.noise_sizes()
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         space, k = self.factor.space(manifolds[:-1]), self.G.shape[2]

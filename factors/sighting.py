@@ -120,7 +120,11 @@ class Sighting(Factor):
                     wrong, says = numbers < 0, "m; none is below 0. Leave out what was not received"
                 else:
                     wrong = (np.abs(numbers) > 2 * np.pi) & (name in ANGLES)
-                    says = "rad, which is more than a turn; expected radians. Are these degrees? Then np.radians(z)"
+                    part = "z" if space.size == 1 else f"z[..., {space.components.index(name)}]"
+                    says = (
+                        f"rad, which is more than a turn; expected radians. Are these degrees? Then {part} = "
+                        f"np.radians({part}). Do they count turns? Then wrap them: {part} = models.wrap({part})"
+                    )
                 if wrong.any():
                     k = int(np.argmax(wrong))
                     named, index = (self.describe(k), k) if k < len(self) else (repr(self), 0)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from factors.noise_size import numbers_of_z
 from models.algebra import Array
 
 __all__ = ["Traits"]
@@ -59,6 +60,11 @@ class Traits:
     def tilts(self, model: Any) -> Array | None:
         """z, m, pitch and roll (n, 3) of the first variable, a pose in SE3; None of other measurements."""
         return None
+
+    def noise_sizes(self) -> tuple[int, ...]:
+        """How many numbers its noise may be for, as far as that is known when it is made; () for any."""
+        factor: Any = self
+        return numbers_of_z(factor) if factor.sizes() else ()
 
     def states(self, trait: str) -> bool:
         """Whether its class implements a trait, such as ``relative_poses``, of which the default says nothing."""

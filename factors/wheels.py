@@ -77,6 +77,9 @@ class Wheels(Factor):
     def sizes(self) -> tuple[int, ...]:
         return (3,)
 
+    def noise_sizes(self) -> tuple[int, ...]:
+        return self.sizes()
+
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return Measured("right", "left", "lateral")
 

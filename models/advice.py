@@ -5,7 +5,7 @@ Errors, results and findings carry advice; whoever shows them says in which of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 __all__ = ["ACTIONS", "Advice", "listed"]
@@ -119,6 +119,10 @@ class Advice(NamedTuple):
     def robust(cls, kernel: str, width: float) -> Advice:
         """A robust kernel on all measurements."""
         return cls("robust", (kernel, f"{width:g}", kernel.lower()))
+
+    def repeats(self, in_use: Collection[str]) -> bool:
+        """Whether it asks for one of these, as Python or the command line writes it."""
+        return any(self.words(shell).endswith(f": {option}") for option in in_use for shell in (False, True))
 
     def words(self, shell: bool = False) -> str:
         """The purpose and how it is written, in Python or on the command line; empty where it cannot be."""

@@ -6,7 +6,7 @@ base class of each keeps code such as ``except ValueError`` working. Everything 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,11 @@ class LeadlineError(Exception):
     def lines(self, shell: bool = False) -> list[str]:
         """The message, and what helps as Python or as the command line writes it."""
         return [self.message, *(f"  -> {words}" for words in listed(self.advice, shell))]
+
+    def leave_out(self, in_use: Collection[str]) -> None:
+        """Drop the cures that ask for what is in use, as Python or the command line writes it."""
+        self.advice = tuple(piece for piece in self.advice if not piece.repeats(in_use))
+        self.args = ("\n".join(self.lines()),)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _as_it_was, (type(self), self.args), vars(self)
@@ -166,6 +171,7 @@ class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
     components : one text per free direction, e.g. ``"x3: yaw"``.
     values : the best values reached before the singular system was met.
     advice : the usual cures.
+    silent : factor and number of a measurement of them that has no information, counted from 0; None where none is.
     """
 
     def __init__(
@@ -176,8 +182,10 @@ class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
         components: Sequence[str] = (),
         values: Any = None,
         advice: Sequence[Advice] = (),
+        silent: tuple[int, int] | None = None,
     ) -> None:
         self.keys, self.nullity, self.components, self.values = tuple(keys), nullity, tuple(components), values
+        self.silent = silent
         super().__init__(message, advice)
 
 

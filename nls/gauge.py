@@ -3,8 +3,9 @@
 - ``first``: hold one variable in every component that has only relative measurements and nothing fixed. It is the
   lowest numbered of the kind with the most degrees of freedom (a pose, where there are poses)
 - ``prior``: give that variable a prior of unit information at its start value instead
-- ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse
-- ``none``: do nothing; a graph with a free gauge is then refused as under-constrained
+- ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse: |dx| in meters and radians
+- ``none``: do nothing; a graph with a free gauge is then refused as under-constrained, but for `Pinv` and the damped
+  methods, whose result names what is free
 
 Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``.
 """

@@ -12,12 +12,12 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.robust import Kernel
 from models.algebra import Mask
-from models.errors import GraphError, OptionError
+from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver
 from nls.linear.default import chosen_solver
 from nls.linear.free_gauge import FreeGauge
-from nls.linear.underconstrained import directions, underconstrained
+from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
@@ -194,7 +194,7 @@ class FactorGraph:
         started = perf_counter()
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
-        method = default_optimizer(self.factors)() if optimizer is None else optimizer
+        method = default_optimizer(self.factors) if optimizer is None else optimizer
         if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
@@ -210,11 +210,15 @@ class FactorGraph:
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
         limited = any(factor.limit_only for factor in self.factors)  # what is free may be meant to be, within them
-        if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice
-            raise underconstrained(LinearSystem.at(pattern, values), values)
-        watch = method.run(problem, values.copy())
+        try:
+            if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice
+                raise underconstrained(LinearSystem.at(pattern, values), values)
+            watch = method.run(problem, values.copy())
+        except UnderconstrainedError as error:
+            error.leave_out({f"nls.{type(method).__name__}()", f"gauge={gauge!r}"})
+            raise
         assert watch.status is not None
-        free = () if watch.free is None else underconstrained(watch.free).components
+        free = () if watch.free is None else free_names(watch.free, solver.left(watch.free))
         return Result(
             values=watch.best,
             status=watch.status,

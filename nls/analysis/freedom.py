@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.analysis.linearization import Checked, Linearization
-from nls.linear.anchors import ROUNDS, FreeDirections, column_lengths
+from nls.linear.anchors import FreeDirections, column_lengths
+from nls.linear.null_space import BLOCKS
 from nls.linear.singular import SingularSystemError
 from nls.system import LinearSystem
 
@@ -70,7 +71,7 @@ def freedom(pattern: Pattern, values: Values) -> Freedom:
     def outcome(checked: Checked | None, more: bool = False) -> Freedom:
         return Freedom(checked, free.anchors, free.singles, free.combinations, free.norms, scale, more)
 
-    for _ in range(ROUNDS):
+    for _ in range(BLOCKS):
         if free.count:
             linear = Linearization(free.held(pattern, values), values)
         try:

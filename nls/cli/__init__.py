@@ -17,6 +17,10 @@ from time import perf_counter, process_time
 from nls.cli.phase import INTERRUPTED, Phase
 from nls.lazy import postpone
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    import argparse
+
 __all__ = ["command", "main"]
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_THREAD_LIMIT", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
@@ -59,7 +63,7 @@ def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase |
 def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase) -> int:
     from nls.cli.parser import parser
 
-    debug = False
+    debug, options = False, None
     try:
         options = parser().parse_args(argv)
         options.began, options.startup, options.phase = began, startup, phase
@@ -82,17 +86,20 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
     except Exception as error:  # broad: whatever fails, a user gets one line, and the traceback with --debug
         if debug:
             raise
-        return _failed(error, phase)
+        return _failed(error, phase, options)
 
 
-def _failed(error: Exception, phase: Phase) -> int:
-    """One line for an error, and the exit status."""
+def _failed(error: Exception, phase: Phase, options: argparse.Namespace | None) -> int:
+    """One line for an error, whose cures are none of the options given, and the exit status."""
     from models.errors import LeadlineError, UnderconstrainedError
     from nls.cli.outputs import complain
 
     if isinstance(error, OSError) and error.filename is None and error.strerror:
         return phase.unprinted(error)  # every file has an error of its own
     known = isinstance(error, LeadlineError | OSError | MemoryError)
+    if isinstance(error, LeadlineError):
+        given = vars(options).items() if options is not None else ()
+        error.leave_out({f"--{name.replace('_', '-')} {value}" for name, value in given})
     complain(error if known else f"internal error, please report it (--debug shows where): {error!r}")
     return 1 if isinstance(error, UnderconstrainedError) else 2
 

@@ -116,11 +116,12 @@ def _explained(
     from nls.optimizers import default_optimizer
 
     best, how, why = start, "at the start", ""
-    damped = nls.LevenbergMarquardt
-    tries = (("file", default_optimizer(graph.factors)), ("file", damped), ("odometry", damped))
+    first = default_optimizer(graph.factors, callback=progress.show)
+    damped = nls.LevenbergMarquardt(callback=progress.show)
+    tries = (("file", first), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
         try:
-            result = graph.optimize(nls.initialize(graph, start, init)[0], method(callback=progress.show))
+            result = graph.optimize(nls.initialize(graph, start, init)[0], method)
         except UnderconstrainedError:
             why = why or "something is free"
             continue

@@ -187,7 +187,7 @@ def parser() -> Parser:
         help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
         ":units: one for lengths and one for angles of a kind; :components: one for every component",
     )
-    solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
+    solve.add_argument("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
     solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     solve.add_argument(
         "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
@@ -235,7 +235,8 @@ def parser() -> Parser:
         type=float,
         default=1e-3,
         metavar="X",
-        help="accepted relative distance of chi2 from its minimum (default 1e-3)",
+        help="accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
+        "the gap that is printed is absolute",
     )
     stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
     stream.add_argument(

@@ -30,7 +30,7 @@ REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and w
     "init": ("auto", "a scan mission starts from dead reckoning"),
     "method": ("auto", "the rounds of a scan mission choose their own"),
     "linear_solver": ("auto", "the rounds of a scan mission choose their own"),
-    "max_iterations": (100, "the rounds of a scan mission stop by themselves"),
+    "max_iterations": (None, "the rounds of a scan mission stop by themselves"),
     "update_tol": (None, "the rounds of a scan mission stop by themselves"),
     "chi2_rtol": (None, "the rounds of a scan mission stop by themselves"),
     "hold": ([], "a scan mission has only its keyframes and their drift"),

@@ -233,8 +233,9 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
     from nls.optimizers import OPTIMIZERS, default_optimizer
 
     name = job.options.method
-    kind = default_optimizer(job.graph.factors) if name == "auto" else OPTIMIZERS[name]
-    return kind(job.stop, callback=progress.show)
+    if name == "auto":
+        return default_optimizer(job.graph.factors, job.stop, progress.show)
+    return OPTIMIZERS[name](job.stop, progress.show)
 
 
 def _write(job: Job) -> None:

@@ -100,6 +100,8 @@ def write_free(job: Job, error: UnderconstrainedError) -> None:
     from nls.cli.report import write_report
 
     options, written = job.options, job.options.phase.written
+    if error.silent is not None and len(job.graph.factors) == len(job.report.sources):
+        error.message = f"{job.report.place(*error.silent)}: {error.message}"
     page: Output = lambda path: write_report(job, error, path), options.report
     attempt(job, [page, (lambda path: _free(job, error, path), options.json)])
     for failure in job.failed:

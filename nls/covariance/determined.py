@@ -17,7 +17,8 @@ from models.algebra import Array, Index, Mask
 from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.linear import Factorization, LinearSolver, factorize
-from nls.linear.anchors import ROUNDS, FreeDirections, column_lengths
+from nls.linear.anchors import FreeDirections, column_lengths
+from nls.linear.null_space import BLOCKS
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
@@ -101,9 +102,10 @@ def anchored_factorization(
         Squares of weights or Jacobians overflow.
     """
     system = LinearSystem.at(pattern, values)
-    error = underconstrained(system)
+    keeps_A = linear_solver if linear_solver is not None and linear_solver.name == "qr" else None
+    error = underconstrained(system, solver=keeps_A)
     free = FreeDirections(column_lengths(system))
-    for _ in range(ROUNDS):
+    for _ in range(BLOCKS):
         anchored = free.held(pattern, values)
         system = LinearSystem.at(anchored, values)
         try:

@@ -50,8 +50,8 @@ class Marginals:
     graph : the factors. Directions that stay free once the gauge is held have no covariance; all else has.
     values : where it is linearized. Factors with a robust kernel count with their weight there, as in the last step of
         the optimizer. A rejected outlier adds no information.
-    linear_solver : its factorization of A'A is used; a solver that keeps none (QR, the dense ones) and none at all mean
-        the best factorization installed. The covariance is the same. A `Schur` with a `block_inverse` is refused.
+    linear_solver : its factorization of A'A is used; of `QR` the factor R of A, with directions that A'A loses. A
+        solver without (the dense ones) and none at all mean the best one installed. A `block_inverse` is refused.
     gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
         `gauge` below is the sentence that says which. ``free``: the pseudo-inverse, where nobody is held.
     memory_limit : bytes; what would take more is refused beforehand. Half of the memory when omitted.

@@ -59,7 +59,7 @@ class Incremental:
 
     Parameters
     ----------
-    tol : chi2 stays within this part of its minimum; of 1 where chi2 is less.
+    tol : relative, a part of chi2: after every update the gap is at most tol * max(chi2, 1).
     lag : how many poses are kept, the newest; all where it is None. The information of an older one about the others
         stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
@@ -69,7 +69,8 @@ class Incremental:
 
     Attributes
     ----------
-    gap : chi2 is above its minimum by no more; with robust kernels an estimate, from how fast the weights settle.
+    gap : absolute, in units of chi2: chi2 is above its minimum by no more. With robust kernels an estimate, from how
+        fast the weights settle.
 
     Examples
     --------

@@ -25,8 +25,10 @@ def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
 
     Examples
     --------
-    >>> turns([("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
-    ['1 line has an angle of more than a turn, first on line 9 (EDGE_SE2): 90; angles are radians, are these degrees?']
+    >>> (note,) = turns([("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
+    >>> print(*note.split("; "), sep="\\n")
+    1 line has an angle of more than a turn, first on line 9 (EDGE_SE2): 90
+    angles are radians: do they count turns, or are these degrees?
     """
     first: list[tuple[int, str, float]] = []
     count = 0
@@ -41,6 +43,6 @@ def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
     line, tag, angle = min(first)
     have = "1 line has" if count == 1 else f"{count} lines have"
     return [
-        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians, are these "
-        "degrees?"
+        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do they "
+        "count turns, or are these degrees?"
     ]

@@ -18,15 +18,13 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Array, Index
-from nls.linear.null_space import null_space, separated, single_directions
+from nls.linear.null_space import null_directions, separated, single_directions
+from nls.linear.singular import ROUNDING
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["ROUNDS", "FreeDirections", "column_lengths"]
-
-ROUNDING = 1e-14  # of the longest column of the variable: a column this short is zero
-ROUNDS = 8  # of at most 12 directions that move several variables; those of single variables are collected all at once
+__all__ = ["FreeDirections", "column_lengths"]
 
 
 def column_lengths(system: LinearSystem) -> Array:
@@ -75,7 +73,6 @@ class FreeDirections:
         self.singles = sp.csc_array((np.ones(len(zero)), zero, np.arange(len(zero) + 1)), (n, len(zero)))
         self.combinations = np.zeros((n, 0))
         self.anchors: Index = zero
-        self._first = True
 
     @property
     def count(self) -> int:
@@ -83,20 +80,17 @@ class FreeDirections:
         return len(self.anchors)
 
     def collect(self, system: LinearSystem) -> bool:
-        """Add the free directions of a singular system that has the priors of `held`; False where it has none.
-
-        Up to 12 directions of several variables are added at a time.
-        """
-        directions, single = _null(system, self._first)
-        if not directions.shape[1] and not single.shape[1]:
+        """Add the free directions of a singular system that has the priors of `held`; False where it has none."""
+        norms, single = system.balanced.column_norms, single_directions(system.balanced)
+        N, _ = null_directions(system.balanced, single)
+        if not N.shape[1] and not single.shape[1]:
             return False
+        directions = separated(N, single, norms) if N.shape[1] else N
+        single = sp.csc_array(sp.diags_array(system.column_norms / norms) @ single)  # of length 1 by the weighted A
+        single = sp.csc_array(single @ sp.diags_array(1 / np.sqrt(single.power(2).sum(axis=0))))
         self.anchors = np.concatenate([self.anchors, _pivots(directions, single, self.norms)])
         self.singles = sp.csc_array(sp.hstack([self.singles, sp.diags_array(1 / self.norms) @ single]))
         self.combinations = np.concatenate([self.combinations, directions], axis=1)
-        if not self._first:  # twelve of more are mixtures; all of them come apart
-            nobody = sp.csc_array((len(self.norms), 0))
-            self.combinations = separated(self.combinations, nobody, self.norms)
-        self._first = False
         return True
 
     def held(self, pattern: Pattern, values: Values) -> Pattern:
@@ -117,15 +111,6 @@ class FreeDirections:
                     priors.append(Prior(keys, values.stack(name).X[rows], noise, components=(label,)))
         factors = [batch.model.factor for batch in pattern.batches]
         return Pattern([*factors, *priors], values).holding(pattern.held)
-
-
-def _null(system: LinearSystem, first: bool) -> tuple[Array, sp.csc_array]:
-    """Free directions of several variables (n, r), and of single ones (n, q), columns of A scaled to length 1."""
-    N, norms = null_space(system), system.balanced.column_norms
-    single = single_directions(system.balanced) if first else sp.csc_array((len(norms), 0))
-    directions = separated(N, single, norms) if N.shape[1] else N
-    single = sp.csc_array(sp.diags_array(system.column_norms / norms) @ single)
-    return directions, sp.csc_array(single @ sp.diags_array(1 / np.sqrt(single.power(2).sum(axis=0))))
 
 
 def _pivots(directions: Array, single: sp.csc_array, norms: Array) -> Index:

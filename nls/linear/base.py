@@ -82,10 +82,12 @@ class LinearSolver(Abstract):
     name : the name on the command line and in results.
     exact : whether its steps are the minimizer, up to rounding or a tolerance. One that says no gives no covariances,
         and its steps prove convergence only where the measurements do not pull otherwise.
+    shortest : whether it takes the shortest step where something is free, instead of refusing.
     """
 
     name: str
     exact: bool = True
+    shortest: bool = False
 
     @classmethod
     def missing(cls) -> str | None:
@@ -108,6 +110,10 @@ class LinearSolver(Abstract):
 
     def factorization(self, system: LinearSystem) -> Factorization | None:
         """A'A of a linearization, factorized; None of a solver that does not factorize it."""
+        return None
+
+    def left(self, system: LinearSystem) -> Array | None:
+        """Directions (n, k) along which a `shortest` step leaves the unknowns alone; None of a solver that refuses."""
         return None
 
     def held_system(self, system: LinearSystem) -> LinearSystem:

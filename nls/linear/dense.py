@@ -7,12 +7,12 @@ from time import perf_counter
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.limits import checked_limit
-from nls.linear.singular import SINGULAR, SingularSystemError
+from nls.linear.singular import ROUNDING, SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
@@ -49,8 +49,8 @@ class _Dense(LinearSolver):
             )
         return DenseAnalysis(self)
 
-    def least_squares(self, A: Array, b: Array) -> Array:
-        """argmin |A dx - b|."""
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
+        """argmin |A dx - b|; `owner` (n,) is the variable of each column."""
         raise NotImplementedError
 
 
@@ -73,7 +73,8 @@ class DenseAnalysis(Analysis):
         A = sparse.toarray()
         t1 = perf_counter()
         with single_thread():
-            dx = self.solver.least_squares(A, b) if A.size else np.zeros(A.shape[1])
+            owner, _ = system.pattern.column_owner()
+            dx = self.solver.least_squares(A, b, owner) if A.size else np.zeros(A.shape[1])
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
 
 
@@ -91,7 +92,7 @@ class DenseQR(_Dense):
     name = "dense-qr"
     copies = 6.0
 
-    def least_squares(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -107,7 +108,7 @@ class DenseCholesky(_Dense):
     name = "dense-cholesky"
     copies = 4.0
 
-    def least_squares(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -121,22 +122,46 @@ class DenseCholesky(_Dense):
 
 
 class Pinv(_Dense):
-    """dx = pinv(A) b by the singular value decomposition: of all minimizers, the shortest. Never singular.
+    r"""dx = pinv(A) b by the singular value decomposition: of all minimizers, the shortest. Never singular.
+
+    .. math:: A D^{-1} = U S V^T, \quad dx = (I - Q Q^T) D^{-1} V_r S_r^{-1} U_r^T b
+
+    D has the lengths of the columns of A, so units do not decide what is free: r are the singular values above `rtol`.
+    Q is an orthonormal basis of the other directions, D^-1 V. Along these dx has no part, which makes it the shortest:
+    |dx| in meters and radians, as with the gauge ``free``. `Result.underconstrained` names them.
 
     Parameters
     ----------
-    rtol : singular values below this, relative to the largest, count as zero.
+    rtol : singular values of A D^-1 below this, relative to the largest, count as zero; 1e-13, where QR refuses. With a
+        larger one chi2 is the lowest that the directions which count allow.
     memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted.
     """
 
     name = "pinv"
+    shortest = True
     copies = 7.0
 
-    def __init__(self, rtol: float = 1e-12, memory_limit: float | None = None) -> None:
+    def __init__(self, rtol: float = SINGULAR, memory_limit: float | None = None) -> None:
         super().__init__(memory_limit)
         if not is_number(rtol) or not 0 <= rtol < 1:
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
         self.rtol: float = float(rtol)
 
-    def least_squares(self, A: Array, b: Array) -> Array:
-        return np.asarray(np.linalg.pinv(A, rcond=self.rtol) @ b)
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
+        U, s, V, kept = self._decomposed(A, owner)
+        dx = V[:, kept] @ ((U.T @ b)[kept] / s[kept])
+        Q = np.linalg.qr(V[:, ~kept])[0]
+        return np.asarray(dx - Q @ (Q.T @ dx))
+
+    def left(self, system: LinearSystem) -> Array:
+        *_, V, kept = self._decomposed(system.A.toarray(), system.pattern.column_owner()[0])
+        return V[:, ~kept]
+
+    def _decomposed(self, A: Array, owner: Index) -> tuple[Array, Array, Array, Mask]:
+        """U, S and D^-1 V, columns (n,) each, and which singular values do not count as zero."""
+        lengths, longest = np.linalg.norm(A, axis=0), np.zeros(owner.max() + 1)
+        np.maximum.at(longest, owner, lengths)  # a column of rounding errors stays short beside the others
+        lengths = np.where(lengths > ROUNDING * longest[owner], lengths, longest[owner])
+        lengths[lengths == 0] = 1.0
+        U, s, Vt = np.linalg.svd(np.pad(A / lengths, ((0, max(0, A.shape[1] - len(A))), (0, 0))), full_matrices=False)
+        return U[: len(A)], s, Vt.T / lengths[:, None], s > self.rtol * s[0]

@@ -15,6 +15,8 @@ from nls.system import LinearSystem
 
 __all__ = ["FreeGauge", "free_directions", "gauge_columns"]
 
+UNSEEN = 1e-6  # of a direction of length 1 in sigmas: public pose graphs have at most 1e-10
+
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
     """Columns of `free` that `held` leaves out, the gauge, and all others."""
@@ -32,7 +34,9 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     """
     N = np.zeros((A.shape[1], len(gauge)))
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
-    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+    lengths = np.sqrt(A.copy().power(2).sum(axis=0))  # of A itself it would sort indices that all linearizations share
+    U = N / np.linalg.norm(lengths[:, None] * N, axis=0)  # of length 1 in sigmas, whatever the units
+    if np.abs(A @ U).max(initial=0.0) > UNSEEN:
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 
@@ -52,10 +56,13 @@ class FreeGauge(LinearSolver):
 
     def __init__(self, solver: LinearSolver, held: Pattern) -> None:
         self.solver, self.held = solver, held
-        self.name, self.exact = solver.name, solver.exact
+        self.name, self.exact, self.shortest = solver.name, solver.exact, solver.shortest
 
     def analyze(self, pattern: Pattern) -> FreeAnalysis:
         return FreeAnalysis(self, self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
+
+    def left(self, system: LinearSystem) -> Array | None:
+        return self.solver.left(system)
 
     def held_system(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)

@@ -21,11 +21,11 @@ from nls.linear.factorization import Factorization
 from nls.linear.singular import NULL, SingularSystemError
 from nls.system import LinearSystem
 
-__all__ = ["null_space", "separated", "single_directions", "weakest"]
+__all__ = ["BLOCKS", "null_directions", "null_space", "separated", "single_directions", "weakest"]
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration
-MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
+MAX_DIRECTIONS, BLOCKS = 12, 8  # null directions looked for in one block; blocks; more are counted as "at least"
 NOTHING = 1e-4  # of a direction of length 1: rounding, when all else of it belongs to single variables
 MAYBE = 1e-12  # eigenvalue of a block whose columns have length 1: squares keep half of the digits, so only a candidate
 
@@ -36,8 +36,35 @@ def null_space(system: LinearSystem) -> Array:
     return N[:, s <= NULL]
 
 
-def weakest(system: LinearSystem) -> tuple[Array, Array]:
+def null_directions(system: LinearSystem, singles: sp.csc_array) -> tuple[Array, bool]:
+    """Free directions (n, k) besides those of single variables, at most 96 of them; and whether there may be more.
+
+    Parameters
+    ----------
+    system : balanced.
+    singles : (n, q) from `single_directions`.
+    """
+    basis, N = singles, np.zeros((singles.shape[0], 0))
+    for _ in range(BLOCKS):
+        s, V = weakest(system, basis)
+        N = np.concatenate([N, V[:, s <= NULL]], axis=1)
+        if (s > NULL).any() or len(s) < MAX_DIRECTIONS:
+            return N, False
+        U = V * np.where(system.column_norms > 0, system.column_norms, 1.0)[:, None]
+        basis = sp.csc_array(sp.hstack([basis, sp.csc_array(U / np.linalg.norm(U, axis=0))]))
+    return N, True
+
+
+def weakest(system: LinearSystem, singles: sp.csc_array | None = None) -> tuple[Array, Array]:
     """The least singular values (k,) of A with columns scaled to length 1, at most 12, and their directions (n, k).
+
+    Parameters
+    ----------
+    system : the linearization.
+    singles : (n, q) from `single_directions`, which are looked for no more; none when omitted.
+
+    Notes
+    -----
 
     A is tall and sparse. A few rounds of inverse iteration on A'A + shift D^2 separate the free directions; D has the
     lengths of its columns. Small systems take the singular value decomposition of R in A = QR. Directions are in the
@@ -46,15 +73,17 @@ def weakest(system: LinearSystem) -> tuple[Array, Array]:
     norms = system.column_norms
     scale = np.where(norms > 0, norms, 1.0)
     n = len(norms)
+    S = sp.csc_array((n, 0)) if singles is None else singles
     if n <= 300:
-        R = np.linalg.qr((system.A @ sp.diags_array(1 / scale)).toarray(), mode="r")
+        R = np.linalg.qr(sp.vstack([system.A @ sp.diags_array(1 / scale), S.T]).toarray(), mode="r")
         _, s, Vt = np.linalg.svd(np.pad(R, ((0, n - len(R)), (0, 0))))
         s, V = s[-MAX_DIRECTIONS:], Vt[-MAX_DIRECTIONS:].T
     else:
         inverse = _shifted(system, np.square(scale))
         V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
         for _ in range(ROUNDS):
-            V = np.linalg.qr(scale[:, None] * inverse.solve(scale[:, None] * V))[0]
+            V = scale[:, None] * inverse.solve(scale[:, None] * (V - S @ (S.T @ V)))
+            V = np.linalg.qr(V - S @ (S.T @ V))[0]
         _, s, Wt = np.linalg.svd(system.A @ (V / scale[:, None]), full_matrices=False)
         V = V @ Wt.T
     N = V / scale[:, None]
@@ -87,9 +116,9 @@ def single_directions(system: LinearSystem) -> sp.csc_array:
 
     Parameters
     ----------
-    system : none of its columns is zero.
+    system : a column of zeros is a direction, too.
     """
-    pattern, norms = system.pattern, system.column_norms
+    pattern, norms = system.pattern, np.where(system.column_norms > 0, system.column_norms, 1.0)
     A = system.A @ sp.diags_array(1 / norms)
     free = np.flatnonzero(pattern.starts >= 0)
     rows, numbers, count = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros(1, dtype=np.intp)]

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse as sp
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.linear.base import INSTALL_SUITESPARSE, Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.default import best_decomposition
+from nls.linear.factorization import Factorization
 from nls.linear.limits import always_fits, checked_limit, refuse_above
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
@@ -25,6 +26,8 @@ __all__ = ["QR"]
 # sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside
 # at once end the process.
 ONE_AT_A_TIME = Lock()
+
+FIXED = 0  # SPQR: the columns stay in their order
 
 
 @cache
@@ -70,6 +73,56 @@ class QR(LinearSolver):
             refuse_above(self.memory_limit, self.per_number, pattern.hessian(best_decomposition().order), self.name)
         return QRAnalysis(self.name)
 
+    def factorization(self, system: LinearSystem) -> Factorization:
+        self.analyze(system.pattern)
+        return OrthogonalFactor(system)
+
+
+class OrthogonalFactor(Factorization):
+    """R of A P = Q R in place of the Cholesky factor of P'A'A P, so that no digit is lost to squares.
+
+    Parameters
+    ----------
+    system : one linearization.
+
+    Raises
+    ------
+    SingularSystemError
+        A is rank deficient.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        decomposition = best_decomposition(system.pattern.n)
+        hessian = system.pattern.hessian(decomposition.order)
+        super().__init__(hessian, decomposition(hessian))
+        p, lengths = hessian.permutation, system.column_norms
+        _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], FIXED)
+        self._R = sp.csr_array(sp.diags_array(np.sign(R.diagonal())) @ R @ sp.diags_array(lengths[p]))
+
+    def solve(self, g: Array) -> Array:
+        from scipy.sparse.linalg import spsolve_triangular
+
+        x, p = np.empty_like(g), self.hessian.permutation
+        x[p] = spsolve_triangular(self._R, spsolve_triangular(sp.csr_array(self._R.T), g[p]), lower=False)
+        return x
+
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        return sp.csc_array(self._R.T), self.hessian.permutation
+
+
+def _decomposed(A: sp.csr_array, b: Array, lengths: Array, order: int | None) -> tuple[Array, sp.csr_array, Index]:
+    """Q'b, R and the column order of A with columns of length 1."""
+    module, n = spqr(), A.shape[1]
+    assert module is not None
+    if (lengths == 0).any() or A.shape[0] < n:
+        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
+    with single_thread(), ONE_AT_A_TIME:
+        Z, R, E, _ = module.rz(sp.coo_matrix(A @ sp.diags_array(1 / lengths)), b, SINGULAR, order)
+    R = sp.csr_array(R)[:n]
+    if R.shape[0] < n or (np.abs(R.diagonal()) <= SINGULAR).any():
+        raise SingularSystemError("a diagonal entry of R vanishes")
+    return Z[:n, 0], R, E
+
 
 class QRAnalysis(Analysis):
     """Nothing is kept between solves."""
@@ -77,26 +130,16 @@ class QRAnalysis(Analysis):
     def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         from scipy.sparse.linalg import spsolve_triangular
 
-        module = spqr()
-        assert module is not None
         t0 = perf_counter()
         A, b = with_damping(system.A, system.b, damping)
         n = A.shape[1]
         lengths = system.column_norms if damping is None else np.sqrt(system.column_norms**2 + damping)
         if n == 0:
             return LinearSolution(np.zeros(0), {})
-        if (lengths == 0).any() or A.shape[0] < n:
-            raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
-        scaled = sp.coo_matrix(A @ sp.diags_array(1 / lengths))
         t1 = perf_counter()
-        with single_thread(), ONE_AT_A_TIME:
-            Z, R, E, _ = module.rz(scaled, b, tolerance=SINGULAR)
+        z, R, E = _decomposed(A, b, lengths, None)
         t2 = perf_counter()
-        R = sp.csr_array(R)[:n]
-        if R.shape[0] < n or (np.abs(R.diagonal()) <= SINGULAR).any():
-            raise SingularSystemError("a diagonal entry of R vanishes")
-        y = spsolve_triangular(R, Z[:n, 0], lower=False)
         dx = np.empty(n)
-        dx[E] = y
+        dx[E] = spsolve_triangular(R, z, lower=False)
         dx /= lengths
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})

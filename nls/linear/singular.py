@@ -6,12 +6,14 @@ import numpy as np
 
 from models.algebra import Array
 
-__all__ = ["NULL", "SINGULAR", "SingularSystemError", "UnsolvedSystemError", "refuse_vanishing"]
+__all__ = ["NULL", "ROUNDING", "SINGULAR", "SingularSystemError", "UnsolvedSystemError", "refuse_vanishing"]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
 digits of the column were cancelled by the columns before it, and the direction counts as free."""
 
+
+ROUNDING = 1e-14  # of the longest column of the variable: a column this short is zero
 
 WEAK, NULL = 1e-6, 1e-9
 """Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is

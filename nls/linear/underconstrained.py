@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse as sp
 
 from factors.keys import Keys
 from models.advice import Advice
@@ -10,14 +11,16 @@ from models.algebra import Array, Index, Mask
 from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.gauge import component_labels, touched_variables
-from nls.linear.null_space import MAX_DIRECTIONS, carriers_of_singles, separated, single_directions, weakest
-from nls.linear.singular import NULL, SingularSystemError, UnsolvedSystemError
+from nls.linear.base import LinearSolver
+from nls.linear.null_space import carriers_of_singles, null_directions, separated, single_directions, weakest
+from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["directions", "underconstrained"]
+__all__ = ["directions", "free_names", "underconstrained"]
 
+TRUNCATED = "nls.Schur(block_inverse=nls.linear.truncated_inverse)"  # as the cure `truncate` writes it
 FAR = 1e9  # numbers in Jacobians beyond this hide a 1 beside them
 ALIKE = 1e3  # rows within this factor of the extreme one belong to it: no single measurement is the cause
 RESOLVED = 1e12  # largest over median row of A that linear solver 'qr' still resolves
@@ -26,7 +29,10 @@ INVOLVED = 0.02  # a component is named when it moves by at least this part of t
 
 
 def underconstrained(
-    system: LinearSystem, values: Values | None = None, cause: SingularSystemError | None = None
+    system: LinearSystem,
+    values: Values | None = None,
+    cause: SingularSystemError | None = None,
+    solver: LinearSolver | None = None,
 ) -> UnderconstrainedError:
     """The error for a singular system: which variables can move without any measurement noticing, how, and the cures.
 
@@ -35,6 +41,7 @@ def underconstrained(
     system : the linearization that was singular.
     values : the best values so far, for the error to carry.
     cause : what the linear solver said. An iteration that did not arrive proves nothing: it speaks for itself.
+    solver : the linear solver; no cure asks for it, nor for QR in place of another one that works on A.
 
     Raises
     ------
@@ -43,33 +50,72 @@ def underconstrained(
     """
     if isinstance(cause, UnsolvedSystemError):
         return UnderconstrainedError(str(cause), values=values)
+    error = _named(system, values)
+    if solver is not None:
+        on_A = "linear_solver=nls.QR()" if solver.name in ("qr", "dense-qr", "pinv") else ""
+        error.leave_out({on_A, "" if solver.exact else TRUNCATED} - {""})
+    return error
+
+
+def _named(system: LinearSystem, values: Values | None) -> UnderconstrainedError:
+    """The error with all its cures."""
     weighted, system = system, system.balanced
     pattern = system.pattern
     owner, component = pattern.column_owner()
     norms = system.column_norms
     if (norms == 0.0).any():
-        return _unmeasured(pattern, norms == 0.0, values)
-    s, N = weakest(system)
-    null = s <= NULL
-    if not null.any() or _longest(weighted) > FAR:
+        return _unmeasured(system, norms == 0.0, values)
+    moved, more = _moved(system)
+    if not moved or _longest(weighted) > FAR:
         return _unlike(weighted, values)
-    singles = single_directions(system)
-    directions_of_several = separated(N[:, null], singles, norms)
-    carried = _carriers(directions_of_several, norms, _component_ids(pattern, owner, component))
-    moved = [*carriers_of_singles(singles, INVOLVED), *(np.flatnonzero(column) for column in carried.T)]
     any_of_them = np.unique(np.concatenate(moved))
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
     keys = [key for key, _ in named]
     where, advice = _where(pattern, np.unique(owner[any_of_them]), named)
-    count = directions(len(moved), len(s[null]))
     return UnderconstrainedError(
-        f"the measurements leave {count} free: {where}",
+        f"the measurements leave {directions(len(moved), more)} free: {where}",
         keys,
         len(moved),
-        [_listed(_by_variable(pattern, owner[unknowns], component[unknowns])) for unknowns in moved],
+        _texts(pattern, moved),
         values,
         advice,
     )
+
+
+def free_names(system: LinearSystem, left: Array | None = None) -> tuple[str, ...]:
+    """Every free direction of a system in words, ``x3: x, yaw``.
+
+    Parameters
+    ----------
+    system : the linearization.
+    left : (n, k) directions that a solver left alone; those in which no measurement reacts when omitted.
+    """
+    return _texts(system.pattern, _moved(system.balanced if left is None else system, left)[0])
+
+
+def _moved(system: LinearSystem, left: Array | None = None) -> tuple[list[Index], bool]:
+    """The unknowns that each free direction moves, those of single variables first; and whether there may be more.
+
+    Parameters
+    ----------
+    system : balanced, unless there are directions that a solver left alone: by their scale it chose them.
+    left : as for `free_names`.
+    """
+    norms = np.where(system.column_norms > 0, system.column_norms, 1.0)
+    singles, more = sp.csc_array((len(norms), 0)), False
+    if left is None:
+        singles = single_directions(system)
+        left, more = null_directions(system, singles)
+    several = separated(left, singles, norms) if left.shape[1] else left
+    carried = _carriers(several, norms, _component_ids(system.pattern, *system.pattern.column_owner()))
+    moved = [*carriers_of_singles(singles, INVOLVED), *(np.flatnonzero(column) for column in carried.T)]
+    return moved, more
+
+
+def _texts(pattern: Pattern, moved: list[Index]) -> tuple[str, ...]:
+    """Each direction in words, from the unknowns it moves."""
+    owner, component = pattern.column_owner()
+    return tuple(_listed(_by_variable(pattern, owner[unknowns], component[unknowns])) for unknowns in moved)
 
 
 def _longest(system: LinearSystem) -> float:
@@ -142,14 +188,14 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
     return batch, index, row, max(times, 1 / times), size, advice
 
 
-def directions(count: int, null_dim: int | None = None) -> str:
-    """So many free directions, in words; of those that move several variables `MAX_DIRECTIONS` are looked for."""
-    most = (count if null_dim is None else null_dim) == MAX_DIRECTIONS
-    return "1 direction" if count == 1 else f"{'at least ' if most else ''}{count} directions"
+def directions(count: int, more: bool = False) -> str:
+    """So many free directions, in words; and whether there may be more."""
+    return "1 direction" if count == 1 else f"{'at least ' if more else ''}{count} directions"
 
 
-def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> UnderconstrainedError:
+def _unmeasured(system: LinearSystem, zero: Mask, values: Values | None) -> UnderconstrainedError:
     """The error for columns of zeros (n,): nothing touches their variable, or what touches it does not react."""
+    pattern = system.pattern
     owner, component = pattern.column_owner()
     touched = touched_variables(pattern)[owner]
     idle, unseen = zero & ~touched, zero & touched
@@ -161,15 +207,30 @@ def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> Undercon
             sentences.append(f"{some_are} {lack}: {names}")
     if idle.any():
         advice = [Advice("factors"), Advice("drop", ("the variable",)), Advice("fix", ("the variable",))]
-    if unseen.any():
+    silent = _silent(system, owner[unseen])
+    if silent is not None:
+        factor = pattern.batches[silent[0]].model.factor.describe(silent[1])
+        sentences.append(f"cause: {factor} has an information of zero")
+        advice += [Advice("smaller sigma"), Advice("measure", ("the component",))]
+    elif unseen.any():
         sentences.append(
             "causes: (1) no factor observes it, (2) its Jacobian is zero at these values alone, (3) a robust kernel "
             "rejects its factors"
         )
-        advice += [Advice("measure", ("the component",)), Advice("start"), Advice("damp"), Advice("truncate")]
+        advice += [Advice("measure", ("the component",)), Advice("start")]
+        advice += [Advice("damp"), Advice("truncate")] if pattern.m >= pattern.n and not zero.all() else []
     named = _by_variable(pattern, owner[zero], component[zero])
     keys, texts = [key for key, _ in named], [text for _, text in named]
-    return UnderconstrainedError("; ".join(sentences), keys, int(zero.sum()), texts, values, advice)
+    return UnderconstrainedError("; ".join(sentences), keys, int(zero.sum()), texts, values, advice, silent)
+
+
+def _silent(system: LinearSystem, variables: Index) -> tuple[int, int] | None:
+    """Batch and number of the first measurement of some variables that has a row of weight zero, if there is one."""
+    for k, (batch, (weights, _)) in enumerate(zip(system.pattern.batches, system.row_sizes, strict=True)):
+        touches = np.any([np.isin(slot, variables) for slot in batch.variables], axis=0)
+        if (silent := touches & (weights == 0).any(axis=1)).any():
+            return k, int(np.argmax(silent))
+    return None
 
 
 def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:

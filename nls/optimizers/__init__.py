@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from factors.base import Factor
 from nls.optimizers.automatic import Automatic
@@ -31,9 +31,20 @@ __all__ = [
 ]
 
 
-def default_optimizer(factors: Iterable[Factor]) -> type[Optimizer]:
-    """`Automatic`, or Levenberg-Marquardt where a factor says that undamped steps are known to fail."""
-    return LevenbergMarquardt if any(factor.damped for factor in factors) else Automatic
+Callback = Callable[[Iteration], bool | None]
+
+
+def default_optimizer(
+    factors: Iterable[Factor], stop: Stop | None = None, callback: Callback | None = None
+) -> Optimizer:
+    """`Automatic`, or Levenberg-Marquardt where a factor says that undamped steps are known to fail.
+
+    Without a limit of steps both may take 1000 in all.
+    """
+    stop = stop or Stop()
+    if any(factor.damped for factor in factors):
+        return LevenbergMarquardt(stop.patient, callback)
+    return Automatic(stop, callback)
 
 
 OPTIMIZERS: dict[str, type[Optimizer]] = {

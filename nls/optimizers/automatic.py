@@ -1,7 +1,8 @@
 """The optimizer of those who name none: Gauss-Newton, and dogleg from its best point where that fails.
 
     run Gauss-Newton, with the last factorization reused near the optimum
-    if it diverges, cycles, rises or finds no lower point:  run dogleg from the lowest point
+    if it diverges, cycles, rises or finds no lower point:   run dogleg from the lowest point
+    if it has not arrived after 100 steps, no limit given:   the same, up to 1000 steps in all
 
 Of the two damped methods dogleg is the one with the shorter way from such a point: one factorization an iteration. Who
 names a method gets that method alone. The limits of a `Stop` are those of both together.
@@ -23,7 +24,7 @@ from nls.values import Values
 
 __all__ = ["Automatic"]
 
-FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED)
+FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED, Status.MAX_ITERATIONS)
 RISE = 1e4  # growth of chi2 over the start, twice in a row; a long drive with 20 closures rises once to 4e6 times it
 WITHOUT = 10  # steps without a new best; pose graphs that converge take up to 4
 
@@ -45,7 +46,7 @@ def no_new_best(step: Step) -> stop.Verdict | None:
 
 
 class Automatic(Optimizer):
-    """Gauss-Newton, and dogleg where that fails.
+    """Gauss-Newton, and dogleg where that fails or does not arrive.
 
     Parameters
     ----------
@@ -80,7 +81,8 @@ class Automatic(Optimizer):
                 raise
             watch.end(Status.DIVERGED, f"the linear system of iteration {watch.step_count + 1} is singular", "singular")
             refusal = error
-        if watch.status in FAILED and watch.step_count < self.stop.max_iterations:
+        watch.limit = self.stop.patient.max_iterations or 0
+        if watch.status in FAILED and watch.step_count < watch.limit and not watch.halted:
             watch.resume()
             watch.after_a_step = stop.AFTER_A_STEP
             Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)

@@ -69,10 +69,13 @@ class Optimizer(Abstract):
         watch.methods.append(self.name)
         try:
             self.iterate(problem, X, system, watch)
+            if problem.solver.shortest:
+                watch.free = problem.singular(watch.best)
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.analysis.description)
         except SingularSystemError as error:
-            raise underconstrained(problem.solver.held_system(problem.latest), watch.best, error) from error
+            system = problem.solver.held_system(problem.latest)
+            raise underconstrained(system, watch.best, error, problem.solver) from error
         except (EvaluationError, SingularGeometryError) as error:
             step = watch.step_count + 1
             if isinstance(error, EvaluationError):

@@ -54,6 +54,12 @@ class Problem:
         solution = self.analysis.again(system)
         return None if solution is None else self._counted(solution)
 
+    def singular(self, values: Values) -> LinearSystem | None:
+        """The system at the values, where the shortest step leaves something of it alone; None where it does not."""
+        system = self.solver.held_system(self.linearize(values))
+        left = self.solver.left(system) if system.pattern.n else None
+        return None if left is None or not left.shape[1] else system
+
     def retract(self, values: Values, dx: Array) -> Values:
         return self._timed("retract", lambda: values.retract(self.pattern.expand(dx)))
 
@@ -134,4 +140,4 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     try:
         return solver.analyze(system.pattern).solve(system).dx
     except SingularSystemError as error:
-        raise underconstrained(solver.held_system(system), cause=error) from error
+        raise underconstrained(solver.held_system(system), cause=error, solver=solver) from error

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.algebra import Array
 from nls.optimizers.result import Attempt, Iteration
-from nls.optimizers.thresholds import Status, Stop
+from nls.optimizers.thresholds import MOST_STEPS, Status, Stop
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -24,18 +24,20 @@ class Record:
 
     Attributes
     ----------
-    stop, tol, began : the settings; the thresholds in force; when it began.
+    stop, tol, limit, began : the settings; the thresholds in force; steps at most; when it began.
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
     start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
     fall, level_steps : of the last step; steps in a row that ran along a plateau.
-    free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
+    free : a damped method or the shortest step ended on this singular system; None when nothing is free, or nobody
+        looked.
     """
 
     def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
         self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
+        self.limit = MOST_STEPS if settings.max_iterations is None else settings.max_iterations
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest = values, chi2

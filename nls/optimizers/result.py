@@ -132,9 +132,11 @@ class Result:
     def remarks(self) -> list[str]:
         """Sentences on how the methods went: which one failed and which continued, what was reused."""
         remarks = [
-            f"{attempt.method} ended as {attempt.status.name} after {attempt.iterations} iterations: {attempt.reason}; "
-            f"{self.method.rpartition('then ')[2]} continued from the lowest point"
+            f"{attempt.method} ended as {attempt.status.name} {after}"
+            + f": {attempt.reason}".removesuffix(f": {after}")
+            + f"; {self.method.rpartition('then ')[2]} continued from the lowest point"
             for attempt in self.attempts
+            for after in [f"after {attempt.iterations} iterations"]
         ]
         if self.reused:
             remarks.append(f"{self.reused} of {self.iterations} steps reused the last factorization")

@@ -171,7 +171,7 @@ def up_and_down(step: Step) -> Verdict | None:
     before, latest = since[:-ROUND], since[-ROUND:]
     falls = sum(b < a for a, b in pairwise(latest))
     swings = len(before) >= ROUND and max(latest) <= max(before) and 0 < falls < ROUND - 1
-    if not (swings and watch.step_count >= watch.stop.max_iterations):
+    if not (swings and watch.step_count >= watch.limit):
         return None
     words = f"chi2 has gone up and down for {watch.since_best} steps, at {watch.history[-1].chi2:.6g} now"
     return Verdict(Status.CYCLING, f"{words}; the lowest is {watch.lowest:.6g}")
@@ -180,9 +180,7 @@ def up_and_down(step: Step) -> Verdict | None:
 def iteration_limit(step: Step) -> Verdict | None:
     """steps >= max_iterations."""
     count = step.watch.step_count
-    return (
-        Verdict(Status.MAX_ITERATIONS, f"after {count} iterations") if count >= step.watch.stop.max_iterations else None
-    )
+    return Verdict(Status.MAX_ITERATIONS, f"after {count} iterations") if count >= step.watch.limit else None
 
 
 def time_limit(step: Step) -> Verdict | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from numbers import Integral, Real
 from typing import NamedTuple
@@ -11,6 +11,9 @@ from typing import NamedTuple
 from models.errors import OptionError
 
 __all__ = ["Status", "Stop", "Thresholds"]
+
+MOST_STEPS = 100  # of a method; pose graphs that converge take up to 15, a slow public one of 50 poses 145
+MOST_STEPS_IN_ALL = 1000  # of the default, where no limit is given
 
 
 class Status(Enum):
@@ -49,7 +52,8 @@ class Stop:
         decrease was at most ten times that. The step was shorter than the one before. The falls, continued as the
         geometric series of the last two, add up to no more than chi2_rtol * chi2 either. 1e-6.
     gradient_tol : converged when the largest cosine between b and a column of A is not above it; 1e-10.
-    max_iterations : at most so many steps.
+    max_iterations : at most so many steps. When omitted 100; and 1000 in all where no method is named either: the
+        default then goes on, damped, from the lowest point of the first 100 (`Automatic`).
     max_seconds : no further step after so many seconds.
 
     Raises
@@ -69,20 +73,25 @@ class Stop:
     update_tol: float | None = None
     chi2_rtol: float | None = None
     gradient_tol: float | None = None
-    max_iterations: int = 100
+    max_iterations: int | None = None
     max_seconds: float = math.inf
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if value is None and f.name in Thresholds._fields:
+            if value is None and f.name != "max_seconds":
                 continue
             if not isinstance(value, Real) or value != value or value < 0:
                 raise OptionError(f.name, value, "a number of at least 0")
             if value == math.inf and f.name in Thresholds._fields:
                 raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
-        if not isinstance(self.max_iterations, Integral):
+        if not isinstance(self.max_iterations, Integral | None):
             raise OptionError("max_iterations", self.max_iterations, "a whole number")
+
+    @property
+    def patient(self) -> Stop:
+        """As it is; with the limit of all steps of the default where none is given."""
+        return self if self.max_iterations is not None else replace(self, max_iterations=MOST_STEPS_IN_ALL)
 
     @property
     def in_force(self) -> Thresholds:

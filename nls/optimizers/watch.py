@@ -31,6 +31,7 @@ class Watch(Record):
     Attributes
     ----------
     latest : the last step that was taken.
+    halted : whether the callback stops it there.
     after_a_step : rules asked after every step that is taken.
     """
 
@@ -45,7 +46,7 @@ class Watch(Record):
         super().__init__(settings, values, system.chi2, seconds)
         self.callback, self.after_a_step = callback, stop.AFTER_A_STEP
         self.latest: Step | None = None
-        self._halted = False
+        self.halted = False
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
@@ -93,14 +94,14 @@ class Watch(Record):
 
     def call_back(self) -> None:
         """Show the latest step to the callback, which may stop."""
-        self._halted = self.callback is not None and bool(self.callback(self.history[-1]))
-        if self._halted and self.status is None:
+        self.halted = self.callback is not None and bool(self.callback(self.history[-1]))
+        if self.halted and self.status is None:
             self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
 
     def reopen(self) -> None:
         """Not over after all, unless the callback or a limit ends it here."""
         self.status, self.reason, self.rule = None, "", ""
-        if self._halted:
+        if self.halted:
             self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
         elif self.latest is not None:
             self._ask(stop.LIMITS, self.latest)

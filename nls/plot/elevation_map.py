@@ -1,7 +1,7 @@
 r"""How should I fly? One picture: what two views tell about the elevation of a point, for every kind of motion.
 
 Each panel looks out through the aperture of the sonar at one range, as the pilot would: azimuth to the right, down is
-down. Its color is the standard deviation of the elevation after a second view (`elevation_information`); gray says no
+down. Its color is the standard deviation of the elevation after a second view (`elevation_sigma`); gray says no
 better than the aperture itself, aperture / sqrt(12), and white that the second view does not see the point.
 """
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from models import SE3
 from models.errors import OptionError
 from models.sensors import cartesian
-from nls.sonar.elevation import elevation_information
+from nls.sonar.elevation import elevation_sigma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,7 +145,7 @@ def _after(sonar: ImagingSonar, G: npt.ArrayLike, points: Array, motion_covarian
     """Standard deviation of the elevation of points (..., 3), deg; nan where the second view does not see them."""
     p, _ = cartesian(points.reshape(-1, 3))
     visible = sonar.sees(SE3.act(SE3.inverse(SE3.stack(G)), p)).reshape(points.shape[:-1])
-    sigma = np.degrees(elevation_information(G, points, sonar.noise_sigmas, motion_covariance))
+    sigma = np.degrees(elevation_sigma(G, points, sonar.noise_sigmas, motion_covariance))
     return np.where(visible, sigma, np.nan)
 
 

@@ -109,7 +109,7 @@ class Truncated:
             parts = (factor[kept & ~mask], factor[kept & mask].robust(GemanMcClure(c2**0.5)))
             factors += [part for part in parts if len(part)]
         graph, present = FactorGraph(factors, self.graph.fixed), self.landmarks.present(inliers, values)
-        soft = graph.optimize(present, default_optimizer(factors)(Stop(chi2_rtol=SOFT)))
+        soft = graph.optimize(present, default_optimizer(factors, Stop(chi2_rtol=SOFT)))
         return self.settled(self.landmarks.merged(values, soft.values))
 
     def settled(self, values: Values) -> Choice:

@@ -24,10 +24,10 @@ from models.algebra import Array, apply, dot, product
 from models.errors import GraphError
 from models.sensors.arcs import second_view
 
-__all__ = ["elevation_information"]
+__all__ = ["elevation_sigma"]
 
 
-def elevation_information(
+def elevation_sigma(
     motion: npt.ArrayLike,
     points: npt.ArrayLike,
     sigmas: npt.ArrayLike,
@@ -63,15 +63,15 @@ def elevation_information(
 
     >>> import numpy as np
     >>> sigmas, ahead = [0.01, np.radians(0.25)], [4.0, 0.0, 0.0]
-    >>> down = elevation_information([0, 0, 0.5, 0, 0, 0, 1], ahead, sigmas)
-    >>> forward = elevation_information([0.5, 0, 0, 0, 0, 0, 1], ahead, sigmas)
+    >>> down = elevation_sigma([0, 0, 0.5, 0, 0, 0, 1], ahead, sigmas)
+    >>> forward = elevation_sigma([0.5, 0, 0, 0, 0, 0, 1], ahead, sigmas)
     >>> float(np.degrees(down).round(2)), float(forward)
     (1.63, inf)
     """
     G, h, sigma = SE3.stack(motion), np.asarray(points, dtype=float), np.asarray(sigmas, dtype=float)
     if len(G) != 1 or h.shape[-1:] != (3,) or sigma.shape != (2,) or not (sigma > 0).all():
         raise GraphError(
-            f"elevation_information: expected one motion (7,), points (..., 3) and sigmas (2,) above 0, got "
+            f"elevation_sigma: expected one motion (7,), points (..., 3) and sigmas (2,) above 0, got "
             f"{len(G)} motions, points {h.shape} and sigmas {sigma.tolist()}"
         )
     R = np.diag(sigma**2)
@@ -81,7 +81,7 @@ def elevation_information(
     if motion_covariance is not None:
         Sigma_G = np.asarray(motion_covariance, dtype=float)
         if Sigma_G.shape != (6, 6):
-            raise GraphError(f"elevation_information: motion_covariance has shape {Sigma_G.shape}, expected (6, 6)")
+            raise GraphError(f"elevation_sigma: motion_covariance has shape {Sigma_G.shape}, expected (6, 6)")
         C = C + product(product(H_G, Sigma_G), H_G.mT)
     information = dot(c, apply(np.asarray(np.linalg.inv(C)), c))
     with np.errstate(divide="ignore"):

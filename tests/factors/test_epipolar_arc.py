@@ -296,7 +296,7 @@ GOOD = [[4.0, 0.1, 3.9, 0.0], [5.0, 0.1, 4.9, 0.0]]
         (lambda: arcs(2, [GOOD[0], [5, 0.1, np.nan, 0]]), GraphError, "not finite"),
         (lambda: arcs(2, [GOOD[0], [5, 0.1, -4.9, 0]]), GraphError, r"x0, x1.*\[5.0, -4.9\] m"),
         (lambda: arcs(2, [[0, 0.1, 4.9, 0], GOOD[0]]), GraphError, r"\[0.0, 4.9\] m"),
-        (lambda: arcs(2, GOOD, Diagonal(range=1, azimuth=1)), NoiseModelError, "'range_i', 'azimuth_i', 'range_j'"),
+        (lambda: arcs(2, GOOD, Diagonal(range=1, azimuth=1)), NoiseModelError, "for 2 numbers, expected 4"),
         (lambda: arcs(2, GOOD, offset=x[2]), GraphError, "offset is not an array of numbers: a variable"),
         (lambda: arcs(2, GOOD, offset=np.zeros(3)), GraphError, r"offset: .*shape \(1, 3\)"),
         (lambda: arcs(2, GOOD, offset=np.tile(MOUNT, (3, 1))), GraphError, "3 offsets for 2"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+import models
 from factors import (
     Bearing,
     BearingRange,
@@ -141,6 +143,31 @@ def test_no_range_is_below_zero_and_no_direction_beyond_a_turn(case: tuple[type[
     refused(lambda: kind(pose, l[0], z, UNIT), GraphError, f"^{kind.__name__}{named}")
 
 
+@for_all(
+    case=[
+        (Bearing, x[0], -6.5, 0),
+        (Bearing, x[[0, 1]], [0.5, 45.0], 0),
+        (Bearing, x[[0, 1]], [[0, 1], [0, 7]], 1),
+        (BearingRange, x[0], [90, 30], 0),
+        (BearingRange, x[[0, 1]], [[1, -80, 700], [1, 0, 2]], 1),
+        (RangeAzimuth, x[[0, 1]], [[9, 1], [90, 12]], 1),
+    ]
+)
+def test_both_cures_of_an_angle_beyond_a_turn_work_to_the_letter(
+    case: tuple[type[Sighting], Keys, object, int],
+) -> None:
+    kind, pose, numbers, column = case
+    with pytest.raises(GraphError) as caught:
+        kind(pose, l[0], numbers, UNIT)
+    cures = re.findall(r"z[^ ]*(?: \d\])? = [a-z.]+\(z[^)]*\)", str(caught.value))
+    assert ["radians" in cure for cure in cures] == [True, False]
+    for cure in cures:
+        scope = {"np": np, "models": models, "z": np.array(numbers, dtype=float)}
+        exec(cure, scope)
+        z = np.asarray(kind(pose, l[0], scope["z"], UNIT).z, dtype=float).reshape(len(pose), -1)
+        assert set(np.nonzero(z != np.reshape(numbers, z.shape))[1]) == {column}
+
+
 def test_a_turn_is_a_direction_and_meters_are_no_angle() -> None:
     """Bearings from 0 to 2 pi are read as well as those from -pi to pi; a range or a coordinate may be any number."""
     here = Values({x: (SE2, [[0.0, 0.0, 0.0]]), l: (R(2), [[3.0, -3.0]])})
@@ -176,7 +203,7 @@ def test_noise_by_name() -> None:
     e = error(BearingRange(x[0], l[0], [0.25, 2.0], UNIT), plane())
     for noise in (Diagonal(range=0.5, bearing=0.1), Diagonal([0.1, 0.5])):
         same(error(BearingRange(x[0], l[0], [0.25, 2.0], noise), plane()), e / [[0.1, 0.5]])
-    other = BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, range=0.5))
+    other = BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, elevation=0.1, range=0.5))
     refused(lambda: SPACE.gather(other), NoiseModelError, r"\['azimuth', 'elevation', 'range'\]")
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index, Mask, wrap
 from models.errors import GraphFileError, OptionError
 from models.listing import several
 from nls.io.importing.frames import angles_of, axes, turn
@@ -135,9 +135,11 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
         if mission_unit(column)[1] == "rad" and abs(cell.constant) > FULL_TURN:
-            write = f"{column} = {float(np.radians(cell.constant)):.4g}"
+            radians, wrapped = (f"{column} = {float(f(cell.constant)):.4g}" for f in (np.radians, wrap))
             raise section.error(
-                column, f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {write}"
+                column,
+                f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {radians}; or wrap "
+                f"it: {wrapped}",
             )
         return np.full(count, float(cell.constant))
     assert log is not None

@@ -255,7 +255,7 @@ def test_a_redescending_kernel_from_the_first_measurement_on() -> None:
     ("wrong", "error"),
     [
         ("Between(x0, x1)", GraphError),
-        (Between(x[1], x[2], [1.0, 0, 0], Isotropic([0.1, 0.2, 0.3])), NoiseModelError),
+        (Between(x[1], x[2], [1.0, 0, 0], Isotropic(1e-320)), NoiseModelError),
         (Between(x[1], x[2], [1.0, 0], STEP), GraphError),
         (Between(x[0], x[1], [1e308, 0, 0], STEP), EvaluationError),
         (Prior(l[1], [0.0, 0, 0], STEP), GraphError),

@@ -201,9 +201,14 @@ def test_factorizations_refuse_what_is_not_finite_or_indefinite(kind: type[Decom
             state.factorize(broken)
 
 
-def test_pinv_takes_a_tolerance() -> None:
-    graph = FactorGraph([Prior(p[0], [1.0], Isotropic(1.0)), Prior(p[1], [1.0], Isotropic(1e4))])
-    system = graph.linearize(Values({p: (R(1), [0.0, 0.0])}))
-    assert solve("pinv", system).tolist() == pytest.approx([1.0, 1.0])
+def test_pinv_takes_a_tolerance_and_names_what_it_leaves() -> None:
+    """Nearly parallel columns: the difference of the two unknowns is measured by 1e-4 of their sum."""
+    rows = np.array([[1.0, 1.0], [1e-4, -1e-4]])
+    factor = Factor.from_function(lambda X: X @ rows.T - np.array([2.0, 2e-4]), p[0], 2)
+    graph, values = FactorGraph([factor]), Values({p: (R(2), [0.0, 0.0])})
+    system = graph.linearize(values)
+    assert solve("pinv", system).tolist() == pytest.approx([2.0, 0.0])
     coarse = Pinv(rtol=1e-3)
-    assert coarse.analyze(system.pattern).solve(system).dx.tolist() == pytest.approx([1.0, 0.0])
+    assert coarse.analyze(system.pattern).solve(system).dx.tolist() == pytest.approx([1.0, 1.0], abs=1e-7)
+    result = graph.optimize(values, None, coarse)
+    assert (result.underconstrained, result.dof) == (("p0: x, y",), 1)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Between, Information, Isotropic, Prior
+from factors import Between, Factor, Information, Isotropic, Prior
 from models import SE2, SE3, R
 from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Status, Stop, Values
 from nls.cli import main
@@ -36,6 +36,7 @@ def looked(**changes: Any) -> Any:
         "level_steps": 0,
         "began": perf_counter(),
         "stop": Stop(),
+        "limit": 100,
         "reason": "small",
         "scaled": lambda system: np.ones(2),
     }
@@ -309,3 +310,39 @@ def test_who_names_a_method_gets_it_and_the_default_refuses_what_is_free() -> No
     graph = FactorGraph([Prior(p[0], [1.0, 0.0], Isotropic(0.1), components=["x"])])
     with pytest.raises(nls.UnderconstrainedError, match="p0: y"):
         graph.optimize(Values({p: (R(2), [[0.0, 0.0]])}))
+
+
+SLOW = {"creeps": -1.0, "swings": 1.0}  # sign s of 1 + s 0.485 p^2: an undamped step leaves 0.97 of p, turned or not
+
+
+def slow(case: str) -> tuple[FactorGraph, Values]:
+    s = 0.485 * SLOW[case]
+    f = Factor.from_function(lambda X: np.concatenate([X, 1 + s * X**2], axis=1), p[0], dim=2)
+    return FactorGraph([f]), Values({p: (R(1), [0.9])})
+
+
+@pytest.mark.parametrize("case", SLOW)
+def test_the_default_goes_on_where_gauss_newton_is_slow_and_no_limit_is_given(case: str) -> None:
+    graph, start = slow(case)
+    named = graph.optimize(start, GaussNewton())
+    assert (named.status, named.iterations) == (Status.MAX_ITERATIONS, 100)
+    result = graph.optimize(start)
+    assert (result.status, result.method) == (Status.CONVERGED, "gauss-newton, then dogleg")
+    assert result.chi2_final == pytest.approx(1.0, rel=1e-5)
+    (attempt,) = result.attempts
+    assert attempt == ("gauss-newton", Status.MAX_ITERATIONS, "after 100 iterations", 100)
+    assert "gauss-newton ended as MAX_ITERATIONS after 100 iterations; dogleg continued" in str(result)
+    for limit in (100, 101):
+        limited = graph.optimize(start, automatic.Automatic(Stop(max_iterations=limit)))
+        assert (limited.status, limited.iterations, limited.attempts) == (Status.MAX_ITERATIONS, limit, ())
+    halted = graph.optimize(start, automatic.Automatic(callback=lambda record: record.number == 100))
+    assert (halted.iterations, halted.attempts) == (100, ())
+
+
+def test_the_damped_default_is_as_patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, start = slow("creeps")
+    monkeypatch.setattr(graph.factors[0], "damped", True)
+    assert graph.optimize(start, LevenbergMarquardt()).iterations == 100
+    result = graph.optimize(start)
+    assert (result.method, result.converged) == ("levenberg-marquardt", True)
+    assert 100 < result.iterations < 1000

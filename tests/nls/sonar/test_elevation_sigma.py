@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import nls.sonar
 from factors import Covariance, Diagonal, Prior, RangeAzimuth
 from models import SE3, R
 from models.errors import GraphError, OptionError
@@ -16,7 +17,7 @@ from models.sensors import DIDSON_HIGH, cartesian, elevation
 from nls import FactorGraph, Marginals, SingularGeometryError, Values, kinds
 from nls.plot.elevation_map import elevation_map, motions
 from nls.plot.picture import write_picture
-from nls.sonar import elevation_information
+from nls.sonar import elevation_sigma
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")
@@ -29,7 +30,7 @@ POINTS = np.array([[4.0, 0.1, 0.05], [3.0, -0.2, -0.1], [5.5, 0.0, 0.0], [2.0, 0
 def test_it_is_the_marginal_of_the_graph_of_two_views(motion: list[float], known: bool) -> None:
     G, Sigma = SE3.exp(np.array(motion)), np.diag(np.array([0.02, 0.03, 0.01, 0.003, 0.002, 0.01]) ** 2)
     Sigma[0, 1] = Sigma[1, 0] = 3e-4
-    found = elevation_information(G, POINTS, SIGMAS, None if known else Sigma)
+    found = elevation_sigma(G, POINTS, SIGMAS, None if known else Sigma)
     for h, sigma in zip(POINTS, found, strict=True):
         p, _ = cartesian(h[None])
         values = Values({x: (SE3, np.stack([SE3.identity()[0], G])), l: (R(3), p)})
@@ -45,7 +46,7 @@ def test_the_table_of_motions() -> None:
     """Yaw never; surge, sway and planar motion not at elevation 0; pitch not straight ahead; heave and roll do."""
     ahead, below, aside = np.array([[4.0, 0.0, 0.0], [4.0, 0.0, 0.1], [4.0, 0.2, 0.0]])
     sigma = {
-        name.split()[0]: np.degrees(elevation_information(G, [ahead, below, aside], SIGMAS))
+        name.split()[0]: np.degrees(elevation_sigma(G, [ahead, below, aside], SIGMAS))
         for name, G in motions(0.3, 0.2).items()
     }
     assert (sigma["yaw"] > 1e6).all()
@@ -56,30 +57,30 @@ def test_the_table_of_motions() -> None:
     assert sigma["pitch"][2] < 30
     assert (sigma["heave"] < 3).all()
     assert (sigma["roll"] < 3).all()
-    planar = elevation_information(SE3.exp([0.3, 0.2, 0, 0, 0, 0.3]), [ahead, aside], SIGMAS)
+    planar = elevation_sigma(SE3.exp([0.3, 0.2, 0, 0, 0, 0.3]), [ahead, aside], SIGMAS)
     assert (planar > 1e6).all()
 
 
 def test_half_the_sigmas_or_an_uncertain_motion() -> None:
     G = SE3.exp([0.0, 0.0, 0.4, 0.1, 0.0, 0.0])
-    once = elevation_information(G, POINTS, SIGMAS)
-    assert_allclose(elevation_information(G, POINTS, SIGMAS / 2), once / 2, rtol=1e-12)
-    worse = elevation_information(G, POINTS, SIGMAS, np.eye(6) * 1e-4)
+    once = elevation_sigma(G, POINTS, SIGMAS)
+    assert_allclose(elevation_sigma(G, POINTS, SIGMAS / 2), once / 2, rtol=1e-12)
+    worse = elevation_sigma(G, POINTS, SIGMAS, np.eye(6) * 1e-4)
     assert (worse > once).all()
-    assert_allclose(elevation_information(G, POINTS, SIGMAS, np.zeros((6, 6))), once, rtol=1e-12)
-    assert elevation_information(G, POINTS.reshape(2, 2, 3), SIGMAS).tolist() == once.reshape(2, 2).tolist()
+    assert_allclose(elevation_sigma(G, POINTS, SIGMAS, np.zeros((6, 6))), once, rtol=1e-12)
+    assert elevation_sigma(G, POINTS.reshape(2, 2, 3), SIGMAS).tolist() == once.reshape(2, 2).tolist()
 
 
 def test_what_cannot_be_is_refused() -> None:
     G = SE3.identity()
     with pytest.raises(GraphError, match="1 motions, points"):
-        elevation_information(G, POINTS[:, :2], SIGMAS)
+        elevation_sigma(G, POINTS[:, :2], SIGMAS)
     with pytest.raises(GraphError, match="sigmas"):
-        elevation_information(G, POINTS, [0.01, 0.0])
+        elevation_sigma(G, POINTS, [0.01, 0.0])
     with pytest.raises(GraphError, match=r"motion_covariance has shape \(3, 3\)"):
-        elevation_information(G, POINTS, SIGMAS, np.eye(3))
+        elevation_sigma(G, POINTS, SIGMAS, np.eye(3))
     with pytest.raises(SingularGeometryError, match="z axis"):
-        elevation_information(SE3.exp([4.0, 0, 1.0, 0, 0, 0]), [4.0, 0.0, 0.0], SIGMAS)
+        elevation_sigma(SE3.exp([4.0, 0, 1.0, 0, 0, 0]), [4.0, 0.0, 0.0], SIGMAS)
 
 
 def test_the_picture_says_how_to_fly() -> None:
@@ -109,3 +110,12 @@ def test_other_motions_and_a_view_that_sees_nothing(tmp_path: Path) -> None:
             elevation_map(SONAR, distance=distance)
     with pytest.raises(OptionError, match="flown"):
         elevation_map(SONAR, {})
+
+
+def test_the_old_name_warns_and_is_the_same_function() -> None:
+    """It returned a standard deviation under the name of an information."""
+    with pytest.warns(DeprecationWarning, match="elevation_sigma") as warned:
+        old = nls.sonar.elevation_information
+    assert old is elevation_sigma
+    assert warned[0].filename == __file__
+    assert not hasattr(nls.sonar, "elevation_deviation")

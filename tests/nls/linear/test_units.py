@@ -1,0 +1,134 @@
+"""Units decide neither what is free nor where a solver arrives; what is free is counted and named by all who go on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range
+from models import SE2, R
+from nls import (
+    Dogleg,
+    FactorGraph,
+    GaussNewton,
+    LevenbergMarquardt,
+    Optimizer,
+    Pinv,
+    UnderconstrainedError,
+    Values,
+    kinds,
+)
+from nls.linear import SOLVERS
+from nls.optimizers import Automatic
+
+x, l, p = kinds("x", "l", "p")
+SCALES = pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+EVERY = pytest.mark.parametrize("name", [name for name, kind in SOLVERS.items() if kind.missing() is None])
+
+
+def plane(scale: float, anchored: bool) -> tuple[FactorGraph, Values]:
+    """Poses on a circle that see four points, lengths in units of so many meters."""
+    rng, angle = np.random.default_rng(3), np.linspace(0, 5, 12)
+    X = np.c_[4 * np.cos(angle), 4 * np.sin(angle), angle + np.pi / 2]
+    L = np.array([[0.0, 1.0], [6.0, 1.0], [-6.0, 3.0], [1.0, -7.0]])
+    meters = np.array([1 / scale, 1 / scale, 1.0])
+    sigmas = np.array([0.05, 0.05, 0.01])
+    i, j = np.repeat(np.arange(12), 4), np.tile(np.arange(4), 12)
+    seen = SE2.act(SE2.inverse(X[i]), L[j]) + 0.05 * rng.normal(size=(48, 2))
+    steps = SE2.between(X[:-1], X[1:]) + sigmas * rng.normal(size=(11, 3))
+    factors: list[Factor] = [
+        Between(x[0:11], x[1:12], steps * meters, Diagonal(sigmas * meters)),
+        Landmark(x[i], l[j], seen / scale, Isotropic(0.05 / scale)),
+    ]
+    if anchored:
+        factors.append(Prior(x[0], X[0] * meters, Diagonal(sigmas * meters)))
+    start = SE2.retract(X, sigmas * rng.normal(size=X.shape))
+    return FactorGraph(factors), Values({x: (SE2, start * meters), l: (R(2), L / scale)})
+
+
+@EVERY
+@SCALES
+def test_units_of_length_change_nothing(name: str, scale: float) -> None:
+    for anchored, gauge in ((True, "first"), (False, "first"), (False, "free")):
+        graph, values = plane(scale, anchored)
+        result = graph.optimize(values, linear_solver=SOLVERS[name](), gauge=gauge)
+        reference = (lambda g, v: g.optimize(v))(*plane(1.0, anchored))
+        assert result.converged
+        assert (result.chi2_final, result.dof) == (pytest.approx(reference.chi2_final, rel=1e-6), reference.dof)
+        assert result.underconstrained == ()
+        if gauge == "first":
+            found, expected = result.values[x][:, :2] * scale, reference.values[x][:, :2]
+            np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@EVERY
+@pytest.mark.parametrize("columns", [(1, 1, 1), (1e-6, 1, 1e6), (1e6, 1, 1e-6), (1e-13, 1, 1)])
+@pytest.mark.parametrize("rows", [(1, 1, 1, 1, 1), (1e-3, 1, 1e3, 1, 1)])
+def test_every_solver_arrives_whatever_the_units_of_each_unknown(
+    name: str, columns: tuple[float, ...], rows: tuple[float, ...]
+) -> None:
+    rng = np.random.default_rng(1)
+    A, z, D = rng.normal(size=(5, 3)), rng.normal(size=5), np.array(columns)
+    W = np.array(rows)[:, None]
+    factor = Factor.from_function(
+        lambda X: X @ (W * A * D).T - W[:, 0] * z, p[0], 5, jacobians=lambda X: [np.tile(W * A * D, (len(X), 1, 1))]
+    )
+    result = FactorGraph([factor]).optimize(Values({p: (R(3), [0, 0, 0])}), linear_solver=SOLVERS[name]())
+    expected = np.linalg.lstsq(W * A, W[:, 0] * z)[0]
+    assert result.converged
+    np.testing.assert_allclose(result.values[p[0]] * D, expected, rtol=1e-6)
+    assert (result.dof, result.underconstrained) == (2, ())
+
+
+def with_much_free(scale: float, parts: int) -> tuple[FactorGraph, Values, int]:
+    """The plane and copies of it, twenty points of one range each, two that nothing measures; and the rank of A."""
+    graph, values = plane(scale, anchored=False)
+    X, L = (values.stack(kind).X for kind in "xl")
+    factors = list(graph.factors)
+    for k in range(1, parts):
+        factors += [Between(x[2 * k + 20], x[2 * k + 21], X[1] - X[0], Diagonal([1 / scale, 1 / scale, 1.0]))]
+    factors.append(Range(x[np.arange(20) % 12], p[0:20], np.full((20, 1), 3 / scale), Isotropic(0.1 / scale)))
+    P = np.random.default_rng(2).normal(size=(22, 2)) * 5 / scale
+    numbers = [*range(12), *range(22, 20 + 2 * parts)]
+    stack = np.concatenate([X, np.tile(X[:2], (parts - 1, 1))])
+    values = Values({x: (SE2, stack, numbers), l: (R(2), L), p: (R(2), P)})
+    n = 3 * len(stack) + 8 + 44
+    return FactorGraph(factors), values, n - (20 + 4 + 3 * parts)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("parts", [1, 2, 6])
+@pytest.mark.parametrize(
+    "optimizer", [GaussNewton(), LevenbergMarquardt(), Dogleg(), Automatic()], ids=lambda m: m.name
+)
+def test_what_is_free_is_counted_and_named(optimizer: Optimizer, parts: int, scale: float) -> None:
+    graph, values, rank = with_much_free(scale, parts)
+    damped = isinstance(optimizer, LevenbergMarquardt | Dogleg)
+    rows = graph.pattern(values).m
+    for solver in (None, Pinv()) if damped else (Pinv(),):
+        result = graph.optimize(values, optimizer, solver, gauge="none")
+        assert result.converged
+        assert result.dof == rows - rank
+        assert len(result.underconstrained) == 24 + 3 * parts
+        assert {"p20: x", "p20: y", "p21: x", "p21: y"} <= set(result.underconstrained)
+        assert sum("p3: " in text for text in result.underconstrained) == 1
+        assert f"free: {24 + 3 * parts} directions" in result.reason
+
+
+def test_a_shortest_step_of_a_free_gauge_names_what_else_it_leaves() -> None:
+    graph, values = plane(1.0, anchored=False)
+    graph.add(Range(x[0], p[0], [3.0], Isotropic(0.1)))
+    stacks = {kind: (stack.manifold, stack.X) for kind, stack in values.stacks.items()}
+    result = graph.optimize(Values({**stacks, p: (R(2), [[9.0, 9.0]])}), None, Pinv(), gauge="free")
+    assert (result.converged, result.underconstrained) == (True, ("p0: x, y",))
+    assert result.dof == 11 * 3 + 96 + 1 - (36 - 3 + 8 + 1)
+
+
+@SCALES
+def test_a_heading_that_calls_itself_relative_is_refused(scale: float) -> None:
+    graph, values = plane(scale, anchored=False)
+    prior = Prior(x[3], values[x[3]], Isotropic(1.0), components=("yaw",))
+    prior.relative = True  # type: ignore[misc]
+    graph.add(prior)
+    with pytest.raises(UnderconstrainedError):
+        graph.optimize(values, gauge="free")
