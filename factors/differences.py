@@ -47,12 +47,17 @@ ENOUGH = 4e-9  # error relative to the largest entry of the column of a measurem
 SMOOTH = 1e-3  # relative error above which f may not be smooth within g, so that the error tells little
 MOST = 0.5  # step at most, relative to the size of the variable or, where that is less, to 1
 ROUGH = 0.1  # relative error above which it is no error at all, unless it is rounding
-FAINT = 1e6  # a change of f by so many roundings may still be noise of its inner numbers
+TOLD = 4e-4  # error relative to the change of f above which a column is refused: 4 to 6 times what is really wrong
+LIKE = 32.0  # other signs of noise are at most so many times what the sixth value misses by; those of curvature more
 FAR, NEAR = 1e3, 16.0  # by how much the next step differs: where this one tells nothing, and where it nearly does
+NARROW = 100.0  # ratio of steps, the larger rough, the smaller in the rounding, with nothing between that is better
+FAINT = 1e4  # roundings of the residual: an error over the size of the variable that is less leaves a column as it is
+DUST = 1e-6  # an error below this part of the largest column is that of a column that is 0, or nearly
 CLOSE = 4.0  # ratio of two steps that need none between
 GOLDEN, PART = (1 + 5**0.5) / 2, 1 / np.pi  # g / h and t / h: no period divides all three
 SAFE = 4.0  # times the error of a difference is its uncertainty
-TRIALS = 9  # at most, from 5e-4 to 5e-28
+DEEP = 1e16  # what looks like noise at all steps down to such a part of the first is noise
+TRIALS = 14  # at most
 TINY = float(np.finfo(float).tiny)
 
 
@@ -71,35 +76,54 @@ def central_differences(
     EvaluationError
         The prediction is finite at X, and at no step from there.
     """
-    rounding = EPS * sizes(space, h)
-    H = []
+    rounding, H, errors, told = EPS * sizes(space, h), [], [], []
     for slot, manifold in enumerate(manifolds):
 
         def change(Y: Array, slot: int = slot) -> Array:
             return space.local(h, factor.predict(manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
 
-        H_k, _ = derivative(change, manifold, X[slot], rounding)
-        lost = ~np.isfinite(H_k)
-        lost[~np.isfinite(h).all(axis=1)] = False  # refused as such, by name
-        if lost.any():
-            n, _, d = (int(i) for i in np.argwhere(lost)[0])
-            key = factor.keys[slot][[n]]
-            raise EvaluationError(
-                f"{factor.describe(n)}: no central difference in component {manifold.components[d]} of {key}: its "
-                "prediction is finite here but not beside it, however small the step; move its values into the domain "
-                "of the function, or give Jacobians",
-                factor.name,
-                [k[[n]] for k in factor.keys],
-                where=f"Jacobian with respect to {key}",
-            )
+        H_k, error, told_k = derivative(change, manifold, X[slot], rounding)
         H.append(H_k)
+        errors.append(error)
+        told.append(told_k)
+    if all(told_k.all() for told_k in told):
+        return tuple(H)
+    extents = [np.maximum(sizes(m, Y), 1.0)[:, None] for m, Y in zip(manifolds, X, strict=True)]
+    largest = np.max([np.abs(H_k * s).max(axis=(1, 2)) for H_k, s in zip(H, extents, strict=True)], axis=0)
+    for slot, (H_k, error, extent) in enumerate(zip(H, errors, extents, strict=True)):
+        nothing = (np.abs(H_k) <= SAFE * error) & (error * extent <= DUST * largest[:, None, None])
+        dust = ~told[slot] & nothing.all(axis=1)  # what the noise of the other columns is in this one
+        H_k[np.broadcast_to(dust[:, None], H_k.shape)] = 0.0
+        faint = (error * extent).max(axis=1) <= FAINT * rounding.max(axis=1, keepdims=True)
+        lost = ~(told[slot] | dust | faint) & np.isfinite(h).all(axis=1, keepdims=True)  # else refused as such, by name
+        if lost.any():
+            n, d = (int(i) for i in np.argwhere(lost)[0])
+            raise _refusal(factor, n, slot, manifolds[slot].components[d], H_k[n, :, d], error[n, :, d])
     return tuple(H)
+
+
+def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: Array) -> EvaluationError:
+    """The error that names a column without a difference, or with one that is too uncertain."""
+    key = factor.keys[slot][[n]]
+    column = f"{factor.describe(n)}: no central difference in component {component} of {key}: its prediction"
+    if not np.isfinite(D).all():
+        why = (
+            "is finite here but not beside it, however small the step; move its values into the domain of the function"
+        )
+    else:
+        k = int(np.argmax(np.abs(D)))
+        why = (
+            f"has a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, expected "
+            f"{TOLD:g} of it; subtract large numbers before they meet small ones"
+        )
+    message = f"{column} {why}, or give Jacobians"
+    return EvaluationError(message, factor.name, [k[[n]] for k in factor.keys], where=f"Jacobian with respect to {key}")
 
 
 def derivative(
     change: Callable[[Array], Array], manifold: Manifold, X: Array, rounding: Array, first: float = FIRST
-) -> tuple[Array, Array]:
-    """Derivative (n, m, dim) with respect to a tangent step of one variable, and its uncertainty (n, m, dim).
+) -> tuple[Array, Array, Mask]:
+    """Derivative (n, m, dim) by a tangent step of one variable, its error, and what of it can be told (n, dim).
 
     Parameters
     ----------
@@ -116,8 +140,8 @@ def derivative(
             return change(manifold.retract(X, t[:, None] * unit))
 
         columns.append(_column(along, size[:, d], rounding, first))
-    D, U = (np.stack(parts, axis=2) for parts in zip(*columns, strict=True))
-    return D, U
+    D, error, told = zip(*columns, strict=True)
+    return np.stack(D, axis=2), np.stack(error, axis=2), np.stack(told, axis=1)
 
 
 def sizes(manifold: Manifold, X: Array) -> Array:
@@ -135,56 +159,98 @@ class _Trial(NamedTuple):
     Attributes
     ----------
     D, error : (n, m) derivative and its error.
-    relative : (n,) the largest error, relative to the largest D.
-    rounded : (n,) whether most of it is rounding, so that a larger step has less.
-    silent : (n,) whether f does not change, but for rounding.
+    largest : (n,) the largest D.
+    slope : (n,) the largest change of f, by the step.
+    bent, level : (n,) by how much f leaves a polynomial: by all signs of it, and by the one that noise shows most.
+    rounded : (n,) whether the known rounding is most of the error, so that a larger step has less.
+    noisy : (n,) whether rounding of inner numbers would look like that; or a structure finer than the step.
+    silent : (n,) whether f does not change, but for the known rounding.
     """
 
     D: Array
     error: Array
-    relative: Array
+    largest: Array
+    slope: Array
+    bent: Array
+    level: Array
     rounded: Mask
+    noisy: Mask
     silent: Mask
 
 
-def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array]:
-    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), and its error."""
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite has no error
+def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array, Mask]:
+    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether f lets it be told (n,)."""
     n = len(rounding)
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
-    most = MOST * np.maximum(size, 1.0)
+    least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
-    lowest, best_step, going = np.full(n, np.inf), np.full(n, np.inf), np.ones(n, dtype=bool)
-    silent = np.zeros(n, dtype=bool)
+    lowest, best, bent = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
+    grain = np.zeros(n)  # the largest noise that a step has met
+    silent, noise, steady, firm, told = (np.zeros(n, dtype=bool) for _ in range(5))
+    going = np.ones(n, dtype=bool)
     low, high = np.zeros(n), np.full(n, np.inf)  # largest step with too much rounding, smallest beyond the smooth part
+    top, border = np.zeros(n), np.full(n, np.inf)  # largest step with noise or a fine structure, smallest out of domain
     for k in range(TRIALS):
-        step = np.maximum((size + step) - size, 4 * EPS * size)  # what the variable can move by
+        step = np.maximum((size + step) - size, least)  # what the variable can move by
         try:
             trial = _trial(along, step, size, rounding)
         except (EvaluationError, SingularGeometryError):
             if k == TRIALS - 1 and np.isnan(D).any():
                 raise  # no step stays where f can be evaluated
-            high = np.where(going, np.minimum(high, step), high)
-            step = np.where(going, step / FAR, step)
+            high, border = (np.where(going, np.minimum(edge, step), edge) for edge in (high, border))
+            step = np.where(going, np.where(low > 0, np.sqrt(low * step), step / FAR), step)
             continue
-        relative, rounded = trial.relative, trial.rounded
-        new, old = trial.error.max(axis=1), error.max(axis=1)
-        apart, below = np.abs(trial.D - D).max(axis=1) > SAFE * (new + old), step < best_step
-        apart &= ~trial.silent & ~silent  # no change at all may be the rounding of inner numbers
-        better = going & np.where(below, apart | (relative <= lowest), ~apart & (new < old) & (relative <= lowest))
-        D[better], error[better] = trial.D[better], trial.error[better]
-        lowest[better], best_step[better], silent[better] = relative[better], step[better], trial.silent[better]
-        low, high = np.where(rounded, np.maximum(low, step), low), np.where(rounded, high, np.minimum(high, step))
-        wide = rounded & (step >= np.where(trial.silent, 2 * first * np.maximum(size, 1.0), most))
-        worth = better | ~rounded | (below & (lowest > SMOOTH))  # not smooth, and no better: noise, or a fine structure
+        if k == 0 and (trial.error.max(axis=1) <= ENOUGH * trial.largest).all() and not trial.silent.any():
+            return trial.D, trial.error, going  # most columns
+        below, noisy = step < best, trial.noisy & ~trial.silent
+        met = np.where(below | ~(noise | firm), 0.0, grain / step)  # noise of f that smaller steps have met
+        unsure = trial.error + met[:, None]
+        relative = np.where(np.isfinite(unsure).all(axis=1) & ~trial.silent, unsure.max(axis=1) / trial.largest, np.inf)
+        seen = (trial.bent / step + met) / trial.slope
+        clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (seen <= SMOOTH)))
+        fine = noisy & ~clear & ~trial.rounded & ~noise
+        small = trial.silent | trial.rounded | (noisy & ~fine)
+        trusted = np.where((small | (relative <= ROUGH))[:, None], unsure, np.inf)
+        new, old, gap = trusted.max(axis=1), error.max(axis=1), np.abs(trial.D - D).max(axis=1)
+        apart = gap > SAFE * (new + old)
+        down = np.where(trial.silent, lowest > ROUGH, (clear & apart) | (relative <= lowest))
+        up = (clear & ~firm) | (~apart & (new < old) & ((relative <= lowest) | noise))
+        up = np.where(
+            silent, trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
+        )
+        better = going & np.where(below, down, up)
+        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= TOLD * trial.slope)  # a kink
+        alike = below & ~better & small & ~trial.silent & (bent <= LIKE * trial.level)  # rounding of the best as well
+        small &= better | below | trial.silent | noise
+        D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
+        best[better], silent[better], bent[better] = step[better], trial.silent[better], trial.bent[better]
+        told = np.where(better, (seen <= TOLD) | (told & ~below), told)
+        firm = np.where(better, clear, firm)
+        grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
+        grain = np.where(noisy & ~trial.rounded, np.maximum(grain, trial.bent), grain)
+        border = np.where(np.isfinite(unsure).all(axis=1), border, np.minimum(border, step))
+        low, high = np.where(small, np.maximum(low, step), low), np.where(small, high, np.minimum(high, step))
+        deep = (high <= NARROW * low) | (step <= 2 * least) | ((step * DEEP <= top) & ~small)
+        bottom = (top > step) & ~firm & ~noise & deep
+        top, noise = np.where(fine, np.maximum(top, step), top), noise | bottom
+        low = np.where(alike, np.maximum(low, best), np.where(bottom, np.maximum(low, top), low))
+        high = np.where(alike | bottom, border, high)
+        wide = small & ~bottom & (step >= 0.9 * np.where(trial.silent, natural, most))
+        worth = better | ~small | alike | bottom | ~firm
         going &= (relative > ENOUGH) & ~wide & (high > CLOSE * low) & worth
         if not going.any():
             break
-        stride = np.where(better & (relative <= SMOOTH), NEAR, FAR)
-        after = np.where(rounded, np.minimum(step * stride, most), step / stride)
+        stride = np.where(better & clear, NEAR, FAR)
+        larger = np.where(
+            clear, np.clip(2 * relative / ENOUGH, NEAR, FAR), FAR
+        )  # rounding counts by its part of a step
+        after = np.where(small, np.maximum(step * larger, np.where(trial.silent, natural, 0.0)), step / stride)
+        after = np.where(bottom, top * FAR, np.where(alike, best * NEAR, after))
         between = (low > 0) & np.isfinite(high)
         after[between] = np.sqrt(low[between] * high[between])
-        step = np.where(going, after, step)
-    return D, error
+        step = np.where(going, np.minimum(after, most), step)
+    return D, error, silent | steady | told
 
 
 @np.errstate(all="ignore")  # a step may leave the domain of f
@@ -198,12 +264,18 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
     unsure = 2 * (rounding + EPS * (size[:, None] + 2 * h) * np.abs(D))
     delta4, u = c + d - ratio * (a + b), (t / h) ** 2
     P = t * (D - u * T) + u * (a + b) / 2 + u * (u - 1) * delta4 / (2 * ratio * (ratio - 1))
-    miss = np.maximum(np.abs(e - P) - unsure, 0.0) / t
-    noise = unsure / h
-    bent = np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None] + miss
-    worst = (noise + bent).max(axis=1)
-    relative = np.where(np.isfinite(worst), worst / largest, np.inf)
-    faint = change.max(axis=1) <= FAINT * rounding.max(axis=1)
-    rounded = (bent.max(axis=1) <= 8 * noise.max(axis=1)) | faint
-    error = np.where((rounded | (relative <= ROUGH))[:, None], noise + bent, np.inf)
-    return _Trial(D, error, relative, rounded, (change <= 2 * rounding).all(axis=1))
+    miss, curved = np.abs(e - P), np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
+    error = unsure / h + curved + np.maximum(miss - unsure, 0.0) / t
+    noise, bent, told = ((q).max(axis=1) for q in (unsure / h, curved + miss / t, (unsure / h + miss / t)))
+    silent = (change <= 2 * rounding).all(axis=1)
+    return _Trial(
+        D,
+        error,
+        largest,
+        np.maximum(change.max(axis=1) / h[:, 0], TINY),
+        bent * h[:, 0],
+        miss.max(axis=1),
+        (bent <= 8 * noise) & ~silent,
+        np.maximum(bent, np.abs(T).max(axis=1)) <= LIKE * told,
+        silent,
+    )
