@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from factors.base import Factor, Model
+from factors.check_parts import check_parts
 from factors.differences import EPS, FIRST, ROUGH, SAFE, derivative, sizes
 from factors.noise import square, whiten
 from models.algebra import Array, Mask
@@ -64,7 +65,8 @@ def check_jacobians(factor: Factor | Graph, values: Gatherer, rtol: float = 1e-6
         With the worst entry, both values, and the likely cause (ratio of analytic to difference: sign, degrees,
         factor of 2; transpose, transposed rotation); of a graph that of the factor that disagrees most.
     GraphError
-        Neither a factor nor a graph.
+        Neither a factor nor a graph; an array of n rows that the class does not declare, `per_measurement` and
+        `shared`; a measurement whose residual changes where the batch is cut, reversed or one longer.
 
     Warns
     -----
@@ -114,6 +116,7 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
     largest = np.max(
         [np.abs(A_k * s).max(axis=(1, 2), keepdims=True) for A_k, s in zip(A, extents, strict=True)], axis=0
     )  # a variable at 0 adds nothing to the terms of the others
+    check_parts(model, X, b, rounding / EPS + largest[:, 0])
     deviations = [0.0]
     for slot, (A_k, manifold) in enumerate(zip(A, model.manifolds, strict=True)):
 

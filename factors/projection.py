@@ -66,6 +66,8 @@ class Projection(InSpace):
     measures = ("u", "v")
     damped = True
 
+    shared = ("camera",)
+
     def __init__(
         self,
         pose: Keys,

@@ -199,7 +199,8 @@ def _own(factor: Factor) -> dict[Place, Array]:
     n, arrays = len(factor), dict[Place, Array]()
     for name in factor.per_measurement:
         value = getattr(factor, name)
-        items = {(name, k): item for k, item in enumerate(value)} if isinstance(value, tuple) else {(name,): value}
+        held = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, tuple) else None
+        items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
         arrays.update({k: v if len(v) in (1, n) else v[None] for k, v in items.items() if isinstance(v, np.ndarray)})
     for name, within in _within(factor).items():
         arrays.update({(name, *place): own for place, own in _own(within).items()})
@@ -214,6 +215,8 @@ def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) ->
         value = getattr(factor, name)
         if isinstance(value, tuple):
             setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
+        elif isinstance(value, dict):
+            setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
         elif isinstance(value, np.ndarray):
             setattr(whole, name, own[name,])
     for name, within in _within(factor).items():
