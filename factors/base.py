@@ -134,7 +134,8 @@ class Factor(Traits, Abstract):
         >>> near, near.z, near.noise.sigma
         (Range(x[3, 4], l[0, 0]), array([10., 11.]), array([0.1, 0.2]))
         """
-        return part(self, places(index, len(self), self.name))
+        subset: Factor = part(self, places(index, len(self), self.name))
+        return subset
 
     def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
         """The attributes without the model, which is bound anew, and the names of the read-only arrays."""

@@ -123,7 +123,7 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
         def change(Y: Array, slot: int = slot) -> Array:
             return b - model.error(*X[:slot], Y, *X[slot + 1 :])
 
-        numeric, error, told = derivative(change, manifold, X[slot], rounding)
+        numeric, error, certain = derivative(change, manifold, X[slot], rounding)
         again, *_ = derivative(change, manifold, X[slot], rounding, OTHER)
         column = np.abs(A_k).max(axis=1, keepdims=True)
         extent = np.where(extents[slot] > EPS, extents[slot], 1.0)
@@ -133,10 +133,10 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
         scale = rounding.max(axis=1)[:, None, None] / EPS
         others = [np.abs(A_j * s).max(axis=(1, 2), keepdims=True) for A_j, s in zip(A, extents, strict=True)]
         del others[slot]
-        known = np.abs(numeric) * told[:, None] * np.maximum(extents[slot], 1.0)
+        known = np.abs(numeric) * certain[:, None] * np.maximum(extents[slot], 1.0)
         reached = np.max([scale, known.max(axis=(1, 2), keepdims=True), *others], axis=0)
         uncertain = error.max(axis=1, keepdims=True)
-        lost = ~told[:, None] & (uncertain > ROUGH * np.abs(numeric).max(axis=1, keepdims=True))
+        lost = ~certain[:, None] & (uncertain > ROUGH * np.abs(numeric).max(axis=1, keepdims=True))
         lost &= uncertain * np.maximum(extents[slot], 1.0) > DUST * reached
         error[np.broadcast_to(lost, error.shape)] = np.inf
         excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)

@@ -83,14 +83,16 @@ def refuse_undeclared(factor: Declared) -> None:
         for place, rows in _with_rows(held[name], n, name):
             if own and isinstance(rows, np.ndarray | Keys):
                 continue
-            what = f"{factor!r:.200}: its attribute {place} is a {type(rows).__name__} of {n} for {n} measurements, and"
+            subject = (
+                f"{factor!r:.200}: its attribute {place} is a {type(rows).__name__} of {n} for {n} measurements, and"
+            )
             cure = (
                 "only arrays can be cut; make it one with np.asarray"
                 if own
                 else f'its class does not say whether each measurement has one; write per_measurement = ("{name}",) '
                 f'for that, or shared = ("{name}",) where all measurements use all of it'
             )
-            raise GraphError(f"{what} {cure}", factor.keys, factor.name)
+            raise GraphError(f"{subject} {cure}", factor.keys, factor.name)
 
 
 def _with_rows(value: Any, n: int, place: str) -> Iterator[tuple[str, Any]]:

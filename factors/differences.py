@@ -6,7 +6,7 @@ A column is differenced with two steps, h and g, and extrapolated (Richardson):
 
 g is h times the golden ratio: a period of f that divides one step does not divide the other. A sixth value, f(t) at
 t = h/pi, is not used for D. It is compared with the polynomial P of degree 4 through f(0), f(+-h) and f(+-g), so a
-structure of f within h is seen. The error of D, measurement by measurement:
+structure of f within h is doubt. The error of D, measurement by measurement:
 
     error = rounding / h  +  |delta4| / h  +  |T| max|T| / max|D|  +  |f(t) - P(t)| / t
 
@@ -47,11 +47,12 @@ ENOUGH = 4e-9  # error relative to the largest entry of the column of a measurem
 SMOOTH = 1e-3  # relative error above which f may not be smooth within g, so that the error tells little
 MOST = 0.5  # step at most, relative to the size of the variable or, where that is less, to 1
 ROUGH = 0.1  # relative error above which it is no error at all, unless it is rounding
-TOLD = 4e-4  # error relative to the change of f above which a column is refused: 4 to 6 times what is really wrong
+CERTAIN = 4e-4  # error relative to the change of f above which a column is refused: 4 to 6 times what is really wrong
 LIKE = 32.0  # other signs of noise are at most so many times what the sixth value misses by; those of curvature more
 FAR, NEAR = 1e3, 16.0  # by how much the next step differs: where this one tells nothing, and where it nearly does
 NARROW = 100.0  # ratio of steps, the larger rough, the smaller in the rounding, with nothing between that is better
 FAINT = 1e4  # roundings of the residual: an error over the size of the variable that is less leaves a column as it is
+NONE = 1e-9  # part of the largest column that is nothing: an error that is less leaves a column as it is
 DUST = 1e-6  # an error below this part of the largest column is that of a column that is 0, or nearly
 CLOSE = 4.0  # ratio of two steps that need none between
 GOLDEN, PART = (1 + 5**0.5) / 2, 1 / np.pi  # g / h and t / h: no period divides all three
@@ -76,26 +77,29 @@ def central_differences(
     EvaluationError
         The prediction is finite at X, and at no step from there.
     """
-    rounding, H, errors, told = EPS * sizes(space, h), [], [], []
+    rounding, H, errors, certain = EPS * sizes(space, h), [], [], []
     for slot, manifold in enumerate(manifolds):
 
         def change(Y: Array, slot: int = slot) -> Array:
             return space.local(h, factor.predict(manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
 
-        H_k, error, told_k = derivative(change, manifold, X[slot], rounding)
+        H_k, error, certain_k = derivative(change, manifold, X[slot], rounding)
         H.append(H_k)
         errors.append(error)
-        told.append(told_k)
-    if all(told_k.all() for told_k in told):
+        certain.append(certain_k)
+    if all(certain_k.all() for certain_k in certain):
         return tuple(H)
     extents = [np.maximum(sizes(m, Y), 1.0)[:, None] for m, Y in zip(manifolds, X, strict=True)]
     largest = np.max([np.abs(H_k * s).max(axis=(1, 2)) for H_k, s in zip(H, extents, strict=True)], axis=0)
     for slot, (H_k, error, extent) in enumerate(zip(H, errors, extents, strict=True)):
         nothing = (np.abs(H_k) <= SAFE * error) & (error * extent <= DUST * largest[:, None, None])
-        dust = ~told[slot] & nothing.all(axis=1)  # what the noise of the other columns is in this one
+        dust = ~certain[slot] & nothing.all(axis=1)  # what the noise of the other columns is in this one
         H_k[np.broadcast_to(dust[:, None], H_k.shape)] = 0.0
-        faint = (error * extent).max(axis=1) <= FAINT * rounding.max(axis=1, keepdims=True)
-        lost = ~(told[slot] | dust | faint) & np.isfinite(h).all(axis=1, keepdims=True)  # else refused as such, by name
+        most = (error * extent).max(axis=1)
+        faint = (most <= FAINT * rounding.max(axis=1, keepdims=True)) | (most <= NONE * largest[:, None])
+        lost = ~(certain[slot] | dust | faint) & np.isfinite(h).all(
+            axis=1, keepdims=True
+        )  # else refused as such, by name
         if lost.any():
             n, d = (int(i) for i in np.argwhere(lost)[0])
             raise _refusal(factor, n, slot, manifolds[slot].components[d], H_k[n, :, d], error[n, :, d])
@@ -113,8 +117,8 @@ def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: 
     else:
         k = int(np.argmax(np.abs(D)))
         why = (
-            f"has a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, expected "
-            f"{TOLD:g} of it; subtract large numbers before they meet small ones"
+            f"has a jump, a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, expected "
+            f"{CERTAIN:g} of it; subtract large numbers before they meet small ones"
         )
     message = f"{column} {why}, or give Jacobians"
     return EvaluationError(message, factor.name, [k[[n]] for k in factor.keys], where=f"Jacobian with respect to {key}")
@@ -123,7 +127,7 @@ def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: 
 def derivative(
     change: Callable[[Array], Array], manifold: Manifold, X: Array, rounding: Array, first: float = FIRST
 ) -> tuple[Array, Array, Mask]:
-    """Derivative (n, m, dim) by a tangent step of one variable, its error, and what of it can be told (n, dim).
+    """Derivative (n, m, dim) by a tangent step of one variable, its error, and what of it can be certain (n, dim).
 
     Parameters
     ----------
@@ -140,8 +144,8 @@ def derivative(
             return change(manifold.retract(X, t[:, None] * unit))
 
         columns.append(_column(along, size[:, d], rounding, first))
-    D, error, told = zip(*columns, strict=True)
-    return np.stack(D, axis=2), np.stack(error, axis=2), np.stack(told, axis=1)
+    D, error, certain = zip(*columns, strict=True)
+    return np.stack(D, axis=2), np.stack(error, axis=2), np.stack(certain, axis=1)
 
 
 def sizes(manifold: Manifold, X: Array) -> Array:
@@ -180,14 +184,14 @@ class _Trial(NamedTuple):
 
 @np.errstate(over="ignore", invalid="ignore")  # what is not finite has no error
 def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array, Mask]:
-    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether f lets it be told (n,)."""
+    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether f lets it be certain (n,)."""
     n = len(rounding)
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
     least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
     lowest, best, bent = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
     grain = np.zeros(n)  # the largest noise that a step has met
-    silent, noise, steady, firm, told = (np.zeros(n, dtype=bool) for _ in range(5))
+    silent, noise, steady, firm, certain = (np.zeros(n, dtype=bool) for _ in range(5))
     going = np.ones(n, dtype=bool)
     low, high = np.zeros(n), np.full(n, np.inf)  # largest step with too much rounding, smallest beyond the smooth part
     top, border = np.zeros(n), np.full(n, np.inf)  # largest step with noise or a fine structure, smallest out of domain
@@ -207,8 +211,8 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         met = np.where(below | ~(noise | firm), 0.0, grain / step)  # noise of f that smaller steps have met
         unsure = trial.error + met[:, None]
         relative = np.where(np.isfinite(unsure).all(axis=1) & ~trial.silent, unsure.max(axis=1) / trial.largest, np.inf)
-        seen = (trial.bent / step + met) / trial.slope
-        clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (seen <= SMOOTH)))
+        doubt = (trial.bent / step + met) / trial.slope
+        clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (doubt <= SMOOTH)))
         fine = noisy & ~clear & ~trial.rounded & ~noise
         small = trial.silent | trial.rounded | (noisy & ~fine)
         trusted = np.where((small | (relative <= ROUGH))[:, None], unsure, np.inf)
@@ -220,12 +224,12 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
             silent, trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
         )
         better = going & np.where(below, down, up)
-        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= TOLD * trial.slope)  # a kink
+        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * trial.slope)  # a kink
         alike = below & ~better & small & ~trial.silent & (bent <= LIKE * trial.level)  # rounding of the best as well
         small &= better | below | trial.silent | noise
         D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
         best[better], silent[better], bent[better] = step[better], trial.silent[better], trial.bent[better]
-        told = np.where(better, (seen <= TOLD) | (told & ~below), told)
+        certain = np.where(better, (doubt <= CERTAIN) | (certain & ~below), certain)
         firm = np.where(better, clear, firm)
         grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
         grain = np.where(noisy & ~trial.rounded, np.maximum(grain, trial.bent), grain)
@@ -250,7 +254,7 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         between = (low > 0) & np.isfinite(high)
         after[between] = np.sqrt(low[between] * high[between])
         step = np.where(going, np.minimum(after, most), step)
-    return D, error, silent | steady | told
+    return D, error, silent | steady | certain
 
 
 @np.errstate(all="ignore")  # a step may leave the domain of f
@@ -266,7 +270,7 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
     P = t * (D - u * T) + u * (a + b) / 2 + u * (u - 1) * delta4 / (2 * ratio * (ratio - 1))
     miss, curved = np.abs(e - P), np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
     error = unsure / h + curved + np.maximum(miss - unsure, 0.0) / t
-    noise, bent, told = ((q).max(axis=1) for q in (unsure / h, curved + miss / t, (unsure / h + miss / t)))
+    noise, bent, certain = ((q).max(axis=1) for q in (unsure / h, curved + miss / t, (unsure / h + miss / t)))
     silent = (change <= 2 * rounding).all(axis=1)
     return _Trial(
         D,
@@ -276,6 +280,6 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
         bent * h[:, 0],
         miss.max(axis=1),
         (bent <= 8 * noise) & ~silent,
-        np.maximum(bent, np.abs(T).max(axis=1)) <= LIKE * told,
+        np.maximum(bent, np.abs(T).max(axis=1)) <= LIKE * certain,
         silent,
     )

@@ -77,9 +77,8 @@ def _rows(value: Any) -> Hashable:
         return tuple(map(_rows, value))
     if isinstance(value, dict):
         return tuple((name, _rows(item)) for name, item in value.items())
-    return (
-        type(value) if isinstance(value, Keys) or (isinstance(value, np.ndarray) and value.ndim) else _hashable(value)
-    )
+    stacked = isinstance(value, Keys) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    return _hashable(type(value) if stacked else value)
 
 
 def _hashable(value: Any) -> Hashable:

@@ -65,7 +65,6 @@ class Projection(InSpace):
 
     measures = ("u", "v")
     damped = True
-
     shared = ("camera",)
 
     def __init__(

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy import sparse as sp
 
 from factors.base import Factor, Model
+from factors.declared import refuse_undeclared
 from factors.joined import alike
 from factors.keys import Keys
 from factors.robust import Kernel
@@ -196,6 +197,7 @@ class GrowingBatch:
 
 def _own(factor: Factor) -> dict[Place, Array]:
     """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
+    refuse_undeclared(factor)
     n, arrays = len(factor), dict[Place, Array]()
     for name in factor.per_measurement:
         value = getattr(factor, name)
