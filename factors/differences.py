@@ -6,7 +6,7 @@ A column is differenced with two steps, h and g, and extrapolated (Richardson):
 
 g is h times the golden ratio: a period of f that divides one step does not divide the other. A sixth value, f(t) at
 t = h/pi, is not used for D. It is compared with the polynomial P of degree 4 through f(0), f(+-h) and f(+-g), so a
-structure of f within h is doubt. The error of D, measurement by measurement:
+structure of f within h is visible. The error of D, measurement by measurement:
 
     error = rounding / h  +  |delta4| / h  +  |T| max|T| / max|D|  +  |f(t) - P(t)| / t
 
@@ -14,15 +14,31 @@ rounding is twice that of f, and of x times |D|. delta4 = f(g) + f(-g) - 2 f(0) 
 for a smooth f and h -> 0, and otherwise the noise of f or its curvature. |T| is the truncation that was removed; the
 rest is assumed to be the same part of |T|. |f(t) - P(t)| counts beyond its own rounding.
 
-The first step comes from the size of the variable. Where the error is too large, another step is tried. It is smaller
-where f is not smooth within g or not finite, and larger where rounding dominates. Then one between the two is tried. A
-difference at a larger step is believed only if the one at a smaller step agrees, within the errors of both; else the
-smaller step is right. Most columns take one trial, 5 evaluations; factors of poses take 6.3 on average, of parameters
-of unknown scale about 13, and a noisy or very fine function up to 45.
+The rounding that |f| has is a lower bound alone: 10 - hypot(x - 6, 8) at 0 is 0, its inner numbers are not. The steps
+show the rest. Curvature falls with a high power of the step, so |f(t) - P(t)| is far less than |delta4| and |T| h.
+Rounding of inner numbers is the same at every step, and in all three. A fine structure of f, unresolved, looks the
+same. It is told from noise by smaller steps:
+
+- At one of them f is smooth: a structure. That derivative is right.
+- At none of them, down to where f stands still: noise. A larger step is right, the largest that is smooth.
+
+The first step comes from the size of the variable, in its own units, never from |f|. Where the error is too large,
+another step is tried. It is smaller where f is curved, rough or not finite, and larger where rounding dominates or f
+stands still. Then one between the two is tried. A difference at a larger step is believed only if the one at a smaller
+step agrees, within the errors of both, and the noise that smaller steps have met counts at the larger ones.
+
+A column whose error remains above 4e-4 of the change of f is refused by name: a jump, or too few digits. Three are not.
+A kink has the same difference at every step, the mean of both sides. A column that is noise, 1e-6 of the largest, is 0:
+f does not depend on that component. An error below 1e-9 of the largest column, or in the rounding of the residual, is
+nothing.
+
+Most columns take one trial, 5 evaluations. A column of zeros takes two, one with unknown noise 3 to 8, and a very fine
+function up to 14.
 
 Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical Analysis,
-1971 (the noise of a function from its table of differences); O. Lepski, Theory Probab. Appl. 35 (1991) (the largest
-step that all smaller ones confirm).
+1971, and J. More, S. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (2011) (the noise of a function
+from its table of differences); O. Lepski, Theory Probab. Appl. 35 (1991) (the largest step that all smaller ones
+confirm).
 """
 
 from __future__ import annotations
@@ -75,7 +91,7 @@ def central_differences(
     Raises
     ------
     EvaluationError
-        The prediction is finite at X, and at no step from there.
+        The prediction is finite at X, and at no step from there; or a column has too few digits at every step.
     """
     rounding, H, errors, certain = EPS * sizes(space, h), [], [], []
     for slot, manifold in enumerate(manifolds):
@@ -117,8 +133,8 @@ def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: 
     else:
         k = int(np.argmax(np.abs(D)))
         why = (
-            f"has a jump, a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, expected "
-            f"{CERTAIN:g} of it; subtract large numbers before they meet small ones"
+            f"has a jump, a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, "
+            f"expected {CERTAIN:g} of it; subtract large numbers before they meet small ones"
         )
     message = f"{column} {why}, or give Jacobians"
     return EvaluationError(message, factor.name, [k[[n]] for k in factor.keys], where=f"Jacobian with respect to {key}")
@@ -127,7 +143,7 @@ def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: 
 def derivative(
     change: Callable[[Array], Array], manifold: Manifold, X: Array, rounding: Array, first: float = FIRST
 ) -> tuple[Array, Array, Mask]:
-    """Derivative (n, m, dim) by a tangent step of one variable, its error, and what of it can be certain (n, dim).
+    """Derivative (n, m, dim) by a tangent step of one variable, its error, and which columns are certain (n, dim).
 
     Parameters
     ----------
@@ -184,12 +200,12 @@ class _Trial(NamedTuple):
 
 @np.errstate(over="ignore", invalid="ignore")  # what is not finite has no error
 def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array, Mask]:
-    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether f lets it be certain (n,)."""
+    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether it is certain (n,)."""
     n = len(rounding)
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
     least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
-    lowest, best, bent = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
+    lowest, best, bent, slope = (np.full(n, np.inf) for _ in range(4))  # of the trial that is believed; best: its step
     grain = np.zeros(n)  # the largest noise that a step has met
     silent, noise, steady, firm, certain = (np.zeros(n, dtype=bool) for _ in range(5))
     going = np.ones(n, dtype=bool)
@@ -214,22 +230,24 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         doubt = (trial.bent / step + met) / trial.slope
         clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (doubt <= SMOOTH)))
         fine = noisy & ~clear & ~trial.rounded & ~noise
-        small = trial.silent | trial.rounded | (noisy & ~fine)
+        flat = noise & (step > NEAR * top) & (trial.bent <= SAFE * grain)  # no more than smaller steps: not of a kink
+        small = trial.silent | trial.rounded | (noisy & ~fine) | flat
         trusted = np.where((small | (relative <= ROUGH))[:, None], unsure, np.inf)
         new, old, gap = trusted.max(axis=1), error.max(axis=1), np.abs(trial.D - D).max(axis=1)
         apart = gap > SAFE * (new + old)
         down = np.where(trial.silent, lowest > ROUGH, (clear & apart) | (relative <= lowest))
         up = (clear & ~firm) | (~apart & (new < old) & ((relative <= lowest) | noise))
         up = np.where(
-            silent, trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
+            silent, flat | trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
         )
         better = going & np.where(below, down, up)
-        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * trial.slope)  # a kink
+        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * np.minimum(slope, trial.slope))
         alike = below & ~better & small & ~trial.silent & (bent <= LIKE * trial.level)  # rounding of the best as well
         small &= better | below | trial.silent | noise
         D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
-        best[better], silent[better], bent[better] = step[better], trial.silent[better], trial.bent[better]
-        certain = np.where(better, (doubt <= CERTAIN) | (certain & ~below), certain)
+        best[better], silent[better] = step[better], trial.silent[better]
+        bent[better], slope[better] = trial.bent[better], trial.slope[better]
+        certain = np.where(better, ~trial.silent & ((doubt <= CERTAIN) | (certain & ~below)), certain)
         firm = np.where(better, clear, firm)
         grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
         grain = np.where(noisy & ~trial.rounded, np.maximum(grain, trial.bent), grain)

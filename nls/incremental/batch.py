@@ -203,7 +203,8 @@ def _own(factor: Factor) -> dict[Place, Array]:
         value = getattr(factor, name)
         held = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, tuple) else None
         items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
-        arrays.update({k: v if len(v) in (1, n) else v[None] for k, v in items.items() if isinstance(v, np.ndarray)})
+        stacks = {place: item for place, item in items.items() if isinstance(item, np.ndarray) and item.ndim}
+        arrays.update({place: stack if len(stack) in (1, n) else stack[None] for place, stack in stacks.items()})
     for name, within in _within(factor).items():
         arrays.update({(name, *place): own for place, own in _own(within).items()})
     return arrays
@@ -219,7 +220,7 @@ def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) ->
             setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
         elif isinstance(value, dict):
             setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
-        elif isinstance(value, np.ndarray):
+        elif (name,) in own:
             setattr(whole, name, own[name,])
     for name, within in _within(factor).items():
         inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}

@@ -165,7 +165,7 @@ def test_a_function_as_fine_as_rounding_resolves(
     try:
         (A,), _ = linearize(Factor.from_function(residual, p[0], len(phases)), R(1), [x])
     except EvaluationError as error:
-        assert digits < 7 and error.where == "Jacobian with respect to p0"  # noqa: PT017
+        assert (digits < 7, error.where) == (True, "Jacobian with respect to p0")  # noqa: PT017
         return
     assert np.abs(A[0, :, 0] - exact).max() < (1e-7 + 100 * 10.0**-digits) * np.abs(exact).max() or right == "doubted"
 
