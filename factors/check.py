@@ -126,18 +126,18 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
         numeric, error, certain = derivative(change, manifold, X[slot], rounding)
         again, *_ = derivative(change, manifold, X[slot], rounding, OTHER)
         column = np.abs(A_k).max(axis=1, keepdims=True)
-        extent = np.where(extents[slot] > EPS, extents[slot], 1.0)
+        extent = np.maximum(extents[slot], 1.0)
         most = np.maximum(largest / extent, column)
         floor = ROUNDING * most
         error = SAFE * (error + np.abs(numeric - again)) + floor
         scale = rounding.max(axis=1)[:, None, None] / EPS
         others = [np.abs(A_j * s).max(axis=(1, 2), keepdims=True) for A_j, s in zip(A, extents, strict=True)]
         del others[slot]
-        known = np.abs(numeric) * certain[:, None] * np.maximum(extents[slot], 1.0)
+        known = np.abs(numeric) * certain[:, None] * extent
         reached = np.max([scale, known.max(axis=(1, 2), keepdims=True), *others], axis=0)
         uncertain = error.max(axis=1, keepdims=True)
         lost = ~certain[:, None] & (uncertain > ROUGH * np.abs(numeric).max(axis=1, keepdims=True))
-        lost &= uncertain * np.maximum(extents[slot], 1.0) > DUST * reached
+        lost &= uncertain * extent > DUST * reached
         error[np.broadcast_to(lost, error.shape)] = np.inf
         excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)
         slope = np.abs(numeric).max(axis=1, keepdims=True)
@@ -159,7 +159,7 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
             )
         deviations.append(deviation)
         error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
-        matters = (column > floor) | (slope > DUST * np.maximum(most, scale / extent)) | np.isinf(error)
+        matters = (column > floor) | (slope > DUST * np.maximum(most, reached / extent)) | np.isinf(error)
         vague = np.where(matters, error / np.where(size > 0, size, 1.0), 0.0)
         if (vague > VAGUE).any():
             n, _, d = (int(i) for i in np.unravel_index(np.argmax(vague), vague.shape))

@@ -32,33 +32,23 @@ def check_parts(model: Model, X: tuple[Array, ...], b: Array, terms: Array) -> N
     if factor.opaque or not n:
         return
     refuse_undeclared(factor)
-    half = (n + 1) // 2
-    batches = {
-        "reversed": np.arange(n)[::-1],
-        f"of the first {half}": np.arange(half),
-        f"of {n + 1}": np.arange(n + 1) % n,
-    }
-    for batch, index in batches.items():
-        cure = (
-            "something that it has for each measurement does not follow; hold it in an array of the factor, and name "
-            "that in per_measurement"
-        )
+    half, every = (n + 1) // 2, np.arange(n + 1)
+    cure = "something that each measurement has does not follow; hold it in an array, and name that in per_measurement"
+    for batch, index in (
+        ("reversed", every[-2::-1]),
+        (f"of the first {half}", every[:half]),
+        (f"of {n + 1}", every % n),
+    ):
         try:
             other = factor[index].bind(*model.manifolds).error(*(Y[index] for Y in X))
         except Exception as error:  # broad: `predict` is the user's and may raise anything; it is named and chained
-            raise GraphError(
-                f"{factor!r:.200}: a batch {batch} of its measurements raised {type(error).__name__}: {error}; {cure}",
-                factor.keys,
-                factor.name,
-            ) from error
+            raised = f"a batch {batch} of its measurements raised {type(error).__name__}: {error}"
+            raise GraphError(f"{factor!r:.200}: {raised}; {cure}", factor.keys, factor.name) from error
         wrong = (np.abs(other - b[index]) > SAME * terms[index]).any(axis=1)
         if wrong.any():
             k = int(np.argmax(wrong))
             place = int(index[k])
-            raise GraphError(
-                f"{factor.describe(place)}: its residual is {np.array2string(other[k], precision=6)} in a batch "
-                f"{batch} of the measurements, {np.array2string(b[place], precision=6)} in its own; {cure}",
-                [keys[[place]] for keys in factor.keys],
-                factor.name,
-                place,
-            )
+            here, there = (np.array2string(e, precision=6) for e in (b[place], other[k]))
+            said = f"its residual is {there} in a batch {batch} of the measurements, {here} in its own"
+            keys = [keys[[place]] for keys in factor.keys]
+            raise GraphError(f"{factor.describe(place)}: {said}; {cure}", keys, factor.name, place)

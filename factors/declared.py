@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,19 +15,6 @@ __all__ = ["attributes", "declared", "refuse_undeclared"]
 
 BASE = {"keys", "_z", "_noise", "_model", "slots", "unmoved"}  # attributes that the base class knows how to cut
 MANY = 64  # items of a list or tuple, of another length than the batch, that are looked into
-
-
-class Declared(Protocol):
-    """A factor, as far as its declarations go."""
-
-    keys: tuple[Keys, ...]
-    per_measurement: ClassVar[tuple[str, ...]]
-    shared: ClassVar[tuple[str, ...]]
-
-    def __len__(self) -> int: ...
-
-    @property
-    def name(self) -> str: ...
 
 
 def declared(kind: type[Any], name: str) -> tuple[str, ...]:
@@ -58,7 +45,7 @@ def attributes(factor: object) -> dict[str, Any]:
     return held
 
 
-def refuse_undeclared(factor: Declared) -> None:
+def refuse_undeclared(factor: Any) -> None:
     """Refuse what may or may not be one row per measurement, before a part of the batch is taken or batches are joined.
 
     Raises
@@ -69,13 +56,10 @@ def refuse_undeclared(factor: Declared) -> None:
     """
     held, n = attributes(factor), len(factor)
     for name in factor.per_measurement:
-        if name not in held and (isinstance(getattr(type(factor), name, None), property) or not hasattr(factor, name)):
-            raise GraphError(
-                f"{factor!r:.200}: per_measurement names {name!r}, which is no attribute that can be set; expected "
-                f"one of {', '.join(sorted(held.keys() - BASE)) or 'its attributes'}",
-                factor.keys,
-                factor.name,
-            )
+        if isinstance(getattr(type(factor), name, None), property) or not hasattr(factor, name):
+            named = f"per_measurement names {name!r}, which is no attribute that can be set"
+            message = f"{factor!r:.200}: {named}; expected one of {', '.join(sorted(held.keys() - BASE))}"
+            raise GraphError(message, factor.keys, factor.name)
     if n < 2:
         return
     for name in held.keys() - BASE - {*factor.shared}:
@@ -83,16 +67,12 @@ def refuse_undeclared(factor: Declared) -> None:
         for place, rows in _with_rows(held[name], n, name):
             if own and isinstance(rows, np.ndarray | Keys):
                 continue
-            subject = (
-                f"{factor!r:.200}: its attribute {place} is a {type(rows).__name__} of {n} for {n} measurements, and"
-            )
-            cure = (
-                "only arrays can be cut; make it one with np.asarray"
-                if own
-                else f'its class does not say whether each measurement has one; write per_measurement = ("{name}",) '
-                f'for that, or shared = ("{name}",) where all measurements use all of it'
-            )
-            raise GraphError(f"{subject} {cure}", factor.keys, factor.name)
+            cure = "only arrays can be cut; make it one with np.asarray"
+            if not own:
+                cure = f'its class does not say whether each measurement has one; write per_measurement = ("{name}",) '
+                cure += f'for that, or shared = ("{name}",) where all measurements use all of it'
+            subject = f"its attribute {place} is a {type(rows).__name__} of {n} for {n} measurements"
+            raise GraphError(f"{factor!r:.200}: {subject}, and {cure}", factor.keys, factor.name)
 
 
 def _with_rows(value: Any, n: int, place: str) -> Iterator[tuple[str, Any]]:
@@ -111,11 +91,8 @@ def _with_rows(value: Any, n: int, place: str) -> Iterator[tuple[str, Any]]:
         elif len(value) <= MANY:
             for k, item in enumerate(value):
                 yield from _with_rows(item, n, f"{place}[{k}]")
-    elif isinstance(value, Keys):
-        if len(value) == n:
-            yield place, value
-    elif isinstance(shape := getattr(value, "shape", None), tuple):  # of NumPy, a sparse matrix, a table of pandas
-        if shape[:1] == (n,):
+    elif isinstance(value, Keys) or isinstance(getattr(value, "shape", None), tuple):  # an array, or a table
+        if (len(value) if isinstance(value, Keys) else (*value.shape, 0)[0]) == n:
             yield place, value
     elif is_dataclass(value) or callable(getattr(value, "take", None)):  # as a noise model has it
         for name, item in attributes(value).items():

@@ -93,18 +93,16 @@ def central_differences(
     EvaluationError
         The prediction is finite at X, and at no step from there; or a column has too few digits at every step.
     """
-    rounding, H, errors, certain = EPS * sizes(space, h), [], [], []
+    rounding, columns = EPS * sizes(space, h), []
     for slot, manifold in enumerate(manifolds):
 
         def change(Y: Array, slot: int = slot) -> Array:
             return space.local(h, factor.predict(manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
 
-        H_k, error, certain_k = derivative(change, manifold, X[slot], rounding)
-        H.append(H_k)
-        errors.append(error)
-        certain.append(certain_k)
-    if all(certain_k.all() for certain_k in certain):
-        return tuple(H)
+        columns.append(derivative(change, manifold, X[slot], rounding))
+    H, errors, certain = zip(*columns, strict=True)
+    if all(sure.all() for sure in certain):
+        return H
     extents = [np.maximum(sizes(m, Y), 1.0)[:, None] for m, Y in zip(manifolds, X, strict=True)]
     largest = np.max([np.abs(H_k * s).max(axis=(1, 2)) for H_k, s in zip(H, extents, strict=True)], axis=0)
     for slot, (H_k, error, extent) in enumerate(zip(H, errors, extents, strict=True)):
@@ -113,28 +111,22 @@ def central_differences(
         H_k[np.broadcast_to(dust[:, None], H_k.shape)] = 0.0
         most = (error * extent).max(axis=1)
         faint = (most <= FAINT * rounding.max(axis=1, keepdims=True)) | (most <= NONE * largest[:, None])
-        lost = ~(certain[slot] | dust | faint) & np.isfinite(h).all(
-            axis=1, keepdims=True
-        )  # else refused as such, by name
-        if lost.any():
+        lost = ~(certain[slot] | dust | faint) & np.isfinite(h).all(axis=1, keepdims=True)
+        if lost.any():  # where h is not finite, that is refused, by name
             n, d = (int(i) for i in np.argwhere(lost)[0])
             raise _refusal(factor, n, slot, manifolds[slot].components[d], H_k[n, :, d], error[n, :, d])
-    return tuple(H)
+    return H
 
 
 def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: Array) -> EvaluationError:
     """The error that names a column without a difference, or with one that is too uncertain."""
     key = factor.keys[slot][[n]]
     column = f"{factor.describe(n)}: no central difference in component {component} of {key}: its prediction"
-    if not np.isfinite(D).all():
+    why = "is finite here but not beside it, however small the step; move its values into the domain of the function"
+    if np.isfinite(D).all():
+        uncertain = f"{np.abs(D).max():.3g} is uncertain by {error.max():.1g}, expected {CERTAIN:g} of it"
         why = (
-            "is finite here but not beside it, however small the step; move its values into the domain of the function"
-        )
-    else:
-        k = int(np.argmax(np.abs(D)))
-        why = (
-            f"has a jump, a kink or too few digits here, at every step: {D[k]:.3g} is uncertain by {error.max():.1g}, "
-            f"expected {CERTAIN:g} of it; subtract large numbers before they meet small ones"
+            f"has a jump, a kink or too few digits at every step: {uncertain}; subtract large numbers before small ones"
         )
     message = f"{column} {why}, or give Jacobians"
     return EvaluationError(message, factor.name, [k[[n]] for k in factor.keys], where=f"Jacobian with respect to {key}")
@@ -181,7 +173,7 @@ class _Trial(NamedTuple):
     D, error : (n, m) derivative and its error.
     largest : (n,) the largest D.
     slope : (n,) the largest change of f, by the step.
-    bent, level : (n,) by how much f leaves a polynomial: by all signs of it, and by the one that noise shows most.
+    bent : (n,) by how much f leaves a polynomial.
     rounded : (n,) whether the known rounding is most of the error, so that a larger step has less.
     noisy : (n,) whether rounding of inner numbers would look like that; or a structure finer than the step.
     silent : (n,) whether f does not change, but for the known rounding.
@@ -192,7 +184,6 @@ class _Trial(NamedTuple):
     largest: Array
     slope: Array
     bent: Array
-    level: Array
     rounded: Mask
     noisy: Mask
     silent: Mask
@@ -205,7 +196,7 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
     least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
-    lowest, best, bent, slope = (np.full(n, np.inf) for _ in range(4))  # of the trial that is believed; best: its step
+    lowest, best, slope = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
     grain = np.zeros(n)  # the largest noise that a step has met
     silent, noise, steady, firm, certain = (np.zeros(n, dtype=bool) for _ in range(5))
     going = np.ones(n, dtype=bool)
@@ -223,7 +214,7 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
             continue
         if k == 0 and (trial.error.max(axis=1) <= ENOUGH * trial.largest).all() and not trial.silent.any():
             return trial.D, trial.error, going  # most columns
-        below, noisy = step < best, trial.noisy & ~trial.silent
+        below, noisy = step < best, trial.noisy
         met = np.where(below | ~(noise | firm), 0.0, grain / step)  # noise of f that smaller steps have met
         unsure = trial.error + met[:, None]
         relative = np.where(np.isfinite(unsure).all(axis=1) & ~trial.silent, unsure.max(axis=1) / trial.largest, np.inf)
@@ -242,11 +233,9 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         )
         better = going & np.where(below, down, up)
         steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * np.minimum(slope, trial.slope))
-        alike = below & ~better & small & ~trial.silent & (bent <= LIKE * trial.level)  # rounding of the best as well
         small &= better | below | trial.silent | noise
         D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
-        best[better], silent[better] = step[better], trial.silent[better]
-        bent[better], slope[better] = trial.bent[better], trial.slope[better]
+        best[better], silent[better], slope[better] = step[better], trial.silent[better], trial.slope[better]
         certain = np.where(better, ~trial.silent & ((doubt <= CERTAIN) | (certain & ~below)), certain)
         firm = np.where(better, clear, firm)
         grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
@@ -256,19 +245,16 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         deep = (high <= NARROW * low) | (step <= 2 * least) | ((step * DEEP <= top) & ~small)
         bottom = (top > step) & ~firm & ~noise & deep
         top, noise = np.where(fine, np.maximum(top, step), top), noise | bottom
-        low = np.where(alike, np.maximum(low, best), np.where(bottom, np.maximum(low, top), low))
-        high = np.where(alike | bottom, border, high)
+        low, high = np.where(bottom, np.maximum(low, top), low), np.where(bottom, border, high)
         wide = small & ~bottom & (step >= 0.9 * np.where(trial.silent, natural, most))
-        worth = better | ~small | alike | bottom | ~firm
+        worth = better | ~small | bottom | ~firm
         going &= (relative > ENOUGH) & ~wide & (high > CLOSE * low) & worth
         if not going.any():
             break
         stride = np.where(better & clear, NEAR, FAR)
-        larger = np.where(
-            clear, np.clip(2 * relative / ENOUGH, NEAR, FAR), FAR
-        )  # rounding counts by its part of a step
+        larger = np.clip(2 * relative / ENOUGH, NEAR, FAR)  # rounding counts by its part of a step
         after = np.where(small, np.maximum(step * larger, np.where(trial.silent, natural, 0.0)), step / stride)
-        after = np.where(bottom, top * FAR, np.where(alike, best * NEAR, after))
+        after = np.where(bottom, top * FAR, after)
         between = (low > 0) & np.isfinite(high)
         after[between] = np.sqrt(low[between] * high[between])
         step = np.where(going, np.minimum(after, most), step)
@@ -288,16 +274,8 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
     P = t * (D - u * T) + u * (a + b) / 2 + u * (u - 1) * delta4 / (2 * ratio * (ratio - 1))
     miss, curved = np.abs(e - P), np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
     error = unsure / h + curved + np.maximum(miss - unsure, 0.0) / t
-    noise, bent, certain = ((q).max(axis=1) for q in (unsure / h, curved + miss / t, (unsure / h + miss / t)))
+    noise, bent, level = (q.max(axis=1) for q in (unsure / h, curved + miss / t, unsure / h + miss / t))
     silent = (change <= 2 * rounding).all(axis=1)
-    return _Trial(
-        D,
-        error,
-        largest,
-        np.maximum(change.max(axis=1) / h[:, 0], TINY),
-        bent * h[:, 0],
-        miss.max(axis=1),
-        (bent <= 8 * noise) & ~silent,
-        np.maximum(bent, np.abs(T).max(axis=1)) <= LIKE * certain,
-        silent,
-    )
+    slope, most = np.maximum(change.max(axis=1) / h[:, 0], TINY), np.maximum(bent, np.abs(T).max(axis=1))
+    rounded, noisy = (bent <= 8 * noise) & ~silent, (most <= LIKE * level) & ~silent
+    return _Trial(D, error, largest, slope, bent * h[:, 0], rounded, noisy, silent)

@@ -54,6 +54,16 @@ def wave(value: float, inner: float, residual: float) -> Problem:
     )
 
 
+def line(value: float, inner: float, residual: float) -> Problem:
+    """A plain difference of large numbers: at some steps its rounding looks like a slope, by chance."""
+    return (
+        R(1),
+        np.array([value]),
+        lambda X: (inner - X) - (inner - value) + residual,
+        lambda X: np.full((len(X), 1, 1), -1.0),
+    )
+
+
 def pose(group: LieGroup, value: float) -> Array:
     X: Array = SE2.stack([0, 0, 0.3])[0] if group is SE2 else SE3.exp(np.array([[0, 0, 0, 0.2, 0.3, -0.5]]))[0]
     X[: group.point_dim] = value * np.array([1, -0.7, 0.4])[: group.point_dim]
@@ -98,6 +108,7 @@ def step(group: LieGroup, value: float, inner: float, residual: float) -> Proble
 
 
 PROBLEMS: dict[str, Callable[[float, float, float], Problem]] = {
+    "line": line,
     "ranges": ranges,
     "wave": wave,
     "landmark SE2": lambda *n: landmark(SE2, *n),
