@@ -49,6 +49,6 @@ def check_parts(model: Model, X: tuple[Array, ...], b: Array, terms: Array) -> N
             k = int(np.argmax(wrong))
             place = int(index[k])
             here, there = (np.array2string(e, precision=6) for e in (b[place], other[k]))
-            said = f"its residual is {there} in a batch {batch} of the measurements, {here} in its own"
+            finding = f"its residual is {there} in a batch {batch} of the measurements, {here} in its own"
             keys = [keys[[place]] for keys in factor.keys]
-            raise GraphError(f"{factor.describe(place)}: {said}; {cure}", keys, factor.name, place)
+            raise GraphError(f"{factor.describe(place)}: {finding}; {cure}", keys, factor.name, place)
