@@ -19,13 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conventions import check_convention, innovation
+from factors.declared import attributes, declared
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
 from factors.noise_size import refuse_other_size
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
-from factors.slices import one_each, places, rows
+from factors.slices import part, places, rows
 from factors.traits import Traits
 from models import Manifold
 from models.abstract import Abstract
@@ -63,7 +64,9 @@ class Factor(Traits, Abstract):
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
     per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part
-        of the batch takes its rows of them.
+        of the batch takes its rows of them. Those of its base classes count as well.
+    shared : names of the attributes that all measurements use whole. An array or list of as many rows as there are
+        measurements that neither names is refused where a part is taken or batches are joined.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks). Where the
@@ -76,8 +79,13 @@ class Factor(Traits, Abstract):
     damped: bool = False
     unmoved: tuple[int, ...] = ()
     per_measurement: ClassVar[tuple[str, ...]] = ()
+    shared: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.per_measurement, cls.shared = declared(cls, "per_measurement"), declared(cls, "shared")
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         name = self.name
@@ -115,7 +123,8 @@ class Factor(Traits, Abstract):
         Raises
         ------
         GraphError
-            No such measurements; or z, not yet used, of shape (n,) that may be n measurements or one of n numbers.
+            No such measurements; z, not yet used, of shape (n,) that may be n measurements or one of n numbers; an
+            array of n rows that its class does not declare, `per_measurement` and `shared`.
 
         Examples
         --------
@@ -127,30 +136,17 @@ class Factor(Traits, Abstract):
         >>> near, near.z, near.noise.sigma
         (Range(x[3, 4], l[0, 0]), array([10., 11.]), array([0.1, 0.2]))
         """
-        n, index = len(self), places(index, len(self), self.name)
-        sizes = self.sizes() if self._model is None else (self._model.space.size,)
-        if (per_row := one_each(self._z, n, sizes)) is None:
-            raise GraphError(
-                f"{self!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
-                self.keys,
-                self.name,
-            )
-        subset = copy(self)
-        subset.keys = tuple(k[index] for k in self.keys)
-        subset._z = rows(self._z, index, n) if per_row else self._z
-        subset._noise = self.noise.take(index, n)
-        for name in self.per_measurement:
-            setattr(subset, name, rows(getattr(self, name), index, n))
-        subset._model = None if self._model is None else self._model.part(subset, index)
+        subset: Factor = part(self, places(index, len(self), self.name))
         return subset
 
     def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
         """The attributes without the model, which is bound anew, and the names of the read-only arrays."""
-        state = {**vars(self), "_model": None}
+        state = {**attributes(self), "_model": None}
         return state, [name for name, a in state.items() if isinstance(a, np.ndarray) and not a.flags.writeable]
 
     def __setstate__(self, state: tuple[dict[str, Any], list[str]]) -> None:
-        vars(self).update(state[0])
+        for name, value in state[0].items():
+            setattr(self, name, value)
         for name in state[1]:
             getattr(self, name).setflags(write=False)
 

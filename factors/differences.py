@@ -6,7 +6,7 @@ A column is differenced with two steps, h and g, and extrapolated (Richardson):
 
 g is h times the golden ratio: a period of f that divides one step does not divide the other. A sixth value, f(t) at
 t = h/pi, is not used for D. It is compared with the polynomial P of degree 4 through f(0), f(+-h) and f(+-g), so a
-structure of f within h is seen. The error of D, measurement by measurement:
+structure of f within h is visible. The error of D, measurement by measurement:
 
     error = rounding / h  +  |delta4| / h  +  |T| max|T| / max|D|  +  |f(t) - P(t)| / t
 
@@ -14,15 +14,31 @@ rounding is twice that of f, and of x times |D|. delta4 = f(g) + f(-g) - 2 f(0) 
 for a smooth f and h -> 0, and otherwise the noise of f or its curvature. |T| is the truncation that was removed; the
 rest is assumed to be the same part of |T|. |f(t) - P(t)| counts beyond its own rounding.
 
-The first step comes from the size of the variable. Where the error is too large, another step is tried. It is smaller
-where f is not smooth within g or not finite, and larger where rounding dominates. Then one between the two is tried. A
-difference at a larger step is believed only if the one at a smaller step agrees, within the errors of both; else the
-smaller step is right. Most columns take one trial, 5 evaluations; factors of poses take 6.3 on average, of parameters
-of unknown scale about 13, and a noisy or very fine function up to 45.
+The rounding that |f| has is a lower bound alone: 10 - hypot(x - 6, 8) at 0 is 0, its inner numbers are not. The steps
+show the rest. Curvature falls with a high power of the step, so |f(t) - P(t)| is far less than |delta4| and |T| h.
+Rounding of inner numbers is the same at every step, and in all three. A fine structure of f, unresolved, looks the
+same. It is told from noise by smaller steps:
+
+- At one of them f is smooth: a structure. That derivative is right.
+- At none of them, down to where f stands still: noise. A larger step is right, the largest that is smooth.
+
+The first step comes from the size of the variable, in its own units, never from |f|. Where the error is too large,
+another step is tried. It is smaller where f is curved, rough or not finite, and larger where rounding dominates or f
+stands still. Then one between the two is tried. A difference at a larger step is believed only if the one at a smaller
+step agrees, within the errors of both, and the noise that smaller steps have met counts at the larger ones.
+
+A column whose error remains above 4e-4 of the change of f is refused by name: a jump, or too few digits. Three are not.
+A kink has the same difference at every step, the mean of both sides. A column that is noise, 1e-6 of the largest, is 0:
+f does not depend on that component. An error below 1e-9 of the largest column, or in the rounding of the residual, is
+nothing.
+
+Most columns take one trial, 5 evaluations. A column of zeros takes two, one with unknown noise 3 to 8, and a very fine
+function up to 14.
 
 Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical Analysis,
-1971 (the noise of a function from its table of differences); O. Lepski, Theory Probab. Appl. 35 (1991) (the largest
-step that all smaller ones confirm).
+1971, and J. More, S. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (2011) (the noise of a function
+from its table of differences); O. Lepski, Theory Probab. Appl. 35 (1991) (the largest step that all smaller ones
+confirm).
 """
 
 from __future__ import annotations
@@ -47,12 +63,18 @@ ENOUGH = 4e-9  # error relative to the largest entry of the column of a measurem
 SMOOTH = 1e-3  # relative error above which f may not be smooth within g, so that the error tells little
 MOST = 0.5  # step at most, relative to the size of the variable or, where that is less, to 1
 ROUGH = 0.1  # relative error above which it is no error at all, unless it is rounding
-FAINT = 1e6  # a change of f by so many roundings may still be noise of its inner numbers
+CERTAIN = 4e-4  # error relative to the change of f above which a column is refused: 4 to 6 times what is really wrong
+LIKE = 32.0  # other signs of noise are at most so many times what the sixth value misses by; those of curvature more
 FAR, NEAR = 1e3, 16.0  # by how much the next step differs: where this one tells nothing, and where it nearly does
+NARROW = 100.0  # ratio of steps, the larger rough, the smaller in the rounding, with nothing between that is better
+FAINT = 1e4  # roundings of the residual: an error over the size of the variable that is less leaves a column as it is
+NONE = 1e-9  # part of the largest column that is nothing: an error that is less leaves a column as it is
+DUST = 1e-6  # an error below this part of the largest column is that of a column that is 0, or nearly
 CLOSE = 4.0  # ratio of two steps that need none between
 GOLDEN, PART = (1 + 5**0.5) / 2, 1 / np.pi  # g / h and t / h: no period divides all three
 SAFE = 4.0  # times the error of a difference is its uncertainty
-TRIALS = 9  # at most, from 5e-4 to 5e-28
+DEEP = 1e16  # what looks like noise at all steps down to such a part of the first is noise
+TRIALS = 14  # at most
 TINY = float(np.finfo(float).tiny)
 
 
@@ -69,37 +91,51 @@ def central_differences(
     Raises
     ------
     EvaluationError
-        The prediction is finite at X, and at no step from there.
+        The prediction is finite at X, and at no step from there; or a column has too few digits at every step.
     """
-    rounding = EPS * sizes(space, h)
-    H = []
+    rounding, columns = EPS * sizes(space, h), []
     for slot, manifold in enumerate(manifolds):
 
         def change(Y: Array, slot: int = slot) -> Array:
             return space.local(h, factor.predict(manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
 
-        H_k, _ = derivative(change, manifold, X[slot], rounding)
-        lost = ~np.isfinite(H_k)
-        lost[~np.isfinite(h).all(axis=1)] = False  # refused as such, by name
-        if lost.any():
-            n, _, d = (int(i) for i in np.argwhere(lost)[0])
-            key = factor.keys[slot][[n]]
-            raise EvaluationError(
-                f"{factor.describe(n)}: no central difference in component {manifold.components[d]} of {key}: its "
-                "prediction is finite here but not beside it, however small the step; move its values into the domain "
-                "of the function, or give Jacobians",
-                factor.name,
-                [k[[n]] for k in factor.keys],
-                where=f"Jacobian with respect to {key}",
-            )
-        H.append(H_k)
-    return tuple(H)
+        columns.append(derivative(change, manifold, X[slot], rounding))
+    H, errors, certain = zip(*columns, strict=True)
+    if all(sure.all() for sure in certain):
+        return H
+    extents = [np.maximum(sizes(m, Y), 1.0)[:, None] for m, Y in zip(manifolds, X, strict=True)]
+    largest = np.max([np.abs(H_k * s).max(axis=(1, 2)) for H_k, s in zip(H, extents, strict=True)], axis=0)
+    for slot, (H_k, error, extent) in enumerate(zip(H, errors, extents, strict=True)):
+        nothing = (np.abs(H_k) <= SAFE * error) & (error * extent <= DUST * largest[:, None, None])
+        dust = ~certain[slot] & nothing.all(axis=1)  # what the noise of the other columns is in this one
+        H_k[np.broadcast_to(dust[:, None], H_k.shape)] = 0.0
+        most = (error * extent).max(axis=1)
+        faint = (most <= FAINT * rounding.max(axis=1, keepdims=True)) | (most <= NONE * largest[:, None])
+        lost = ~(certain[slot] | dust | faint) & np.isfinite(h).all(axis=1, keepdims=True)
+        if lost.any():  # where h is not finite, that is refused, by name
+            n, d = (int(i) for i in np.argwhere(lost)[0])
+            raise _refusal(factor, n, slot, manifolds[slot].components[d], H_k[n, :, d], error[n, :, d])
+    return H
+
+
+def _refusal(factor: Batch, n: int, slot: int, component: str, D: Array, error: Array) -> EvaluationError:
+    """The error that names a column without a difference, or with one that is too uncertain."""
+    key = factor.keys[slot][[n]]
+    column = f"{factor.describe(n)}: no central difference in component {component} of {key}: its prediction"
+    why = "is finite here but not beside it, however small the step; move its values into the domain of the function"
+    if np.isfinite(D).all():
+        uncertain = f"{np.abs(D).max():.3g} is uncertain by {error.max():.1g}, expected {CERTAIN:g} of it"
+        why = (
+            f"has a jump, a kink or too few digits at every step: {uncertain}; subtract large numbers before small ones"
+        )
+    message = f"{column} {why}, or give Jacobians"
+    return EvaluationError(message, factor.name, [k[[n]] for k in factor.keys], where=f"Jacobian with respect to {key}")
 
 
 def derivative(
     change: Callable[[Array], Array], manifold: Manifold, X: Array, rounding: Array, first: float = FIRST
-) -> tuple[Array, Array]:
-    """Derivative (n, m, dim) with respect to a tangent step of one variable, and its uncertainty (n, m, dim).
+) -> tuple[Array, Array, Mask]:
+    """Derivative (n, m, dim) by a tangent step of one variable, its error, and which columns are certain (n, dim).
 
     Parameters
     ----------
@@ -116,8 +152,8 @@ def derivative(
             return change(manifold.retract(X, t[:, None] * unit))
 
         columns.append(_column(along, size[:, d], rounding, first))
-    D, U = (np.stack(parts, axis=2) for parts in zip(*columns, strict=True))
-    return D, U
+    D, error, certain = zip(*columns, strict=True)
+    return np.stack(D, axis=2), np.stack(error, axis=2), np.stack(certain, axis=1)
 
 
 def sizes(manifold: Manifold, X: Array) -> Array:
@@ -135,56 +171,94 @@ class _Trial(NamedTuple):
     Attributes
     ----------
     D, error : (n, m) derivative and its error.
-    relative : (n,) the largest error, relative to the largest D.
-    rounded : (n,) whether most of it is rounding, so that a larger step has less.
-    silent : (n,) whether f does not change, but for rounding.
+    largest : (n,) the largest D.
+    slope : (n,) the largest change of f, by the step.
+    bent : (n,) by how much f leaves a polynomial.
+    rounded : (n,) whether the known rounding is most of the error, so that a larger step has less.
+    noisy : (n,) whether rounding of inner numbers would look like that; or a structure finer than the step.
+    silent : (n,) whether f does not change, but for the known rounding.
     """
 
     D: Array
     error: Array
-    relative: Array
+    largest: Array
+    slope: Array
+    bent: Array
     rounded: Mask
+    noisy: Mask
     silent: Mask
 
 
-def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array]:
-    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), and its error."""
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite has no error
+def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array, Mask]:
+    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), its error, and whether it is certain (n,)."""
     n = len(rounding)
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
-    most = MOST * np.maximum(size, 1.0)
+    least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
-    lowest, best_step, going = np.full(n, np.inf), np.full(n, np.inf), np.ones(n, dtype=bool)
-    silent = np.zeros(n, dtype=bool)
+    lowest, best, slope = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
+    grain = np.zeros(n)  # the largest noise that a step has met
+    silent, noise, steady, firm, certain = (np.zeros(n, dtype=bool) for _ in range(5))
+    going = np.ones(n, dtype=bool)
     low, high = np.zeros(n), np.full(n, np.inf)  # largest step with too much rounding, smallest beyond the smooth part
+    top, border = np.zeros(n), np.full(n, np.inf)  # largest step with noise or a fine structure, smallest out of domain
     for k in range(TRIALS):
-        step = np.maximum((size + step) - size, 4 * EPS * size)  # what the variable can move by
+        step = np.maximum((size + step) - size, least)  # what the variable can move by
         try:
             trial = _trial(along, step, size, rounding)
         except (EvaluationError, SingularGeometryError):
             if k == TRIALS - 1 and np.isnan(D).any():
                 raise  # no step stays where f can be evaluated
-            high = np.where(going, np.minimum(high, step), high)
-            step = np.where(going, step / FAR, step)
+            high, border = (np.where(going, np.minimum(edge, step), edge) for edge in (high, border))
+            step = np.where(going, np.where(low > 0, np.sqrt(low * step), step / FAR), step)
             continue
-        relative, rounded = trial.relative, trial.rounded
-        new, old = trial.error.max(axis=1), error.max(axis=1)
-        apart, below = np.abs(trial.D - D).max(axis=1) > SAFE * (new + old), step < best_step
-        apart &= ~trial.silent & ~silent  # no change at all may be the rounding of inner numbers
-        better = going & np.where(below, apart | (relative <= lowest), ~apart & (new < old) & (relative <= lowest))
-        D[better], error[better] = trial.D[better], trial.error[better]
-        lowest[better], best_step[better], silent[better] = relative[better], step[better], trial.silent[better]
-        low, high = np.where(rounded, np.maximum(low, step), low), np.where(rounded, high, np.minimum(high, step))
-        wide = rounded & (step >= np.where(trial.silent, 2 * first * np.maximum(size, 1.0), most))
-        worth = better | ~rounded | (below & (lowest > SMOOTH))  # not smooth, and no better: noise, or a fine structure
+        if k == 0 and (trial.error.max(axis=1) <= ENOUGH * trial.largest).all() and not trial.silent.any():
+            return trial.D, trial.error, going  # most columns
+        below, noisy = step < best, trial.noisy
+        met = np.where(below | ~(noise | firm), 0.0, grain / step)  # noise of f that smaller steps have met
+        unsure = trial.error + met[:, None]
+        relative = np.where(np.isfinite(unsure).all(axis=1) & ~trial.silent, unsure.max(axis=1) / trial.largest, np.inf)
+        doubt = (trial.bent / step + met) / trial.slope
+        clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (doubt <= SMOOTH)))
+        fine = noisy & ~clear & ~trial.rounded & ~noise
+        flat = noise & (step > NEAR * top) & (trial.bent <= SAFE * grain)  # no more than smaller steps: not of a kink
+        small = trial.silent | trial.rounded | (noisy & ~fine) | flat
+        trusted = np.where((small | (relative <= ROUGH))[:, None], unsure, np.inf)
+        new, old, gap = trusted.max(axis=1), error.max(axis=1), np.abs(trial.D - D).max(axis=1)
+        apart = gap > SAFE * (new + old)
+        down = np.where(trial.silent, lowest > ROUGH, (clear & apart) | (relative <= lowest))
+        up = (clear & ~firm) | (~apart & (new < old) & ((relative <= lowest) | noise))
+        up = np.where(
+            silent, flat | trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
+        )
+        better = going & np.where(below, down, up)
+        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * np.minimum(slope, trial.slope))
+        small &= better | below | trial.silent | noise
+        D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
+        best[better], silent[better], slope[better] = step[better], trial.silent[better], trial.slope[better]
+        certain = np.where(better, ~trial.silent & ((doubt <= CERTAIN) | (certain & ~below)), certain)
+        firm = np.where(better, clear, firm)
+        grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
+        grain = np.where(noisy & ~trial.rounded, np.maximum(grain, trial.bent), grain)
+        border = np.where(np.isfinite(unsure).all(axis=1), border, np.minimum(border, step))
+        low, high = np.where(small, np.maximum(low, step), low), np.where(small, high, np.minimum(high, step))
+        deep = (high <= NARROW * low) | (step <= 2 * least) | ((step * DEEP <= top) & ~small)
+        bottom = (top > step) & ~firm & ~noise & deep
+        top, noise = np.where(fine, np.maximum(top, step), top), noise | bottom
+        low, high = np.where(bottom, np.maximum(low, top), low), np.where(bottom, border, high)
+        wide = small & ~bottom & (step >= 0.9 * np.where(trial.silent, natural, most))
+        worth = better | ~small | bottom | ~firm
         going &= (relative > ENOUGH) & ~wide & (high > CLOSE * low) & worth
         if not going.any():
             break
-        stride = np.where(better & (relative <= SMOOTH), NEAR, FAR)
-        after = np.where(rounded, np.minimum(step * stride, most), step / stride)
+        stride = np.where(better & clear, NEAR, FAR)
+        larger = np.clip(2 * relative / ENOUGH, NEAR, FAR)  # rounding counts by its part of a step
+        after = np.where(small, np.maximum(step * larger, np.where(trial.silent, natural, 0.0)), step / stride)
+        after = np.where(bottom, top * FAR, after)
         between = (low > 0) & np.isfinite(high)
         after[between] = np.sqrt(low[between] * high[between])
-        step = np.where(going, after, step)
-    return D, error
+        step = np.where(going, np.minimum(after, most), step)
+    return D, error, silent | steady | certain
 
 
 @np.errstate(all="ignore")  # a step may leave the domain of f
@@ -198,12 +272,10 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
     unsure = 2 * (rounding + EPS * (size[:, None] + 2 * h) * np.abs(D))
     delta4, u = c + d - ratio * (a + b), (t / h) ** 2
     P = t * (D - u * T) + u * (a + b) / 2 + u * (u - 1) * delta4 / (2 * ratio * (ratio - 1))
-    miss = np.maximum(np.abs(e - P) - unsure, 0.0) / t
-    noise = unsure / h
-    bent = np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None] + miss
-    worst = (noise + bent).max(axis=1)
-    relative = np.where(np.isfinite(worst), worst / largest, np.inf)
-    faint = change.max(axis=1) <= FAINT * rounding.max(axis=1)
-    rounded = (bent.max(axis=1) <= 8 * noise.max(axis=1)) | faint
-    error = np.where((rounded | (relative <= ROUGH))[:, None], noise + bent, np.inf)
-    return _Trial(D, error, relative, rounded, (change <= 2 * rounding).all(axis=1))
+    miss, curved = np.abs(e - P), np.abs(delta4) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
+    error = unsure / h + curved + np.maximum(miss - unsure, 0.0) / t
+    noise, bent, level = (q.max(axis=1) for q in (unsure / h, curved + miss / t, unsure / h + miss / t))
+    silent = (change <= 2 * rounding).all(axis=1)
+    slope, most = np.maximum(change.max(axis=1) / h[:, 0], TINY), np.maximum(bent, np.abs(T).max(axis=1))
+    rounded, noisy = (bent <= 8 * noise) & ~silent, (most <= LIKE * level) & ~silent
+    return _Trial(D, error, largest, slope, bent * h[:, 0], rounded, noisy, silent)

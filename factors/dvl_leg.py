@@ -74,6 +74,7 @@ class DvlLeg(HorizontalStep):
 
     slots: tuple[Manifold | None, ...] = (SE3, SE3)
     per_measurement = ("ways", "scale", "yaw")
+    shared = ("at",)
 
     def __init__(
         self,

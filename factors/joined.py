@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from factors.base import Factor, Model
+from factors.declared import attributes, refuse_undeclared
+from factors.keys import Keys
 from factors.noise import Noise, SqrtInformation, square
 from factors.robust import Robust
 from factors.slices import below
@@ -63,9 +65,20 @@ def alike(a: Model, b: Model) -> bool:
 
 def sort_of(factor: Factor) -> Hashable:
     """Attributes that batches must share to be joined."""
+    refuse_undeclared(factor)
     per = factor.per_measurement
-    own = [(k, type(v) if k in per else _hashable(v)) for k, v in vars(factor).items() if k not in OWN]
+    own = [(k, _rows(v) if k in per else _hashable(v)) for k, v in attributes(factor).items() if k not in OWN]
     return type(factor), factor.kernel, tuple([keys.kind for keys in factor.keys]), tuple(own)
+
+
+def _rows(value: Any) -> Hashable:
+    """Equal where `factors.slices.below` puts the rows of several batches together; else as `_hashable`."""
+    if isinstance(value, tuple):
+        return tuple(map(_rows, value))
+    if isinstance(value, dict):
+        return tuple((name, _rows(item)) for name, item in value.items())
+    stacked = isinstance(value, Keys) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    return _hashable(type(value) if stacked else value)
 
 
 def _hashable(value: Any) -> Hashable:

@@ -59,6 +59,7 @@ class Position(Factor):
     slots = (None,)
     frame = "world"
     per_measurement = ("offset",)
+    shared = ("components",)
 
     def __init__(
         self,

@@ -60,6 +60,7 @@ class Prior(Factor):
     slots = (None,)
     frame = "world"
     per_measurement = ("offset",)
+    shared = ("components",)
 
     def __init__(
         self,

@@ -65,6 +65,7 @@ class Projection(InSpace):
 
     measures = ("u", "v")
     damped = True
+    shared = ("camera",)
 
     def __init__(
         self,

@@ -84,12 +84,6 @@ class Shifted(Factor):
         self.relative, self.damped = factor.relative, factor.damped
         self.unmoved = (*factor.unmoved, len(factor.keys))
 
-    def __getitem__(self, index: int | slice | npt.ArrayLike) -> Factor:
-        subset = super().__getitem__(index)
-        assert isinstance(subset, Shifted)
-        subset.factor = self.factor[index]
-        return subset
-
     def sizes(self) -> tuple[int, ...]:
         return self.factor.sizes()
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
 
+from factors.declared import refuse_undeclared
 from factors.keys import Keys
 from models.algebra import Array, Index
 from models.errors import GraphError
@@ -47,6 +49,30 @@ def places(index: Any, n: int, name: str) -> Index:
     if (wrong := (array < -n) | (array >= n)).any():
         raise GraphError(f"{name}: there is no measurement {array[wrong][0]}; the batch has {n}, counted from 0")
     return np.where(array < 0, array + n, array).astype(np.intp)
+
+
+def part(factor: Any, index: Index) -> Any:
+    """The same kind of factor with the measurements at some places (k,), see `Factor.__getitem__`."""
+    refuse_undeclared(factor)
+    n, model = len(factor), factor._model
+    sizes = factor.sizes() if model is None else (model.space.size,)
+    if (per_row := one_each(factor.z, n, sizes)) is None:
+        raise GraphError(
+            f"{factor!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
+            factor.keys,
+            factor.name,
+        )
+    subset = copy(factor)
+    subset.keys = tuple(k[index] for k in factor.keys)
+    subset._z = rows(factor.z, index, n) if per_row else factor.z
+    subset._noise = factor.noise.take(index, n)
+    for name in factor.per_measurement:
+        setattr(subset, name, rows(getattr(factor, name), index, n))
+    for name, value in vars(factor).items():
+        if hasattr(value, "per_measurement"):  # a factor that this one is made of
+            setattr(subset, name, value[index])
+    subset._model = None if model is None else model.part(subset, index)
+    return subset
 
 
 def rows(value: Any, index: Index, n: int) -> Any:

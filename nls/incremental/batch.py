@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy import sparse as sp
 
 from factors.base import Factor, Model
+from factors.declared import refuse_undeclared
 from factors.joined import alike
 from factors.keys import Keys
 from factors.robust import Kernel
@@ -196,11 +197,14 @@ class GrowingBatch:
 
 def _own(factor: Factor) -> dict[Place, Array]:
     """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
+    refuse_undeclared(factor)
     n, arrays = len(factor), dict[Place, Array]()
     for name in factor.per_measurement:
         value = getattr(factor, name)
-        items = {(name, k): item for k, item in enumerate(value)} if isinstance(value, tuple) else {(name,): value}
-        arrays.update({k: v if len(v) in (1, n) else v[None] for k, v in items.items() if isinstance(v, np.ndarray)})
+        held = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, tuple) else None
+        items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
+        stacks = {place: item for place, item in items.items() if isinstance(item, np.ndarray) and item.ndim}
+        arrays.update({place: stack if len(stack) in (1, n) else stack[None] for place, stack in stacks.items()})
     for name, within in _within(factor).items():
         arrays.update({(name, *place): own for place, own in _own(within).items()})
     return arrays
@@ -214,7 +218,9 @@ def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) ->
         value = getattr(factor, name)
         if isinstance(value, tuple):
             setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
-        elif isinstance(value, np.ndarray):
+        elif isinstance(value, dict):
+            setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
+        elif (name,) in own:
             setattr(whole, name, own[name,])
     for name, within in _within(factor).items():
         inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}

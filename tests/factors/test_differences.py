@@ -55,7 +55,7 @@ def test_columns_are_as_exact_as_rounding_lets_them(name: str, decade: int, u: f
         calls.append(Y)
         return (offset + f(Y / s)) - (offset + f(X / s))
 
-    D, error = derivative(change, R(1), X, np.full((1, 1), EPS * size))
+    D, error, _ = derivative(change, R(1), X, np.full((1, 1), EPS * size))
     assert abs(D[0, 0, 0] / exact - 1) < 1e-9 + 1e4 * noise
     assert abs(D[0, 0, 0] - exact) <= error[0, 0, 0] <= (1e-8 + 1e5 * noise) * abs(exact)
     assert len(calls) <= 36
@@ -162,7 +162,11 @@ def test_a_function_as_fine_as_rounding_resolves(
     assume(np.abs(exact).max() > 0.01 * length)
     right = verdict(residual, jacobian, x)
     assert right == "passed" or digits < 7
-    (A,), _ = linearize(Factor.from_function(residual, p[0], len(phases)), R(1), [x])
+    try:
+        (A,), _ = linearize(Factor.from_function(residual, p[0], len(phases)), R(1), [x])
+    except EvaluationError as error:
+        assert (digits < 7, error.where) == (True, "Jacobian with respect to p0")  # noqa: PT017
+        return
     assert np.abs(A[0, :, 0] - exact).max() < (1e-7 + 100 * 10.0**-digits) * np.abs(exact).max() or right == "doubted"
 
 

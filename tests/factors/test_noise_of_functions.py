@@ -1,0 +1,195 @@
+"""Numeric Jacobians where |f| says nothing about its rounding: large inner numbers, small residuals, tiny variables."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from factors import Between, Factor, Isotropic, Landmark, check_jacobians
+from factors.conventions import innovation
+from models import SE2, SE3, LieGroup, Manifold, R
+from models.algebra import Array
+from models.errors import EvaluationError, JacobianError
+from nls import FactorGraph, Marginals, Values, kinds
+from tests.combinations import for_all
+from tests.factors.evaluated import linearized, refused
+
+p, q = kinds("p", "q")
+VALUES = [0.0, 3e-16, 1e-15, 1e-9, 1.0, 1e6]
+INNER = [1.0, 1e4, 1e8]
+RESIDUALS = [0.0, 1e-12, 1e3]
+BEACONS = np.array([[1, 0, 0.2], [-0.3, 0.9, 0.1], [0.2, -0.8, -0.5], [0.6, 0.6, 0.52]])
+Function = Callable[[Array], Array]
+Problem = tuple[Manifold, Array, Function, Function]
+
+
+def ranges(value: float, inner: float, residual: float) -> Problem:
+    """To four beacons."""
+    x, B = value * np.array([1, -0.7, 0.4]), inner * BEACONS
+    z = np.linalg.norm(B - x, axis=1) + residual
+
+    def toward(X: Array) -> Array:
+        return B - X[:, None]
+
+    return (
+        R(3),
+        x,
+        lambda X: z - np.linalg.norm(toward(X), axis=2),
+        lambda X: toward(X) / np.linalg.norm(toward(X), axis=2)[..., None],
+    )
+
+
+def wave(value: float, inner: float, residual: float) -> Problem:
+    """Phases on a large constant: curved within 1, whatever the inner numbers are."""
+    w, phase = np.array([1.0, 0.5, 2.0]), np.array([0.2, 0.7, 1.1])
+    z = inner + np.sin(w * value + phase) + residual
+    return (
+        R(1),
+        np.array([value]),
+        lambda X: z - (inner + np.sin(w * X + phase)),
+        lambda X: -(w * np.cos(w * X + phase))[..., None],
+    )
+
+
+def line(value: float, inner: float, residual: float) -> Problem:
+    """A plain difference of large numbers: at some steps its rounding looks like a slope, by chance."""
+    return (
+        R(1),
+        np.array([value]),
+        lambda X: (inner - X) - (inner - value) + residual,
+        lambda X: np.full((len(X), 1, 1), -1.0),
+    )
+
+
+def pose(group: LieGroup, value: float) -> Array:
+    X: Array = SE2.stack([0, 0, 0.3])[0] if group is SE2 else SE3.exp(np.array([[0, 0, 0, 0.2, 0.3, -0.5]]))[0]
+    X[: group.point_dim] = value * np.array([1, -0.7, 0.4])[: group.point_dim]
+    return X
+
+
+def landmark(group: LieGroup, value: float, inner: float, residual: float) -> Problem:
+    """A point seen from a pose, the library's factor as a function."""
+    d = group.point_dim
+    X, point = pose(group, value), R(d)
+    P = (X[:d] + inner * BEACONS[0, :d])[None]
+    seen = Landmark(p[0], q[0], np.zeros(d), Isotropic(1.0))
+    z = seen.predict((group, point), X[None], P)[0]
+
+    def at(X: Array) -> tuple[Array, Array]:
+        h, H = seen.predict((group, point), X, np.tile(P, (len(X), 1)))
+        assert H is not None
+        return h, np.asarray(H[0])
+
+    return group, X, lambda X: at(X)[0] - z + residual, lambda X: at(X)[1]
+
+
+def step(group: LieGroup, value: float, inner: float, residual: float) -> Problem:
+    """A relative pose."""
+    X, d = pose(group, value), group.dim
+    Y = group.retract(
+        X[None], np.concatenate([inner * BEACONS[0, : group.point_dim], np.full(d - group.point_dim, 0.2)])
+    )
+    z = group.between(X[None], Y)
+
+    def function(X: Array) -> Array:
+        return innovation(group, group.between(X, np.tile(Y, (len(X), 1))), z, "g2o", False)[0] + residual
+
+    def jacobian(X: Array) -> Array:
+        h, H = Between(p[0], p[1], z[0], Isotropic(1.0)).predict((group, group), X, Y)
+        J = innovation(group, h, z, "g2o", True)[1]
+        assert H is not None
+        assert J is not None
+        return -J @ np.asarray(H[0])
+
+    return group, X, function, jacobian
+
+
+PROBLEMS: dict[str, Callable[[float, float, float], Problem]] = {
+    "line": line,
+    "ranges": ranges,
+    "wave": wave,
+    "landmark SE2": lambda *n: landmark(SE2, *n),
+    "landmark SE3": lambda *n: landmark(SE3, *n),
+    "step SE2": lambda *n: step(SE2, *n),
+    "step SE3": lambda *n: step(SE3, *n),
+}
+
+
+@for_all(name=sorted(PROBLEMS), value=VALUES, inner=INNER, residual=RESIDUALS)
+def test_columns_where_the_rounding_of_f_is_not_that_of_its_value(
+    name: str, value: float, inner: float, residual: float
+) -> None:
+    manifold, x, function, jacobian = PROBLEMS[name](value, inner, residual)
+    exact = jacobian(x[None])[0]
+    (A,), _ = linearized(Factor.from_function(function, p[0], len(exact)), Values({p: (manifold, x)}))
+    size = np.abs(exact).max(axis=0)
+    off = np.abs(A[0] - exact).max(axis=0) / np.where(size > 1e-9 * size.max(), size, 1e-2 * size.max())
+    assert off.max() < 1e-4
+
+
+@for_all(name=["ranges", "wave", "step SE3"], value=[0.0, 1e-15, 1e6], inner=INNER, residual=[0.0, 1e3])
+def test_the_check_passes_the_right_and_refuses_the_wrong(
+    name: str, value: float, inner: float, residual: float
+) -> None:
+    manifold, x, function, jacobian = PROBLEMS[name](value, inner, residual)
+    values = Values({p: (manifold, x)})
+
+    def factor(wrong: float) -> Factor:
+        return Factor.from_function(
+            function, p[0], len(function(x[None])[0]), jacobians=lambda X: [wrong * jacobian(X)]
+        )
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert check_jacobians(factor(1.0), values) < 1e-6
+        for wrong in (0.0, 2.0, 1.01):
+            with pytest.raises(JacobianError):
+                check_jacobians(factor(wrong), values)
+
+
+@for_all(start=[[41, 36, 1], [30, 30, 5], [45, 30, -3]])
+def test_sigmas_at_an_exact_optimum(start: list[float]) -> None:
+    """Ranges to five beacons, of which z of the truth is 0: residuals are rounding at the end."""
+    B = np.array([[0.0, 0, 20], [100, 0, 25], [0, 100, 22], [100, 100, 30], [50, 50, 60]])
+    d = np.linalg.norm(B - [40, 35, 0], axis=1)
+    heard = Factor.from_function(
+        lambda X: d[:, None] - np.linalg.norm(B - X, axis=1)[:, None], p[np.zeros(5, int)], 1, Isotropic(1.0)
+    )
+    graph = FactorGraph([heard])
+    result = graph.optimize(Values({p: (R(3), [start])}))
+    sigmas = np.sqrt(np.diag(Marginals(graph, result.values).covariance(p[0])))
+    assert sigmas == pytest.approx([0.74530503, 0.75696235, 0.89168623], rel=1e-5)
+
+
+def test_a_component_that_f_does_not_depend_on_is_0_in_spite_of_noise() -> None:
+    """A range by way of the frame of the pose: turning it changes the rounding alone."""
+    z = np.linalg.norm([3e5, 4e5])
+    by_frame = Factor.from_function(
+        lambda X: z - np.linalg.norm(SE2.act(SE2.inverse(X), [3e5, 4e5]), axis=1)[:, None], p[0], 1
+    )
+    (A,), _ = linearized(by_frame, Values({p: (SE2, [1e-15, 0.0, 0.7])}))
+    assert A[0, 0] == pytest.approx([np.cos(0.7) * 0.6 + np.sin(0.7) * 0.8, 0.8 * np.cos(0.7) - 0.6 * np.sin(0.7), 0.0])
+    assert A[0, 0, 2] == 0
+
+
+def test_kinks_have_a_difference_and_plateaus_none() -> None:
+    """Not noise: |x| and max(0, x) at 0, a limit 1e-5, 0.1 and 1e-12 away."""
+    for function, x, slope in (
+        (np.abs, 0.0, 0.0),
+        (lambda X: np.maximum(X, 0), 0.0, 0.5),
+        (lambda X: np.maximum(X - 1, 0), 1 - 1e-5, 0.0),
+        (lambda X: np.maximum(X - 1, 0), 0.9, 0.0),
+        (lambda X: np.maximum(X - 1, 0), 1 + 1e-12, 1.0),
+    ):
+        (A,), _ = linearized(Factor.from_function(function, p[0], 1), Values({p: (R(1), [x])}))
+        assert A[0, 0, 0] == pytest.approx(slope, abs=1e-9), x
+
+
+@for_all(function=[lambda X: np.sign(X), lambda X: (1e13 + X) - 1e13, lambda X: np.sin(1e20 * (X + 1))])
+def test_too_few_digits_and_jumps_are_refused_by_name(function: Function) -> None:
+    factor = Factor.from_function(function, p[[0, 1]], 1)
+    named = r"\(p0\): no central difference in component x of p0: .* expected 0\.0004 of it; .* or give Jacobians"
+    refused(lambda: linearized(factor, Values({p: (R(1), [[0.0], [0.0]])})), EvaluationError, named)
