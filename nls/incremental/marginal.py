@@ -26,6 +26,7 @@ from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
+from models.sensors.seen import seen_from
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Stack, Values
@@ -95,16 +96,44 @@ class MarginalPrior(Factor):
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        d = [manifold.local(x0[None], x) for manifold, x0, x in zip(manifolds, self.X0, X, strict=True)]
-        parts = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
-        h = np.concatenate(d, axis=1) @ self.A.T
-        H = tuple(A_k @ _moves(manifold, d_k) for manifold, A_k, d_k in zip(manifolds, parts, d, strict=True))
-        return h, H
+        A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
+        h: Array = np.zeros((len(X[0]), len(self.A)))
+        H: list[Array] = [np.zeros((len(h), *A_k.shape)) for A_k in A]
+        for root, slots in self._sorts(manifolds):
+            space, X0, x = manifolds[slots[0]], np.stack([self.X0[k] for k in slots]), np.stack([X[k] for k in slots], 1)
+            group, S0, S = (None, x, x) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
+            _, J0, M0 = _coordinates(group, S0, S0, space, X0, X0)
+            c, J, M = _coordinates(group, S0, S, space, X0, x)
+            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(J0)
+            h += np.einsum("kmd,nkd->nm", rows, c)
+            for k, H_k in zip(slots, np.moveaxis(rows @ J, 1, 0), strict=True):
+                H[k] += H_k
+            if root is not None and M is not None and M0 is not None:
+                A[root] = A[root] - (rows @ M0).sum(axis=0)
+                H[root] += (rows @ M).sum(axis=1)
+        return h, tuple(H)
+
+    def _sorts(self, manifolds: tuple[Manifold, ...]) -> list[tuple[int | None, list[int]]]:
+        """Slots of one space, and the slot of the pose that sees them, None where nothing does; that pose is the last."""
+        poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
+        root = next((k for k in poses if k not in self.unmoved), None)
+        sorts: dict[tuple[Manifold, int | None], list[int]] = {}
+        for k, space in enumerate(manifolds):
+            if k != root:
+                sorts.setdefault((space, None if k in self.unmoved else root), []).append(k)
+        return [(seen, slots) for (_, seen), slots in sorts.items()] + ([] if root is None else [(None, [root])])
 
 
-def _moves(manifold: Manifold, d: Array) -> Array:
-    """J (1, dim, dim) of local(X0, X [+] e) = d + J e: the inverse right Jacobian of a group, else the identity."""
-    return manifold.jr_inv(d) if isinstance(manifold, LieGroup) else np.eye(manifold.dim)[None]
+def _coordinates(
+    group: Manifold | None, S0: Array, S: Array, space: Manifold, X0: Array, X: Array
+) -> tuple[Array, Array, Array | None]:
+    """Coordinates c (..., dim) of variables, 0 where they were, and their derivatives by X and by the pose S."""
+    seen = seen_from(group, S, space, X) if isinstance(group, LieGroup) else None
+    if seen is None or not isinstance(group, LieGroup) or (first := seen_from(group, S0, space, X0)) is None:
+        return *space.motion(X0, X), None
+    Y, (H_S, H_X) = seen
+    c, J = space.motion(first[0], Y)
+    return c, J @ H_X, J @ H_S
 
 
 def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:
