@@ -174,8 +174,8 @@ class PosesOfSpace(LieGroup):
     def motion(self, X0: Array, X: Array) -> tuple[Array, Array]:
         r"""How far X was moved from X0, with depth and tilt apart from what gravity leaves free, and its derivative J.
 
-        .. math:: M = R R_0^T, \quad \psi = \mathrm{atan2}(M_{21}, M_{11}), \quad
-                  s = \mathrm{Log}(x - x_0, \, y - y_0, \, \psi), \quad c = (s_1, s_2, \, z - z_0, \, M_{32}, -M_{31}, \, \psi)
+        .. math:: c = (s_1, s_2, \, z - z_0, \, M_{32}, -M_{31}, \, \psi), \quad M = R R_0^T, \quad
+                  \psi = \mathrm{atan2}(M_{21}, M_{11}), \quad s = \mathrm{Log}(x - x_0, \, y - y_0, \, \psi)
 
         A shift in the plane and a turn about any vertical axis change s alone, and from X0 along a straight line. M
         may tilt by less than 90 degrees.

@@ -7,11 +7,15 @@ variables r they are joined to. With [A_e A_r b] = Q R::
         |       R_rr  c_r |
 
 so R_rr, c_r are the whitened prior on r. On a linear problem nothing is lost. Otherwise the prior is the best Gaussian
-at the point where the variables left, and stays so: it is a function of d_r = local(X_r0, X_r), not linearized anew,
-while later measurements of r are. Where r moves much afterwards the two no longer agree on what is unobservable
-(A. Mourikis, J. Dong-Si, "Motion tracking with fixed-lag smoothing", ICRA 2011).
+at the point where the variables left, and stays so, while later measurements of r are linearized anew. The two must
+agree on what is unobservable, else the window measures its own heading (A. Mourikis, J. Dong-Si, "Motion tracking with
+fixed-lag smoothing", ICRA 2011). So the prior is Gaussian in coordinates that a common motion G of everything leaves
+alone: one pose S of r sees all others, (G S)^-1 (G X) = S^-1 X. Where the rows say nothing of a motion of S, neither
+does the prior, wherever r has moved to.
 
-Source: F. Dellaert, M. Kaess, Factor Graphs for Robot Perception, 2017, section 5.3.
+Sources: F. Dellaert, M. Kaess, Factor Graphs for Robot Perception, 2017, section 5.3, for the prior; J. Castellanos, R.
+Martinez-Cantin, J. Tardos, J. Neira, "Robocentric map joining", Robotics and Autonomous Systems 55, 2007, for the
+coordinates.
 """
 
 from __future__ import annotations
@@ -24,14 +28,15 @@ from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
-from models.algebra import Array, Mask, Numbers
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
 from models.sensors.seen import seen_from
+from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Stack, Values
 
-__all__ = ["MarginalPrior", "marginalized", "numbers_of", "prior_left", "without"]
+__all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
 
 RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 
@@ -39,21 +44,29 @@ RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 class MarginalPrior(Factor):
     r"""The rest of measurements of variables that are gone: a Gaussian over several others, correlated.
 
-    .. math:: h(X_1, \dots, X_k) = R \, (\mathrm{local}(X_1^0, X_1), \dots, \mathrm{local}(X_k^0, X_k)), \quad z = c
+    .. math:: h(S, X_2, \dots, X_k) = A \, T \, (c_1, \dots, c_k), \quad
+              c_1 = \mathrm{motion}(S^0, S), \quad
+              c_j = \mathrm{motion}(S^{0\,-1} X_j^0, \; S^{-1} X_j)
+
+    S is the first pose. T makes A T c equal to A delta for small steps delta from X0. Where there is no pose, and of
+    variables that a common motion does not move, c_j = motion(X_j^0, X_j).
 
     Parameters
     ----------
     keys : the variables, one each.
     X0 : per variable the value (size,) where it was linearized.
-    A : (m, D) whitened rows over the tangent steps from X0, side by side.
+    A : (m, D) whitened rows over the tangent steps delta from X0, side by side.
     z : (m,) whitened right-hand side c.
     relative, unmoved : as the measurements were, see `Factor`.
 
     Notes
     -----
-    Straight steps from X0 are no rotation. Where all variables turn together by an angle that nothing else holds, far
-    landmarks leave the prior by its square. Gauss-Newton may then go back and forth for ever. The library then takes
-    Levenberg-Marquardt, as for every factor that is `damped`.
+    A motion of everything changes c_1 alone, and relative measurements say nothing of c_1. Depths and tilts say
+    something of depth and tilt, which c_1 of SE3 keeps apart (`SE3.motion`). A prior over points alone has no such
+    coordinates.
+
+    Points step along straight lines. Where everything turns by an angle that is hardly known, Gauss-Newton may go back
+    and forth. The library then takes Levenberg-Marquardt, as for every factor that is `damped`.
 
     Examples
     --------
@@ -100,21 +113,22 @@ class MarginalPrior(Factor):
         h: Array = np.zeros((len(X[0]), len(self.A)))
         H: list[Array] = [np.zeros((len(h), *A_k.shape)) for A_k in A]
         for root, slots in self._sorts(manifolds):
-            space, X0, x = manifolds[slots[0]], np.stack([self.X0[k] for k in slots]), np.stack([X[k] for k in slots], 1)
+            space = manifolds[slots[0]]
+            X0, x = np.stack([self.X0[k] for k in slots]), np.stack([X[k] for k in slots], axis=1)
             group, S0, S = (None, x, x) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
-            _, J0, M0 = _coordinates(group, S0, S0, space, X0, X0)
-            c, J, M = _coordinates(group, S0, S, space, X0, x)
-            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(J0)
+            _, M0, M0_S = _coordinates(group, S0, S0, space, X0, X0)
+            c, M, M_S = _coordinates(group, S0, S, space, X0, x)
+            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(M0)
             h += np.einsum("kmd,nkd->nm", rows, c)
-            for k, H_k in zip(slots, np.moveaxis(rows @ J, 1, 0), strict=True):
+            for k, H_k in zip(slots, np.moveaxis(rows @ M, 1, 0), strict=True):
                 H[k] += H_k
-            if root is not None and M is not None and M0 is not None:
-                A[root] = A[root] - (rows @ M0).sum(axis=0)
-                H[root] += (rows @ M).sum(axis=1)
+            if root is not None and M_S is not None and M0_S is not None:
+                A[root] = A[root] - (rows @ M0_S).sum(axis=0)
+                H[root] += (rows @ M_S).sum(axis=1)
         return h, tuple(H)
 
     def _sorts(self, manifolds: tuple[Manifold, ...]) -> list[tuple[int | None, list[int]]]:
-        """Slots of one space, and the slot of the pose that sees them, None where nothing does; that pose is the last."""
+        """Slots of one space each, and that of the pose that sees them, if any; the pose itself is the last."""
         poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
         root = next((k for k in poses if k not in self.unmoved), None)
         sorts: dict[tuple[Manifold, int | None], list[int]] = {}
@@ -147,7 +161,8 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
 
     Returns
     -------
-    factors, values : the measurements left over and, last, the `MarginalPrior`; the variables left over.
+    factors, values : the measurements left over and, last, a `MarginalPrior` for each connected part that something
+        leaves; the variables left over.
 
     Raises
     ------
@@ -166,12 +181,11 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
     """
     touching, untouched = _split(factors, leaving)
-    prior = prior_left(touching, values, leaving)
-    return untouched + ([] if prior is None else [prior]), without(values, leaving)
+    return [*untouched, *priors_left(touching, values, leaving)], without(values, leaving)
 
 
-def prior_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> MarginalPrior | None:
-    """The information of measurements about their other variables; None where that is nothing.
+def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> list[MarginalPrior]:
+    """The information of measurements about their other variables, of each connected part; none where it is nothing.
 
     Raises
     ------
@@ -186,34 +200,53 @@ def prior_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Key
     system = LinearSystem.at(pattern, near_values)
     variables = [pattern.key(k) for k in range(len(pattern.dims))]
     goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
-    order = np.argsort(~goes, kind="stable")
-    starts = np.cumsum(pattern.dims) - pattern.dims
-    columns = np.concatenate([np.arange(starts[k], starts[k] + pattern.dims[k]) for k in order])
-    e = int(pattern.dims[goes].sum())
-
-    dense: Array = np.column_stack([system.A.toarray()[:, columns], system.b])
-    triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
-    pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
-    if len(pivots) < e or (pivots <= RANK * lengths).any():
-        names = ", ".join(repr(variables[k]) for k in np.flatnonzero(goes))
-        raise UnderconstrainedError(
-            f"{names} cannot leave the window: the measurements so far do not determine all of it. Keep it longer (a "
-            "larger lag), or add what is known of it as a Prior",
-            [variables[k] for k in np.flatnonzero(goes)],
-        )
-    stays = [variables[k] for k in order if not goes[k]]
-    rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
-    if not stays or not len(rows):
-        return None
+    label, of_row = _parts(pattern, goes)
+    whole, owner = np.column_stack([system.A.toarray(), system.b]), pattern.column_owner()[0]
     unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
-    return MarginalPrior(
-        stays,
-        [near_values[key] for key in stays],
-        rows[:, e:-1],
-        rows[:, -1],
-        relative=all(factor.relative for factor in touching),
-        unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
-    )
+    priors = []
+    for part in np.unique(label[goes]).tolist():
+        rows = of_row == part
+        here = np.isin(np.arange(len(goes)), owner[whole[rows, :-1].any(axis=0)])
+        order = np.concatenate([np.flatnonzero(goes & (label == part)), np.flatnonzero(here & ~goes)])
+        columns = np.concatenate([np.flatnonzero(owner == k) for k in order])
+        e = int(pattern.dims[goes & (label == part)].sum())
+        dense: Array = whole[rows][:, [*columns, -1]]
+        triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
+        pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
+        if len(pivots) < e or (pivots <= RANK * lengths).any():
+            gone = [variables[k] for k in order if goes[k]]
+            raise UnderconstrainedError(
+                f"{', '.join(map(repr, gone))} cannot leave the window: the measurements so far do not determine all "
+                "of it. Keep it longer (a larger lag), or add what is known of it as a Prior",
+                gone,
+            )
+        stays = [variables[k] for k in order if not goes[k]]
+        left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
+        if stays and len(left):
+            priors.append(
+                MarginalPrior(
+                    stays,
+                    [near_values[key] for key in stays],
+                    left[:, e:-1],
+                    left[:, -1],
+                    relative=all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any()),
+                    unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
+                )
+            )
+    return priors
+
+
+def _parts(pattern: Pattern, goes: Mask) -> tuple[Index, Index]:
+    """Connected part of every variable (V,) and of every row (m,); what stays and no motion moves joins no two."""
+    first, pairs = [], []
+    for batch in pattern.batches:
+        joins = np.stack([(slot not in batch.model.factor.unmoved) | goes[v] for slot, v in enumerate(batch.variables)])
+        begin = np.stack(batch.variables)[joins.argmax(axis=0), np.arange(len(batch))]
+        first.append(np.repeat(begin, batch.model.dim))
+        pairs += [(begin[j], v[j]) for j, v in zip(joins, batch.variables, strict=True)]
+    i, j = np.concatenate(pairs, axis=1)
+    label = connected(i, j, len(pattern.dims))
+    return label, label[np.concatenate(first)]
 
 
 def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:
