@@ -30,7 +30,7 @@ from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
-from models.sensors.seen import seen_from
+from models.sensors import seen_from
 from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -135,19 +135,19 @@ class MarginalPrior(Factor):
         for k, space in enumerate(manifolds):
             if k != root:
                 sorts.setdefault((space, None if k in self.unmoved else root), []).append(k)
-        return [(seen, slots) for (_, seen), slots in sorts.items()] + ([] if root is None else [(None, [root])])
+        return [(pose, slots) for (_, pose), slots in sorts.items()] + ([] if root is None else [(None, [root])])
 
 
 def _coordinates(
     group: Manifold | None, S0: Array, S: Array, space: Manifold, X0: Array, X: Array
 ) -> tuple[Array, Array, Array | None]:
     """Coordinates c (..., dim) of variables, 0 where they were, and their derivatives by X and by the pose S."""
-    seen = seen_from(group, S, space, X) if isinstance(group, LieGroup) else None
-    if seen is None or not isinstance(group, LieGroup) or (first := seen_from(group, S0, space, X0)) is None:
-        return *space.motion(X0, X), None
-    Y, (H_S, H_X) = seen
-    c, J = space.motion(first[0], Y)
-    return c, J @ H_X, J @ H_S
+    views = [seen_from(group, pose, space, x) for pose, x in ((S0, X0), (S, X))] if isinstance(group, LieGroup) else []
+    match views:
+        case [(Y0, _), (Y, (H_S, H_X))]:
+            c, J = space.motion(Y0, Y)
+            return c, J @ H_X, J @ H_S
+    return *space.motion(X0, X), None
 
 
 def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:
