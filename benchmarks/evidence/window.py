@@ -36,6 +36,7 @@ LAGS = (5, 10, 20)
 FIRST, STEP, SEEN = np.array([0.01, 0.01, 0.1]), np.array([0.05, 0.05, 0.01]), np.array([0.01, 0.1])
 MATCH, FIX = np.array([0.1, 0.1, 0.02]), 0.5  # of a scan match five poses back; of a position fix, m
 POSES = 60
+NEAR = 1.0  # m; nearer landmarks are not seen
 
 
 class World(NamedTuple):
@@ -58,7 +59,8 @@ def among(seed: int, turn: float, length: float, sharper: float = 1.0, reach: fl
     """A vehicle that sees landmarks within reach by bearing and range."""
     rng, X = np.random.default_rng(seed), path(turn, length)
     p = rng.uniform(-12, 12, (12 if reach > 50 else 40, 2)) + (0 if reach > 50 else [10, 3])
-    i, j = np.nonzero(np.linalg.norm(p - X[:, None, :2], axis=2) < reach)
+    away = np.linalg.norm(p - X[:, None, :2], axis=2)
+    i, j = np.nonzero((away < reach) & (away > NEAR))
     d = p[j] - X[i, :2]
     z = np.column_stack([np.arctan2(d[:, 1], d[:, 0]) - X[i, 2], np.linalg.norm(d, axis=1)])
     z += rng.normal(0, sharper * SEEN, z.shape)

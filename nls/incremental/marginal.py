@@ -21,6 +21,7 @@ coordinates.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,15 @@ from nls.values import Stack, Values
 __all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
 
 RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
+
+
+class _Chart(NamedTuple):
+    """Variables of one space: the slot of the pose that sees them, if any, theirs, X0 (k, size), A T (k, m, dim)."""
+
+    root: int | None
+    slots: list[int]
+    X0: Array
+    rows: Array
 
 
 class MarginalPrior(Factor):
@@ -96,6 +106,7 @@ class MarginalPrior(Factor):
         if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
             raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
         self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), X0, A, bool(relative), unmoved
+        self._charts: tuple[tuple[Manifold, ...], list[_Chart]] | None = None
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
@@ -109,33 +120,41 @@ class MarginalPrior(Factor):
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
         h: Array = np.zeros((len(X[0]), len(self.A)))
-        H: list[Array] = [np.zeros((len(h), *A_k.shape)) for A_k in A]
-        for root, slots in self._sorts(manifolds):
-            space = manifolds[slots[0]]
-            X0, x = np.stack([self.X0[k] for k in slots]), np.stack([X[k] for k in slots], axis=1)
-            group, S0, S = (None, x, x) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
-            _, M0, M0_S = _coordinates(group, S0, S0, space, X0, X0)
-            c, M, M_S = _coordinates(group, S0, S, space, X0, x)
-            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(M0)
+        H: list[Array] = [np.zeros((len(h), len(self.A), space.dim)) for space in manifolds]
+        for root, slots, X0, rows in self._charted(manifolds):
+            group, S0, S = (None, X0, X0) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
+            x = np.stack([X[k] for k in slots], axis=1)
+            c, M, M_S = _coordinates(group, S0, S, manifolds[slots[0]], X0, x)
             h += np.einsum("kmd,nkd->nm", rows, c)
             for k, H_k in zip(slots, np.moveaxis(rows @ M, 1, 0), strict=True):
                 H[k] += H_k
-            if root is not None and M_S is not None and M0_S is not None:
-                A[root] = A[root] - (rows @ M0_S).sum(axis=0)
+            if root is not None and M_S is not None:
                 H[root] += (rows @ M_S).sum(axis=1)
         return h, tuple(H)
 
-    def _sorts(self, manifolds: tuple[Manifold, ...]) -> list[tuple[int | None, list[int]]]:
-        """Slots of one space each, and that of the pose that sees them, if any; the pose itself is the last."""
+    def _charted(self, manifolds: tuple[Manifold, ...]) -> list[_Chart]:
+        """A T, with the pose that sees the others last; it depends on X0 alone, and is kept."""
+        if self._charts is not None and self._charts[0] == manifolds:
+            return self._charts[1]
+        A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
         poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
-        root = next((k for k in poses if k not in self.unmoved), None)
-        sorts: dict[tuple[Manifold, int | None], list[int]] = {}
-        for k, space in enumerate(manifolds):
-            if k != root:
-                sorts.setdefault((space, None if k in self.unmoved else root), []).append(k)
-        return [(pose, slots) for (_, pose), slots in sorts.items()] + ([] if root is None else [(None, [root])])
+        first = next((k for k in poses if k not in self.unmoved), None)
+        sorts: dict[tuple[Manifold, int | None, bool], list[int]] = {}
+        for k in sorted(range(len(A)), key=lambda k: k == first):
+            root = None if k in self.unmoved or k == first else first
+            sorts.setdefault((manifolds[k], root, k == first), []).append(k)
+        charts = []
+        for (space, root, _), slots in sorts.items():
+            X0 = np.stack([self.X0[k] for k in slots])
+            group, S0 = (None, X0) if root is None else (manifolds[root], self.X0[root])
+            _, M, M_S = _coordinates(group, S0, S0, space, X0, X0)
+            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(M)
+            if root is not None and M_S is not None:
+                A[root] = A[root] - (rows @ M_S).sum(axis=0)
+            charts.append(_Chart(root, slots, X0, rows))
+        self._charts = manifolds, charts
+        return charts
 
 
 def _coordinates(
@@ -192,45 +211,42 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
     UnderconstrainedError
         The measurements do not determine what leaves; named.
     """
-    near = {kind: numbers_of(touching, kind) for kind in values.stacks}
-    near_values = Values.of(
-        _masked(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values()
-    )
-    pattern = Pattern(touching, near_values)
-    system = LinearSystem.at(pattern, near_values)
-    variables = [pattern.key(k) for k in range(len(pattern.dims))]
-    goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
+    touched = Values.of(_masked(s, np.isin(s.numbers, numbers_of(touching, s.kind))) for s in values.stacks.values())
+    pattern = Pattern(touching, touched)
+    system = LinearSystem.at(pattern, touched)
+    gone = {(keys.kind, number) for keys in leaving for number in keys.numbers.tolist()}
+    goes = np.array([(kind, n) in gone for kind, numbers in pattern.numbers.items() for n in numbers.tolist()])
     label, of_row = _parts(pattern, goes)
     whole, owner = np.column_stack([system.A.toarray(), system.b]), pattern.column_owner()[0]
     unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
     priors = []
     for part in np.unique(label[goes]).tolist():
-        rows = of_row == part
-        here = np.isin(np.arange(len(goes)), owner[whole[rows, :-1].any(axis=0)])
-        order = np.concatenate([np.flatnonzero(goes & (label == part)), np.flatnonzero(here & ~goes)])
-        columns = np.concatenate([np.flatnonzero(owner == k) for k in order])
-        e = int(pattern.dims[goes & (label == part)].sum())
+        rows, leaves, stays = of_row == part, goes & (label == part), np.zeros_like(goes)
+        stays[owner[whole[rows, :-1].any(axis=0)]] = True
+        stays &= ~goes
+        columns = np.concatenate([np.flatnonzero(leaves[owner]), np.flatnonzero(stays[owner])])
+        e = int(pattern.dims[leaves].sum())
         dense: Array = whole[rows][:, [*columns, -1]]
         triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
         if len(pivots) < e or (pivots <= RANK * lengths).any():
-            gone = [variables[k] for k in order if goes[k]]
+            free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
             raise UnderconstrainedError(
-                f"{', '.join(map(repr, gone))} cannot leave the window: the measurements so far do not determine all "
+                f"{', '.join(map(repr, free))} cannot leave the window: the measurements so far do not determine all "
                 "of it. Keep it longer (a larger lag), or add what is known of it as a Prior",
-                gone,
+                free,
             )
-        stays = [variables[k] for k in order if not goes[k]]
+        near = [pattern.key(k) for k in np.flatnonzero(stays).tolist()]
         left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
-        if stays and len(left):
+        if near and len(left):
             priors.append(
                 MarginalPrior(
-                    stays,
-                    [near_values[key] for key in stays],
+                    near,
+                    [touched[key] for key in near],
                     left[:, e:-1],
                     left[:, -1],
                     relative=all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any()),
-                    unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
+                    unmoved=tuple(slot for slot, key in enumerate(near) if key.kind in unmoved),
                 )
             )
     return priors
