@@ -60,6 +60,14 @@ class Manifold(Abstract):
     def local(self, X: Array, Y: Array) -> Array:
         """The tangent step (..., dim) from X to Y: ``retract(X, local(X, Y)) == Y``."""
 
+    def motion(self, X0: Array, X: Array) -> tuple[Array, Array]:
+        """`local` from X0 to X, c (..., dim), and its derivative J (..., dim, dim), c(X [+] d) = c + J d.
+
+        The poses of space have other coordinates, which keep apart what gravity tells of a pose.
+        """
+        c = self.local(X0, X)
+        return c, np.broadcast_to(np.eye(self.dim), (*c.shape, self.dim))
+
     @abstractmethod
     def identity(self, n: int = 1) -> Array:
         """A stack (n, size) of the neutral element."""
@@ -234,6 +242,10 @@ class LieGroup(Manifold):
     def local(self, X: Array, Y: Array) -> Array:
         """Log(X^-1 Y)."""
         return self.log(self.between(X, Y))
+
+    def motion(self, X0: Array, X: Array) -> tuple[Array, Array]:
+        c = self.local(X0, X)
+        return c, self.jr_inv(c)
 
     def coordinates(self, X: Array) -> Array:
         return self.log(X)

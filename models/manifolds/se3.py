@@ -18,11 +18,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, dot, matrix, product, skew, stumpff
+from models.algebra import Array, apply, components, dot, matrix, pack, product, skew, stumpff
 from models.errors import GraphError
 from models.finite import finite
 from models.manifolds.base import LieGroup, block_triangular
 from models.manifolds.rigid import rigid_parts
+from models.manifolds.se2 import SE2
 from models.manifolds.so3 import (
     IDENTITY,
     SO3,
@@ -169,6 +170,36 @@ class PosesOfSpace(LieGroup):
         V_inv = IDENTITY - 0.5 * K + d * KK
         U = -0.5 * P + d * S + 2 * b * (d * d + (5 * c5 - c4 - 8 * c6) / (4 * c2)) * KK
         return block_triangular(V_inv, U, V_inv)
+
+    def motion(self, X0: Array, X: Array) -> tuple[Array, Array]:
+        r"""How far X was moved from X0, with depth and tilt apart from what gravity leaves free, and its derivative J.
+
+        .. math:: c = (s_1, s_2, \, z - z_0, \, M_{32}, -M_{31}, \, \psi), \quad M = R R_0^T, \quad
+                  \psi = \mathrm{atan2}(M_{21}, M_{11}), \quad s = \mathrm{Log}(x - x_0, \, y - y_0, \, \psi)
+
+        A shift in the plane and a turn about any vertical axis change s alone, and from X0 along a straight line. M
+        may tilt by less than 90 degrees.
+        """
+        M = product(self.rotation(X), self.rotation(X0).mT)
+        M11, M12, M21, M22, M31, M32 = (M[..., i, j] for i in range(3) for j in range(2))
+        dx, dy, dz = components(self.position(X) - self.position(X0))
+        shift = pack([dx, dy, np.arctan2(M21, M11)])
+        s = SE2.log(shift)
+        k = -M31 / (M11 * M11 + M21 * M21)  # of the change of psi with a tilt of the world
+        P = product(SE2.jr_inv(s), SE2.vector_jr(shift).mT)
+        p, q, f, u, v, g = (P[..., i, j] for i in range(2) for j in range(3))
+        J = matrix(
+            [
+                [p, q, 0.0, f * k * M11, f * k * M21, f],
+                [u, v, 0.0, g * k * M11, g * k * M21, g],
+                [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0, M22, -M12, 0.0],
+                [0.0, 0.0, 0.0, -M21, M11, 0.0],
+                [0.0, 0.0, 0.0, k * M11, k * M21, 1.0],
+            ]
+        )
+        s1, s2, psi = components(s)
+        return pack([s1, s2, dz, M32, -M31, psi]), product(J, self.world_axes(X))
 
     def vector(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)

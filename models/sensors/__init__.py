@@ -22,6 +22,7 @@ from models.sensors.line import line_from_frame, line_in_frame, normalized
 from models.sensors.odometry import levelled, relative_xyh, zpr
 from models.sensors.singular import SingularAt
 from models.sensors.spherical import cartesian, elevation, plane_projection, range_azimuth, spherical
+from models.sensors.view import seen_from
 
 __all__ = [
     "ARIS_3000",
@@ -51,6 +52,7 @@ __all__ = [
     "project",
     "range_azimuth",
     "relative_xyh",
+    "seen_from",
     "spherical",
     "zpr",
 ]

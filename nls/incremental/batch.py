@@ -182,7 +182,9 @@ class GrowingBatch:
             indptr = np.arange(0, n * m * D + 1, D, dtype=np.int32)
             data, columns = self._A.rows.reshape(-1), self._columns.rows.reshape(-1)
             A = sp.csr_array((data, columns, indptr), shape=(n * m, width))
-            self._sparse = A, A.T
+            At = A.T
+            A.data = At.data = data  # SciPy copies what is less than half of the array it is a view of
+            self._sparse = A, At
         return self._sparse
 
     def new_rows(self, begin: int) -> tuple[Array, npt.NDArray[np.int32]]:

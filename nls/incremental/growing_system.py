@@ -18,7 +18,7 @@ from models.algebra import Array, Mask
 from nls.gauge import choose_gauge, touched_variables
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.growing import Variables
-from nls.incremental.marginal import prior_left
+from nls.incremental.marginal import MarginalPrior, priors_left
 from nls.incremental.preconditioner import Preconditioner
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
@@ -133,7 +133,7 @@ class GrowingSystem:
         self._entered = [len(batch) for batch in self.batches]
         self.renew()
 
-    def marginalize(self, gone: dict[str, Mask]) -> tuple[list[Mask], Factor | None]:
+    def marginalize(self, gone: dict[str, Mask]) -> tuple[list[Mask], list[MarginalPrior]]:
         """Take out variables (n,) by kind; the measurements (n,) of every batch that went with them, and what they say.
 
         Raises
@@ -144,14 +144,14 @@ class GrowingSystem:
         rows = [batch.touches(gone) for batch in self.batches]
         factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
         leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
-        prior = prior_left(factors, self.values, leaving)
+        priors = priors_left(factors, self.values, leaving)
         self.drop(rows)
         for kind, mask in gone.items():
             self.variables[kind].drop(mask)
         places = {kind: np.cumsum(~mask) - 1 for kind, mask in gone.items()}
         for batch in self.batches:
             batch.renumber(places)
-        return rows, prior
+        return rows, priors
 
     def renew(self) -> None:
         """Make the preconditioner anew before the next step."""

@@ -147,14 +147,13 @@ class Incremental:
         batches, variables = self._system.batches, self._system.variables
         stacks = [variables[kind].stack(mask) for kind, mask in gone.items()]
         try:
-            rows, prior = self._system.marginalize(gone)
+            rows, priors = self._system.marginalize(gone)
         except UnderconstrainedError:
             return  # not determined yet: it stays for another step
         self._window.leave(stacks)
         self._forget(dict(zip(map(id, batches), rows, strict=True)))
-        if prior is not None:
-            self._places.append((prior, prior, *self._system.enter(prior)))
-            self._system.catch_up()
+        self._places += [(prior, prior, *self._system.enter(prior)) for prior in priors]
+        self._system.catch_up()
         self._arrivals.reach()
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:

@@ -7,16 +7,21 @@ variables r they are joined to. With [A_e A_r b] = Q R::
         |       R_rr  c_r |
 
 so R_rr, c_r are the whitened prior on r. On a linear problem nothing is lost. Otherwise the prior is the best Gaussian
-at the point where the variables left, and stays so: it is a function of d_r = local(X_r0, X_r), not linearized anew,
-while later measurements of r are. Where r moves much afterwards the two no longer agree on what is unobservable
-(A. Mourikis, J. Dong-Si, "Motion tracking with fixed-lag smoothing", ICRA 2011).
+at the point where the variables left, and stays so, while later measurements of r are linearized anew. The two must
+agree on what is unobservable, else the window measures its own heading (A. Mourikis, J. Dong-Si, "Motion tracking with
+fixed-lag smoothing", ICRA 2011). So the prior is Gaussian in coordinates that a common motion G of everything leaves
+alone: one pose S of r sees all others, (G S)^-1 (G X) = S^-1 X. Where the rows say nothing of a motion of S, neither
+does the prior, wherever r has moved to.
 
-Source: F. Dellaert, M. Kaess, Factor Graphs for Robot Perception, 2017, section 5.3.
+Sources: F. Dellaert, M. Kaess, Factor Graphs for Robot Perception, 2017, section 5.3, for the prior; J. Castellanos, R.
+Martinez-Cantin, J. Tardos, J. Neira, "Robocentric map joining", Robotics and Autonomous Systems 55, 2007, for the
+coordinates.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,35 +29,54 @@ from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
-from models.algebra import Array, Mask, Numbers
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
+from models.sensors import seen_from
+from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Stack, Values
 
-__all__ = ["MarginalPrior", "marginalized", "numbers_of", "prior_left", "without"]
+__all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
 
 RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
+
+
+class _Chart(NamedTuple):
+    """Variables of one space: the slot of the pose that sees them, if any, theirs, X0 (k, size), A T (k, m, dim)."""
+
+    root: int | None
+    slots: list[int]
+    X0: Array
+    rows: Array
 
 
 class MarginalPrior(Factor):
     r"""The rest of measurements of variables that are gone: a Gaussian over several others, correlated.
 
-    .. math:: h(X_1, \dots, X_k) = R \, (\mathrm{local}(X_1^0, X_1), \dots, \mathrm{local}(X_k^0, X_k)), \quad z = c
+    .. math:: h(S, X_2, \dots, X_k) = A \, T \, (c_1, \dots, c_k), \quad
+              c_1 = \mathrm{motion}(S^0, S), \quad
+              c_j = \mathrm{motion}(S^{0\,-1} X_j^0, \; S^{-1} X_j)
+
+    S is the first pose. T makes A T c equal to A delta for small steps delta from X0. Where there is no pose, and of
+    variables that a common motion does not move, c_j = motion(X_j^0, X_j).
 
     Parameters
     ----------
     keys : the variables, one each.
     X0 : per variable the value (size,) where it was linearized.
-    A : (m, D) whitened rows over the tangent steps from X0, side by side.
+    A : (m, D) whitened rows over the tangent steps delta from X0, side by side.
     z : (m,) whitened right-hand side c.
     relative, unmoved : as the measurements were, see `Factor`.
 
     Notes
     -----
-    Straight steps from X0 are no rotation. Where all variables turn together by an angle that nothing else holds, far
-    landmarks leave the prior by its square. Gauss-Newton may then go back and forth for ever. The library then takes
-    Levenberg-Marquardt, as for every factor that is `damped`.
+    A motion of everything changes c_1 alone, and relative measurements say nothing of c_1. Depths and tilts say
+    something of depth and tilt, which c_1 of SE3 keeps apart (`SE3.motion`). A prior over points alone has no such
+    coordinates.
+
+    Points step along straight lines. Where everything turns by an angle that is hardly known, Gauss-Newton may go back
+    and forth. The library then takes Levenberg-Marquardt, as for every factor that is `damped`.
 
     Examples
     --------
@@ -82,6 +106,7 @@ class MarginalPrior(Factor):
         if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
             raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
         self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), X0, A, bool(relative), unmoved
+        self._charts: tuple[tuple[Manifold, ...], list[_Chart]] | None = None
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
@@ -95,16 +120,53 @@ class MarginalPrior(Factor):
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        d = [manifold.local(x0[None], x) for manifold, x0, x in zip(manifolds, self.X0, X, strict=True)]
-        parts = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
-        h = np.concatenate(d, axis=1) @ self.A.T
-        H = tuple(A_k @ _moves(manifold, d_k) for manifold, A_k, d_k in zip(manifolds, parts, d, strict=True))
-        return h, H
+        h: Array = np.zeros((len(X[0]), len(self.A)))
+        H: list[Array] = [np.zeros((len(h), len(self.A), space.dim)) for space in manifolds]
+        for root, slots, X0, rows in self._charted(manifolds):
+            group, S0, S = (None, X0, X0) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
+            x = np.stack([X[k] for k in slots], axis=1)
+            c, M, M_S = _coordinates(group, S0, S, manifolds[slots[0]], X0, x)
+            h += np.einsum("kmd,nkd->nm", rows, c)
+            for k, H_k in zip(slots, np.moveaxis(rows @ M, 1, 0), strict=True):
+                H[k] += H_k
+            if root is not None and M_S is not None:
+                H[root] += (rows @ M_S).sum(axis=1)
+        return h, tuple(H)
+
+    def _charted(self, manifolds: tuple[Manifold, ...]) -> list[_Chart]:
+        """A T, with the pose that sees the others last; it depends on X0 alone, and is kept."""
+        if self._charts is not None and self._charts[0] == manifolds:
+            return self._charts[1]
+        A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
+        poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
+        first = next((k for k in poses if k not in self.unmoved), None)
+        sorts: dict[tuple[Manifold, int | None, bool], list[int]] = {}
+        for k in sorted(range(len(A)), key=lambda k: k == first):
+            root = None if k in self.unmoved or k == first else first
+            sorts.setdefault((manifolds[k], root, k == first), []).append(k)
+        charts = []
+        for (space, root, _), slots in sorts.items():
+            X0 = np.stack([self.X0[k] for k in slots])
+            group, S0 = (None, X0) if root is None else (manifolds[root], self.X0[root])
+            _, M, M_S = _coordinates(group, S0, S0, space, X0, X0)
+            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(M)
+            if root is not None and M_S is not None:
+                A[root] = A[root] - (rows @ M_S).sum(axis=0)
+            charts.append(_Chart(root, slots, X0, rows))
+        self._charts = manifolds, charts
+        return charts
 
 
-def _moves(manifold: Manifold, d: Array) -> Array:
-    """J (1, dim, dim) of local(X0, X [+] e) = d + J e: the inverse right Jacobian of a group, else the identity."""
-    return manifold.jr_inv(d) if isinstance(manifold, LieGroup) else np.eye(manifold.dim)[None]
+def _coordinates(
+    group: Manifold | None, S0: Array, S: Array, space: Manifold, X0: Array, X: Array
+) -> tuple[Array, Array, Array | None]:
+    """Coordinates c (..., dim) of variables, 0 where they were, and their derivatives by X and by the pose S."""
+    views = [seen_from(group, pose, space, x) for pose, x in ((S0, X0), (S, X))] if isinstance(group, LieGroup) else []
+    match views:
+        case [(Y0, _), (Y, (H_S, H_X))]:
+            c, J = space.motion(Y0, Y)
+            return c, J @ H_X, J @ H_S
+    return *space.motion(X0, X), None
 
 
 def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:
@@ -118,7 +180,8 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
 
     Returns
     -------
-    factors, values : the measurements left over and, last, the `MarginalPrior`; the variables left over.
+    factors, values : the measurements left over and, last, a `MarginalPrior` for each connected part that something
+        leaves; the variables left over.
 
     Raises
     ------
@@ -137,54 +200,69 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
     """
     touching, untouched = _split(factors, leaving)
-    prior = prior_left(touching, values, leaving)
-    return untouched + ([] if prior is None else [prior]), without(values, leaving)
+    return [*untouched, *priors_left(touching, values, leaving)], without(values, leaving)
 
 
-def prior_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> MarginalPrior | None:
-    """The information of measurements about their other variables; None where that is nothing.
+def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> list[MarginalPrior]:
+    """The information of measurements about their other variables, of each connected part; none where it is nothing.
 
     Raises
     ------
     UnderconstrainedError
         The measurements do not determine what leaves; named.
     """
-    near = {kind: numbers_of(touching, kind) for kind in values.stacks}
-    near_values = Values.of(
-        _masked(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values()
-    )
-    pattern = Pattern(touching, near_values)
-    system = LinearSystem.at(pattern, near_values)
-    variables = [pattern.key(k) for k in range(len(pattern.dims))]
-    goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
-    order = np.argsort(~goes, kind="stable")
-    starts = np.cumsum(pattern.dims) - pattern.dims
-    columns = np.concatenate([np.arange(starts[k], starts[k] + pattern.dims[k]) for k in order])
-    e = int(pattern.dims[goes].sum())
-
-    dense: Array = np.column_stack([system.A.toarray()[:, columns], system.b])
-    triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
-    pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
-    if len(pivots) < e or (pivots <= RANK * lengths).any():
-        names = ", ".join(repr(variables[k]) for k in np.flatnonzero(goes))
-        raise UnderconstrainedError(
-            f"{names} cannot leave the window: the measurements so far do not determine all of it. Keep it longer (a "
-            "larger lag), or add what is known of it as a Prior",
-            [variables[k] for k in np.flatnonzero(goes)],
-        )
-    stays = [variables[k] for k in order if not goes[k]]
-    rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
-    if not stays or not len(rows):
-        return None
+    touched = Values.of(_masked(s, np.isin(s.numbers, numbers_of(touching, s.kind))) for s in values.stacks.values())
+    pattern = Pattern(touching, touched)
+    system = LinearSystem.at(pattern, touched)
+    gone = {(keys.kind, number) for keys in leaving for number in keys.numbers.tolist()}
+    goes = np.array([(kind, n) in gone for kind, numbers in pattern.numbers.items() for n in numbers.tolist()])
+    label, of_row = _parts(pattern, goes)
+    whole, owner = np.column_stack([system.A.toarray(), system.b]), pattern.column_owner()[0]
     unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
-    return MarginalPrior(
-        stays,
-        [near_values[key] for key in stays],
-        rows[:, e:-1],
-        rows[:, -1],
-        relative=all(factor.relative for factor in touching),
-        unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
-    )
+    priors = []
+    for part in np.unique(label[goes]).tolist():
+        rows, leaves, stays = of_row == part, goes & (label == part), np.zeros_like(goes)
+        stays[owner[whole[rows, :-1].any(axis=0)]] = True
+        stays &= ~goes
+        columns = np.concatenate([np.flatnonzero(leaves[owner]), np.flatnonzero(stays[owner])])
+        e = int(pattern.dims[leaves].sum())
+        dense: Array = whole[rows][:, [*columns, -1]]
+        triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
+        pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
+        if len(pivots) < e or (pivots <= RANK * lengths).any():
+            free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
+            raise UnderconstrainedError(
+                f"{', '.join(map(repr, free))} cannot leave the window: the measurements so far do not determine all "
+                "of it. Keep it longer (a larger lag), or add what is known of it as a Prior",
+                free,
+            )
+        near = [pattern.key(k) for k in np.flatnonzero(stays).tolist()]
+        left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
+        if near and len(left):
+            priors.append(
+                MarginalPrior(
+                    near,
+                    [touched[key] for key in near],
+                    left[:, e:-1],
+                    left[:, -1],
+                    relative=all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any()),
+                    unmoved=tuple(slot for slot, key in enumerate(near) if key.kind in unmoved),
+                )
+            )
+    return priors
+
+
+def _parts(pattern: Pattern, goes: Mask) -> tuple[Index, Index]:
+    """Connected part of every variable (V,) and of every row (m,); what stays and no motion moves joins no two."""
+    first, pairs = [], []
+    for batch in pattern.batches:
+        joins = np.stack([(slot not in batch.model.factor.unmoved) | goes[v] for slot, v in enumerate(batch.variables)])
+        begin = np.stack(batch.variables)[joins.argmax(axis=0), np.arange(len(batch))]
+        first.append(np.repeat(begin, batch.model.dim))
+        pairs += [(begin[j], v[j]) for j, v in zip(joins, batch.variables, strict=True)]
+    i, j = np.concatenate(pairs, axis=1)
+    label = connected(i, j, len(pattern.dims))
+    return label, label[np.concatenate(first)]
 
 
 def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:

@@ -317,6 +317,32 @@ def test_stack_refuses_what_is_no_element(group: LieGroup) -> None:
             group.stack(X)
 
 
+@for_all(group=GROUPS, shape=SHAPES)
+def test_motion_has_the_derivative_it_says(group: LieGroup, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(22)
+    X0 = element(group, shape, rng, 1.0)
+    X = group.retract(X0, tangent(group, shape, 0.6, rng))
+    c, J = group.motion(X0, X)
+    for k, step in enumerate(STEP * np.eye(group.dim)):
+        there, back = (group.motion(X0, group.retract(X, s * step))[0] for s in (1, -1))
+        np.testing.assert_allclose(J[..., k], (there - back) / (2 * STEP), atol=1e-8)
+    np.testing.assert_allclose(group.motion(X0, X0)[0], np.zeros_like(c), atol=1e-12)
+
+
+def test_motion_keeps_depth_and_tilt_apart_from_what_gravity_leaves_free() -> None:
+    rng = np.random.default_rng(23)
+    X0 = element(SE3, (5,), rng, 1.0)
+    X = SE3.retract(X0, tangent(SE3, (5,), 0.6, rng))
+    c = SE3.motion(X0, X)[0]
+    for yaw in (0.1, 1.0, 2.0):
+        G = np.array([7.0, -3.0, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)])  # a turn about a vertical axis elsewhere
+        moved, turned = (SE3.motion(X0, SE3.compose(G, Y))[0] for Y in (X, X0))
+        np.testing.assert_allclose(moved[:, 2:5], c[:, 2:5], atol=1e-12)
+        np.testing.assert_allclose(np.sin(moved[:, 5] - c[:, 5] - yaw), 0, atol=1e-12)
+        there = SE2.act([7.0, -3.0, yaw], X0[:, :2]) - X0[:, :2]
+        np.testing.assert_allclose(turned[:, [0, 1, 5]], SE2.log(np.column_stack([there, np.full(5, yaw)])), atol=1e-12)
+
+
 def test_points_of_plane_and_space_are_where_they_are_said_to_be() -> None:
     assert SE2.act([1.0, 2.0, np.pi / 2], [1.0, 0.0]) == pytest.approx([1.0, 3.0])
     half = np.sqrt(0.5)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import BetweenSensors, DriftingStep, Factor, Isotropic, Position, Prior, Shifted
+from factors import Between, BetweenSensors, DriftingStep, Factor, Isotropic, Position, Prior, Shifted
 from models import SE2, R
 from models.algebra import Index
 from nls import FactorGraph, Incremental, Values, kinds
@@ -41,3 +41,18 @@ def test_what_is_of_one_measurement_stays_with_it(name: str, sizes: tuple[int, .
     whole = FactorGraph([*held, *parts]).optimize(start(4)).values
     for kind in (x, c):
         np.testing.assert_allclose(smoother.values[kind], whole[kind], atol=2e-3)
+
+
+def test_rows_of_a_follow_the_values_after_measurements_left() -> None:
+    """Whatever part of its memory a batch uses: steps are taken with the A of where the variables are."""
+    smoother, k = Incremental(), np.arange(40)
+    smoother.update([Between(x[k], x[k + 1], [1.0, 0.0, 0.1], NOISE), Prior(x[0], [0, 0, 0], NOISE)], start(1))
+    batch = smoother._system.batches[0]
+    batch.drop(k < 35)
+    A, At = batch.A(200)
+    batch.variables[0].X[...] += [0.0, 1.0, 0.5]
+    batch.linearize()
+    expected = np.concatenate(batch.blocks(), axis=2).sum(axis=2).reshape(-1)
+    assert np.abs(expected).max() > 1
+    for rows in (A, At.T):
+        np.testing.assert_allclose(rows.sum(axis=1), expected, atol=1e-12)

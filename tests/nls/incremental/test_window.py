@@ -9,10 +9,24 @@ import pytest
 
 import nls
 import sim
-from factors import Between, BetweenSensors, Factor, Huber, Isotropic, Landmark, Position, Prior, Range
-from models import SE2, R
+from factors import (
+    ZPR,
+    BearingRange,
+    Between,
+    BetweenSensors,
+    Diagonal,
+    Factor,
+    Huber,
+    Isotropic,
+    Landmark,
+    Position,
+    Prior,
+    Range,
+)
+from factors.keys import Kind
+from models import SE2, SE3, R, euler, wrap
 from models.errors import GraphError, OptionError
-from nls import Incremental, Values, kinds
+from nls import FactorGraph, Incremental, Marginals, Values, kinds
 from nls.incremental.marginal import MarginalPrior
 from nls.incremental.steps import steps
 
@@ -143,6 +157,79 @@ def test_it_pickles_within_its_window_and_takes_positions() -> None:
     np.testing.assert_allclose(again[x[11:16]], smoother[x[11:16]], atol=1e-6)
     assert smoother[x[15]][1] > 0.4
     assert sum(isinstance(factor, MarginalPrior) for factor in again.graph.factors) <= 1
+
+
+def around(x: Kind, l: Kind, seed: int, turn: float, n: int = 40) -> tuple[list[Factor], Values]:
+    """A vehicle that stands or circles among landmarks, its first heading known to 0.1 rad; and where it was."""
+    rng, k = np.random.default_rng(seed), np.arange(n)
+    step, noise = np.array([5 * turn, 0.0, turn]), np.array([0.05, 0.05, 0.01])
+    X, p = [np.array([-3.0, 0.0, 0.3])], rng.uniform(-12, 12, (8, 2))
+    for _ in k:
+        X.append(SE2.compose(X[-1], step))
+    truth = np.array(X)
+    i, j = np.repeat(np.arange(n + 1), 8), np.tile(np.arange(8), n + 1)
+    d = p[j] - truth[i, :2]
+    seen = np.column_stack([np.arctan2(d[:, 1], d[:, 0]) - truth[i, 2], np.hypot(*d.T)])
+    seen += rng.normal(0, [0.01, 0.1], seen.shape)
+    first = SE2.retract(truth[:1], rng.normal(0, [0.01, 0.01, 0.1], (1, 3)))
+    factors = [
+        Prior(x[0], first, Diagonal([0.01, 0.01, 0.1])),
+        Between(x[k], x[k + 1], SE2.retract(step, rng.normal(0, noise, (n, 3))), Diagonal(noise)),
+        BearingRange(x[i], l[j], np.column_stack([wrap(seen[:, 0]), seen[:, 1]]), Diagonal([0.01, 0.1])),
+    ]
+    return factors, Values({x: (SE2, truth), l: (R(2), p)})
+
+
+@pytest.mark.parametrize("lag", [1, 5])
+@pytest.mark.parametrize("turn", [0.0, 0.2], ids=["standing", "circling"])
+def test_bearings_and_ranges_never_sharpen_the_heading(turn: float, lag: int) -> None:
+    for seed in range(3):
+        factors, truth = around(x, l, seed, turn)
+        best = FactorGraph(factors).optimize(truth).values
+        sigma = Marginals(FactorGraph(factors), best).covariance(x[40], frame="body")[2, 2] ** 0.5
+        smoother, first = Incremental(1e-6, lag=lag), Values({x: (SE2, truth[x[:1]])})
+        for step in steps(factors):
+            smoother.update(step.factors, first)
+        assert abs(smoother[x[40]][2] - best[x[40]][2]) < 0.01
+        assert smoother.covariance(x[40], frame="body")[2, 2] ** 0.5 == pytest.approx(sigma, rel=0.02)
+        assert sigma > 0.099
+
+
+def test_two_vehicles_that_nothing_joins_keep_their_headings() -> None:
+    y, m = kinds("y", "m")
+    one, other = around(x, l, 0, 0.2), around(y, m, 1, 0.2)
+    smoother = Incremental(1e-6, lag=5)
+    start = Values({x: (SE2, one[1][x[:1]]), y: (SE2, other[1][y[:1]])})
+    for a, b in zip(steps(one[0]), steps(other[0], kind="y"), strict=True):
+        smoother.update([*a.factors, *b.factors], start)
+    assert sum(isinstance(factor, MarginalPrior) for factor in smoother.graph.factors) == 2
+    for key in (x[40], y[40]):
+        assert smoother.covariance(key, frame="body")[2, 2] ** 0.5 > 0.0995
+
+
+@pytest.mark.parametrize("lag", [1, 5])
+def test_depth_and_tilt_never_sharpen_the_heading(lag: int) -> None:
+    """Steps, depth and tilt of a vehicle that rolls and pitches: the sigma of its heading is that of the batch."""
+    rng, n = np.random.default_rng(3), 60
+    a, noise = np.arange(n + 1) * 0.1, np.array([0.03, 0.03, 0.03, 0.003, 0.003, 0.003])
+    state = np.column_stack(
+        [0.1 * np.sin(3 * a), 0.1 * np.sin(2 * a), a, 8 * np.sin(a), -8 * np.cos(a), 0.5 * np.sin(a)]
+    )
+    truth, k = euler.to_se3(state), np.arange(n)
+    moved = SE3.retract(SE3.between(truth[:-1], truth[1:]), rng.normal(0, noise, (n, 6)))
+    tilt = state[:, [5, 1, 0]] + rng.normal(0, [0.02, 0.005, 0.005], (n + 1, 3))
+    factors = [
+        Prior(x[0], truth[:1], Diagonal([0.01, 0.01, 0.01, 0.005, 0.005, 0.1])),
+        Between(x[k], x[k + 1], moved, Diagonal(noise)),
+        ZPR(x[np.arange(n + 1)], tilt, Diagonal(depth=0.02, pitch=0.005, roll=0.005)),
+    ]
+    graph, smoother = FactorGraph(factors), Incremental(1e-6, lag=lag)
+    best = graph.optimize(Values({x: (SE3, truth)})).values
+    for step in steps(factors):
+        smoother.update(step.factors, Values({x: (SE3, truth[:1])}))
+    one, all_ = (s.covariance(x[n], frame="world")[5, 5] ** 0.5 for s in (smoother, Marginals(graph, best)))
+    assert one == pytest.approx(all_, rel=0.002)
+    assert euler.from_se3(smoother[x[n]])[2] == pytest.approx(euler.from_se3(best[x[n]])[2], abs=0.002)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,244 @@
+"""A window of poses beside the batch: its heading, and whether its covariances pass.
+
+    python benchmarks/evidence/window.py [--seeds 20] [--runs 100] [--gtsam PYTHON] [--out DIR]
+
+Heading: a vehicle in the plane among landmarks seen by bearing and range. Only the prior of the first pose, 0.1 rad,
+tells its heading. NEES: of the last pose in three worlds. GTSAM's smoother runs where an interpreter has its wheel, in
+worlds whose factors its wheel has.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from script import ONE_THREAD, arguments, at_least_one, markdown, page_head, write_page
+
+import nls
+import sim
+from factors import BearingRange, Between, Diagonal, Factor, Position, Prior
+from models import SE2, Manifold, R, wrap
+from nls import FactorGraph, Incremental, Marginals, Values, kinds
+from nls.filters.consistency import nees_bounds
+from nls.incremental.steps import steps
+from sim.monte_carlo import runs
+
+Array = npt.NDArray[np.float64]
+x, l = kinds("x", "l")
+LAGS = (5, 10, 20)
+FIRST, STEP, SEEN = np.array([0.01, 0.01, 0.1]), np.array([0.05, 0.05, 0.01]), np.array([0.01, 0.1])
+MATCH, FIX = np.array([0.1, 0.1, 0.02]), 0.5  # of a scan match five poses back; of a position fix, m
+POSES = 60
+NEAR = 1.0  # m; nearer landmarks are not seen
+
+
+class World(NamedTuple):
+    """Measurements, the truth of all variables, and the numbers for a peer; none where it has no such factors."""
+
+    factors: list[Factor]
+    truth: Values
+    numbers: dict[str, Array]
+
+
+def path(turn: float, length: float) -> Array:
+    """Poses (n, 3) of equal steps."""
+    X = [np.array([-3.0, 0.0, 0.3])]
+    for _ in range(POSES):
+        X.append(SE2.compose(X[-1], np.array([length, 0.0, turn])))
+    return np.array(X)
+
+
+def among(seed: int, turn: float, length: float, sharper: float = 1.0, reach: float = 100.0) -> World:
+    """A vehicle that sees landmarks within reach by bearing and range."""
+    rng, X = np.random.default_rng(seed), path(turn, length)
+    p = rng.uniform(-12, 12, (12 if reach > 50 else 40, 2)) + (0 if reach > 50 else [10, 3])
+    away = np.linalg.norm(p - X[:, None, :2], axis=2)
+    i, j = np.nonzero((away < reach) & (away > NEAR))
+    d = p[j] - X[i, :2]
+    z = np.column_stack([np.arctan2(d[:, 1], d[:, 0]) - X[i, 2], np.linalg.norm(d, axis=1)])
+    z += rng.normal(0, sharper * SEEN, z.shape)
+    z[:, 0] = wrap(z[:, 0])
+    first = SE2.retract(X[:1], rng.normal(0, FIRST, (1, 3)))
+    step = SE2.retract(SE2.between(X[:-1], X[1:]), rng.normal(0, sharper * STEP, (POSES, 3)))
+    k = np.arange(POSES)
+    factors = [
+        Prior(x[0], first, Diagonal(FIRST)),
+        Between(x[k], x[k + 1], step, Diagonal(sharper * STEP)),
+        BearingRange(x[i], l[j], z, Diagonal(sharper * SEEN)),
+    ]
+    numbers = {"first": first[0], "step": step, "pose": i, "landmark": j, "seen": z}
+    sigmas = {"sigma_first": FIRST, "sigma_step": sharper * STEP, "sigma_seen": sharper * SEEN}
+    seen = np.unique(j)
+    return World(factors, Values({x: (SE2, X), l: (R(2), p[seen], seen)}), numbers | sigmas)
+
+
+def matched(seed: int) -> World:
+    """A vehicle with odometry, scan matches five poses back and a position fix at every tenth pose."""
+    rng, X, k = np.random.default_rng(seed), path(0.1, 1.0), np.arange(POSES)
+    first = SE2.retract(X[:1], rng.normal(0, FIRST, (1, 3)))
+    step = SE2.retract(SE2.between(X[:-1], X[1:]), rng.normal(0, STEP, (POSES, 3)))
+    match = SE2.retract(SE2.between(X[:-5], X[5:]), rng.normal(0, MATCH, (POSES - 4, 3)))
+    fixed = k[10::10]
+    fix = X[fixed, :2] + rng.normal(0, FIX, (len(fixed), 2))
+    factors = [
+        Prior(x[0], first, Diagonal(FIRST)),
+        Between(x[k], x[k + 1], step, Diagonal(STEP)),
+        Between(x[k[:-4]], x[k[:-4] + 5], match, Diagonal(MATCH)),
+        Position(x[fixed], fix, Diagonal([FIX, FIX])),
+    ]
+    numbers = {"first": first[0], "step": step, "match": match, "fixed": fixed, "fix": fix}
+    sigmas = {"sigma_first": FIRST, "sigma_step": STEP, "sigma_match": MATCH, "sigma_fix": np.array([FIX, FIX])}
+    return World(factors, Values({x: (SE2, X)}), numbers | sigmas)
+
+
+def contacts(seed: int) -> World:
+    """A hovering vehicle over the sea floor: steps, depth and tilt, and contacts of an imaging sonar."""
+    mission = sim.hauv_floor(np.random.default_rng(seed), legs=1)
+    return World(list(mission.graph.factors), mission.truth, {})
+
+
+WORLDS: dict[str, Callable[[int], World]] = {
+    "standing": partial(among, turn=0.0, length=0.0),
+    "standing, sensors ten times better": partial(among, turn=0.0, length=0.0, sharper=0.1),
+    "circling": partial(among, turn=2 * np.pi / 30, length=1.0),
+    "circling, sensors ten times better": partial(among, turn=2 * np.pi / 30, length=1.0, sharper=0.1),
+    "driving by, landmarks within 8 m": partial(among, turn=0.0, length=0.4, reach=8.0),
+}
+CONSISTENT: dict[str, tuple[Callable[[int], World], tuple[int, ...]]] = {
+    "plane: bearings and ranges, circling": (WORLDS["circling"], LAGS),
+    "plane: steps, scan matches, position fixes": (matched, LAGS),
+    "space: steps, depth, tilt, sonar contacts": (contacts, (10,)),
+}
+
+
+def last_of(world: World) -> tuple[nls.Keys, Manifold]:
+    """The last pose, and its space."""
+    stack = world.truth.stack("x")
+    return x[int(stack.numbers.max())], stack.manifold
+
+
+def estimates(seed: int, world: Callable[[int], World], lags: tuple[int, ...]) -> dict[str, Any]:
+    """Error of the last pose in its own axes, its NEES and the sigma of its yaw: of the batch, and of every lag."""
+    made = world(seed)
+    last, space = last_of(made)
+    graph = FactorGraph(made.factors)
+    best = graph.optimize(made.truth.copy()).values
+    found = {"batch": (best[last], Marginals(graph, best).covariance(last, frame="body"))}
+    for lag in lags:
+        smoother = Incremental(1e-6, lag=lag)
+        smoother.update([], made.truth.spaces().extended(x[0], made.truth[x[0]][None]))
+        for step in steps(made.factors):
+            smoother.update(step.factors)
+        found[str(lag)] = smoother[last], smoother.covariance(last, frame="body")
+    return {name: [*judged(space, made.truth[last], best[last], X, P)] for name, (X, P) in found.items()}
+
+
+def judged(space: Manifold, truth: Array, best: Array, X: Array, P: Array) -> tuple[float, float, float]:
+    """NEES, yaw off the batch, and sigma of yaw, rad."""
+    e, off = space.local(X[None], truth[None])[0], space.local(best[None], X[None])[0]
+    return float(e @ np.linalg.solve(P, e)), float(off[-1]), float(np.sqrt(P[-1, -1]))
+
+
+def peer(gtsam: str, world: Callable[[int], World], seeds: int, lag: int) -> Array | None:
+    """NEES, yaw off the batch and sigma of yaw (seeds, 3) of GTSAM's smoother; None where it has no such factors."""
+    made = [world(seed) for seed in range(seeds)]
+    if not made[0].numbers:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        file, out = Path(folder) / "worlds.npz", Path(folder) / "out.npz"
+        arrays: dict[str, Any] = {f"{k}/{name}": a for k, w in enumerate(made) for name, a in w.numbers.items()}
+        np.savez(file, count=seeds, **arrays)
+        script = Path(__file__).parents[1] / "peers" / "fixed_lag.py"
+        command = [gtsam, "-P", str(script), str(file), str(out), str(lag)]
+        subprocess.run(command, check=True, env=os.environ | ONE_THREAD)
+        with np.load(out) as found:
+            X, P = found["X"], found["P"]
+    rows = []
+    for w, one, covariance in zip(made, X, P, strict=True):
+        last, space = last_of(w)
+        best = FactorGraph(w.factors).optimize(w.truth.copy()).values
+        rows.append(judged(space, w.truth[last], best[last], one, covariance))
+    return np.array(rows)
+
+
+def headings(seeds: int, gtsam: str | None) -> list[list[str]]:
+    """A row for every world and lag: yaw off the batch, and its sigma."""
+    rows = []
+    for name, world in WORLDS.items():
+        found = runs(partial(estimates, world=world, lags=LAGS), range(seeds), progress=True)
+        batch = np.array([record["batch"] for record in found])[:, 2]
+        for lag in LAGS:
+            cells = [name, str(lag), span(batch)]
+            for each in (np.array([record[str(lag)] for record in found]), gtsam and peer(gtsam, world, seeds, lag)):
+                cells += ["", ""] if each is None or isinstance(each, str) else off(each)
+            rows.append(cells)
+            print(*cells, sep=" | ", flush=True)
+    return rows
+
+
+def off(each: Array) -> list[str]:
+    """The largest yaw off the batch, and the sigmas."""
+    return [f"{np.abs(each[:, 1]).max():.4f}", span(each[:, 2])]
+
+
+def span(numbers: Array) -> str:
+    """The smallest and the largest."""
+    return f"{numbers.min():.4f}-{numbers.max():.4f}"
+
+
+def consistency(count: int, gtsam: str | None) -> list[list[str]]:
+    """A row for every world and lag: the mean NEES of the last pose."""
+    rows = []
+    for name, (world, lags) in CONSISTENT.items():
+        found = runs(partial(estimates, world=world, lags=lags), range(count), progress=True)
+        low, high = nees_bounds(last_of(world(0))[1].dim, count)
+        for lag in lags:
+            theirs = peer(gtsam, world, count, lag) if gtsam else None
+            means = [np.mean([record[key][0] for record in found]) for key in ("batch", str(lag))]
+            cells = [f"{mean:.2f}" for mean in means] + ["" if theirs is None else f"{theirs[:, 0].mean():.2f}"]
+            rows.append([name, str(lag), f"{low:.2f}-{high:.2f}", *cells])
+            print(*rows[-1], sep=" | ", flush=True)
+    return rows
+
+
+def main() -> None:
+    parser = arguments(__doc__, "window.md")
+    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="of the headings (default 20)")
+    parser.add_argument("--runs", type=at_least_one, default=100, metavar="N", help="of the NEES (default 100)")
+    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
+    options = parser.parse_args()
+    lines = [
+        *page_head("A window of poses"),
+        "",
+        f"## Heading, seeds 0 to {options.seeds - 1}",
+        "",
+        "Only the prior of the first pose tells the heading: 0.1 rad. Yaw of the last of "
+        f"{POSES + 1} poses, rad: the largest difference from the batch, and the smallest and largest sigma.",
+        "",
+        *markdown(
+            ["world", "lag", "sigma, batch", "off, window", "sigma, window", "off, GTSAM", "sigma, GTSAM"],
+            headings(options.seeds, options.gtsam),
+        ),
+        "",
+        f"## Consistency, seeds 0 to {options.runs - 1}",
+        "",
+        "Mean NEES of the last pose. That of a consistent estimator is within the bounds in 95 % of all cases.",
+        "",
+        *markdown(["world", "lag", "bounds", "batch", "window", "GTSAM"], consistency(options.runs, options.gtsam)),
+        "",
+        "- GTSAM: `IncrementalFixedLagSmoother`, relinearized from 0.001 on, three updates a step. Variables of its "
+        "prior keep their linearization point.",
+        "- Its wheel has neither sonar contacts nor depth with tilt.",
+    ]
+    write_page(lines, options.out / "window.md")
+
+
+if __name__ == "__main__":
+    main()
