@@ -75,6 +75,9 @@ def record(choice: Robustified) -> dict[str, Any]:
                 "total": d.total,
                 "number": d.number,
                 "part": d.fraction,
+                "meters": d.meters,
+                "radians": d.radians,
+                "sigmas": d.sigmas,
                 "sentence": str(d),
             }
             for d in choice.doubts

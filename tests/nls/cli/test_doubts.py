@@ -40,15 +40,15 @@ def test_a_chi2_no_noise_explains_is_said_with_its_causes(shell: Shell) -> None:
 
 
 def test_what_is_found_below_the_doubt_is_named(shell: Shell) -> None:
-    """Four times what noise explains, where ``result.doubt`` says nothing yet; and nothing of a good result."""
+    """Four times what noise explains, where no kernel is offered; and nothing of a good result."""
     file = shell.file(PLANE + f"EDGE_SE2 1 3 0.5 2 3 {INFORMATION_2}\n", "a b.g2o")
     graph, values, _ = nls.load(file)
     result = graph.optimize(nls.initialize(graph, values)[0])
-    assert not result.doubt
+    assert result.fit is nls.Fit.IMPLAUSIBLE
     assert 2 < result.chi2_final / result.dof < 100
     notes = shell.report(f"solve '{file}'")["notes"]
     ratio = f"{result.chi2_final / result.dof:.3g} times its expectation"
-    assert notes == [f"implausible: chi2 is {ratio}, more than noise explains; see: nls explain '{file}'"]
+    assert notes == [f"implausible: chi2 is {ratio}: {nls.Fit.IMPLAUSIBLE.value}; see: nls explain '{file}'"]
     assert "chi2 is as expected" not in shell(f"explain '{file}'")
     shell.file()
     for options in ("", "--robust cauchy:1"):

@@ -18,7 +18,7 @@ from nls.robust import preselection as preselection_module
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
 from nls.robust.truncated_least_squares import Truncated
-from nls.robust.verdict import doubts, shift
+from nls.robust.verdict import difference, doubts
 
 (x,) = kinds("x")
 PLANE = "pose-graphs-2d/"
@@ -66,10 +66,11 @@ def test_more_than_half_wrong_is_doubtful(
 
 
 def test_half_is_meant_less_what_chance_rejects_and_noise_explains_chi2(laps: sim.World) -> None:
+    """Of 100 right ones chance rejects 1 at 99 %, at most 4, and at 99.9 % at most 1; of 2,000 20, at most 33."""
     result = laps.graph.optimize(laps.start)
-    assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
-    assert [doubt.kind for doubt in doubts(result, 98, 200, 0.99)] == [DoubtKind.FEW_KEPT]
-    assert [doubt.kind for doubt in doubts(result, 99, 200, 0.999)] == [DoubtKind.FEW_KEPT]
+    for kept, of, probability in ((96, 200, 0.99), (98, 200, 0.999), (1966, 4000, 0.99)):
+        assert [doubt.kind for doubt in doubts(result, kept, of, probability)] == [DoubtKind.FEW_KEPT]
+        assert doubts(result, kept + 1, of, probability) == []
     for ratio, doubtful in ((1.9, False), (2.1, True)):
         found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1, 0.99)
         assert [doubt.kind for doubt in found] == [DoubtKind.UNEXPLAINED] * doubtful
@@ -121,12 +122,17 @@ def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
     track = loop_graph(loops, Values({x: (space, X)}))
     moved = Values({x: (space, space.compose(space.exp(rng.normal(size=(1, space.dim))), X))})
     values = Values({x: (space, X)})
-    assert shift(track, values, moved) < 1e-12
+    assert difference(track, values, moved)[:2] == pytest.approx((0, 0), abs=1e-12)
     p = space.position(X)
     other = X.copy()
     other[:, : p.shape[1]] += 0.3 * rng.normal(size=p.shape)
     expected = nls.metrics.ate(other, X, "rigid").rmse / np.ptp(p, axis=0).max()
-    assert shift(track, values, Values({x: (space, other)})) == pytest.approx(expected, rel=1e-6)
+    apart = difference(track, values, Values({x: (space, other)}))
+    assert (apart.fraction, apart.meters) == pytest.approx((expected, expected * np.ptp(p, axis=0).max()), rel=1e-6)
+    turn = np.zeros((30, space.dim))
+    turn[1:, -1] = 0.2 * (-1.0) ** np.arange(29)
+    turned = difference(track, values, Values({x: (space, space.retract(X, turn))}))
+    assert turned == pytest.approx((0, 0, 0.2 * np.sqrt(29 / 30)), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kitti_00.g2o", "CSAIL.g2o", "FR079_P_toro.graph", "input_INTEL.g2o"])
