@@ -249,11 +249,12 @@ def _distance(here: Values, rival: Choice) -> float:
 
 
 def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) -> float:
-    r"""The odds that all g groups of k closures (m,) are wrong: (r p)^g exp(D / 2), D the squared distance less (k - g) d.
+    r"""The odds that all g groups of k closures (m,) are wrong: (r p)^g exp(D / 2).
 
     r is the number of rejected groups for one that was kept. A wrong group lies anywhere on the map. A right one lies
-    where the other map is, as far as that is uncertain: p is the ratio of both densities at its most probable place.
-    The closures of a group after the first spend up to d numbers each on the noise of odometry between them.
+    where the other map is, as far as that is uncertain: p is the ratio of both densities at its most probable place. D
+    is the squared distance less (k - g) d: the noise of odometry between the closures of a group takes up to d for
+    each after the first.
     """
     cluster, d = evidence.loops.neighbors.cluster, evidence.loops.poses.group.dim
     kept, out = (set(cluster[closures].tolist()) for closures in (inliers, ~inliers))
