@@ -31,7 +31,7 @@ UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
-MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
+MANY = 0.6  # of the closures kept; where fewer are, or chi2 is high, sigmas that neighbors contradict are a doubt
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
 NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
 RIVAL = 1.0  # rejections by which the cost of a rival is higher, at most
@@ -170,7 +170,7 @@ def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
     if (ratio := strain(loops, result)) > STRAIN:
         reasons.append(Doubt(DoubtKind.STRAINED, number=ratio))
     small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
-    if small and (reasons or n < MANY * m):
+    if small and (reasons or n < MANY * m or result.fit is not Fit.PLAUSIBLE):
         reasons.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
     return reasons
 
@@ -216,6 +216,9 @@ def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
 def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     """The first choice for a different map that fits as well, or that gives up closures which may well be wrong.
 
+    It fits as well where it takes closures that were rejected, and costs at most `RIVAL` rejections more: of closures,
+    or of groups, as one wrong group may be larger than the right ones together.
+
     Parameters
     ----------
     inliers : (m,) closures of the choice.
@@ -227,16 +230,22 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
         if apart.fraction <= AWAY:
             continue
         theirs, worse = loops.accepted(rival.inliers), (rival.cost - evidence.rivals[0].cost) / c2
-        if (theirs & ~inliers).any():
+        given_up, taken = inliers & ~theirs, theirs & ~inliers
+        if taken.any():
+            worse = min(worse, worse - _repeated(loops, given_up) + _repeated(loops, taken))
             if worse <= RIVAL:
                 return [Doubt(DoubtKind.RIVAL, 0, 0, worse, *apart)]
             continue
         distance = _distance(here, rival)
-        odds = _odds(evidence, inliers, inliers & ~theirs, distance)
+        odds = _odds(evidence, inliers, given_up, distance)
         if odds > ODDS:
-            count, total = int((inliers & ~theirs).sum()), int(inliers.sum())
-            return [Doubt(DoubtKind.WEAK, count, total, odds, *apart, sqrt(distance))]
+            return [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
     return []
+
+
+def _repeated(loops: LoopGraph, closures: Mask) -> int:
+    """How many of some closures (m,) repeat another one of their group, which rejected as one costs one rejection."""
+    return int(closures.sum()) - len(np.unique(loops.neighbors.cluster[closures]))
 
 
 def _distance(here: Values, rival: Choice) -> float:
