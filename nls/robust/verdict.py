@@ -214,7 +214,7 @@ def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
 
 
 def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
-    """The first choice for a different map that fits as well, or that gives up closures which may well be wrong.
+    """The first choice for a different map that fits as well; else the one whose closures most likely are wrong.
 
     It fits as well where it takes closures that were rejected, and costs at most `RIVAL` rejections more: of closures,
     or of groups, as one wrong group may be larger than the right ones together.
@@ -224,7 +224,7 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     inliers : (m,) closures of the choice.
     """
     loops, here = evidence.loops, evidence.choice.result.values
-    c2 = evidence.variance * max(evidence.problem.c2)
+    c2, weak = evidence.variance * max(evidence.problem.c2), []
     for rival in evidence.rivals[1:]:
         apart = difference(loops, here, rival.result.values)
         if apart.fraction <= AWAY:
@@ -239,8 +239,8 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
         distance = _distance(here, rival)
         odds = _odds(evidence, inliers, given_up, distance)
         if odds > ODDS:
-            return [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
-    return []
+            weak += [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
+    return sorted(weak, key=lambda doubt: -doubt.number)[:1]
 
 
 def _repeated(loops: LoopGraph, closures: Mask) -> int:
