@@ -94,12 +94,13 @@ class Doubt:
         return self.kind.value.format(**vars(self), percent=percent, apart=apart)
 
 
-def doubts(result: Result, inlier_count: int, doubted: int, probability: float, part: float = HALF) -> list[Doubt]:
+def doubts(result: Result, inlier_count: int, doubted: int, probability: float, tried: bool = False) -> list[Doubt]:
     """Reasons to doubt any choice: how much was kept, and whether chi2 of it is plausible.
 
-    Of a right part n some are lost by chance, n (1 - p) on average: more than `SPREAD` deviations above are too many.
+    Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than `SPREAD`
+    standard deviations above that are too many.
     """
-    reasons, n = [], part * doubted
+    reasons, n = [], (THIRD if tried else HALF) * doubted
     if inlier_count < n * probability - SPREAD * sqrt(n * probability * (1 - probability)):
         reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
     if result.dof > 0 and result.fit is Fit.IMPLAUSIBLE:
@@ -159,7 +160,7 @@ def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
     loops, result, moved = evidence.loops, evidence.choice.result, evidence.moved
     inliers = loops.accepted(evidence.choice.inliers)
     m, n = len(inliers), int(inliers.sum())
-    reasons = doubts(result, n, m, probability, THIRD if evidence.tried else HALF)
+    reasons = doubts(result, n, m, probability, evidence.tried)
     span, spans = loops.spanned(inliers), loops.spanned(np.ones(m, dtype=bool))
     if span < HALF * spans:
         reasons.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
