@@ -33,7 +33,7 @@ def fit(chi2: float, dof: int, robust: bool = False) -> Fit:
     Parameters
     ----------
     chi2 : at an optimum; with robust kernels the sum of their costs.
-    dof : degrees of freedom; at 0 or below chi2 is rounding, and above 2 the point is no minimum.
+    dof : degrees of freedom; 0 or below counts as 1: chi2 is rounding then, or the point is no minimum.
     robust : whether a factor has a robust kernel.
 
     Examples
@@ -43,13 +43,11 @@ def fit(chi2: float, dof: int, robust: bool = False) -> Fit:
     >>> [fit(chi2, 100, robust=True).name for chi2 in (140.0, 210.0)], fit(7.0, 3).name
     (['PLAUSIBLE', 'IMPLAUSIBLE'], 'PLAUSIBLE')
     """
-    dof = max(dof, 0)
+    dof = max(dof, 1)
     if chi2 <= dof or (robust and chi2 <= TWICE * dof):  # most results: SciPy is not imported for these
         return Fit.PLAUSIBLE
     from scipy.special import gammaincc
 
-    if not dof:
-        return Fit.IMPLAUSIBLE if chi2 > TWICE else Fit.PLAUSIBLE
     if gammaincc(dof / 2, chi2 / 2) >= TAIL:
         return Fit.PLAUSIBLE
     return Fit.IMPLAUSIBLE if chi2 > TWICE * dof else Fit.HIGH

@@ -124,10 +124,9 @@ class Difference(NamedTuple):
 def difference(loops: LoopGraph, before: Values, after: Values) -> Difference:
     """How far a map is from another one."""
     p, q = (loops.places(values) for values in (before, after))
-    group, X = loops.poses.group, [loops.track(values) for values in (before, after)]
-    turns = group.local(*X)[:, p.shape[1] :]
-    extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
-    meters = float(np.sqrt(np.square(displacements(p, q)).mean())) if p.shape[1] else 0.0
+    turns = loops.poses.group.local(loops.track(before), loops.track(after))[:, p.shape[1] :]
+    extent = float(np.ptp(p, axis=0).max(initial=0.0))
+    meters = float(np.sqrt(np.square(displacements(p, q)).mean())) if extent else 0.0
     radians = float(np.sqrt(np.square(turns).sum(axis=1).mean()))
     return Difference(meters / extent if extent else 1.0, meters, radians)
 
@@ -232,7 +231,7 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
             continue
         theirs, worse = loops.accepted(rival.inliers), (rival.cost - evidence.rivals[0].cost) / c2
         given_up, taken = inliers & ~theirs, theirs & ~inliers
-        if taken.any():
+        if taken.any() or not given_up.any():  # the same closures may have a second minimum
             worse = min(worse, worse - _repeated(loops, given_up) + _repeated(loops, taken))
             if worse <= RIVAL:
                 return [Doubt(DoubtKind.RIVAL, 0, 0, worse, *apart)]
@@ -272,7 +271,7 @@ def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) ->
     for witness in evidence.judged:
         chance[witness.members] = witness.chance
     least = [float(chance[given_up & (cluster == group)].min()) for group in set(cluster[given_up].tolist())]
-    if min(least, default=0.0) <= 0:
+    if not all(least):
         return 0.0  # a group that is too large to be judged checks itself
     prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
     excess = max(distance - (int(given_up.sum()) - len(least)) * d, 0.0)
