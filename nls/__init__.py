@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     )
     from nls.optimizers import (
         Dogleg,
+        Fit,
         GaussNewton,
         Iteration,
         LevenbergMarquardt,
@@ -76,7 +77,8 @@ _WHERE = {
     "nls.incremental": "Incremental",
     "nls.io": "LoadReport load save",
     "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends factorize",
-    "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop gauss_newton_step",
+    "nls.optimizers": "Dogleg Fit GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop "
+    "gauss_newton_step",
     "nls.robust": "Robustified gnc",
     "nls.starts": "initialize",
     "nls.system": "LinearSystem",
@@ -108,6 +110,7 @@ __all__ = [
     "FactorGraph",
     "Finding",
     "FindingKind",
+    "Fit",
     "GaussNewton",
     "GraphError",
     "GraphFileError",

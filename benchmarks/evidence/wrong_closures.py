@@ -89,10 +89,13 @@ def solved(path: Path) -> Solved:
     return Solved(edges, loops, values, result.values, float(np.ptp(stack.manifold.position(stack.X), axis=0).max()))
 
 
-def few(right: Solved, count: int, rng: np.random.Generator) -> Solved:
-    """The same graph with so many of its closures, drawn at random, or in two runs, and its own optimum."""
+def few(right: Solved, count: int, rng: np.random.Generator, spread: bool | None = None) -> Solved:
+    """The same graph with so many of its closures, drawn at random, or in two runs, and its own optimum.
+
+    Spread ones hold all of the map, two runs two places of it. The generator decides where it is not said.
+    """
     loops, n = np.flatnonzero(right.loops), count // 2
-    if rng.random() < HALF:
+    if rng.random() < HALF if spread is None else spread:
         chosen = rng.choice(loops, count, replace=False)
     else:
         first = np.sort([right.edges.keys[slot].numbers[loops] for slot in (0, 1)], axis=0)

@@ -78,7 +78,7 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
 def doubts(
     result: Result, options: argparse.Namespace, written: Sequence[str] = (), fixes_jump: bool = False
 ) -> list[str]:
-    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known.
+    """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.fit`.
 
     Parameters
     ----------
@@ -86,17 +86,11 @@ def doubts(
     options, written : as for `asking`.
     fixes_jump : whether fixes of a mission jump: a kernel gives these little weight.
     """
-    dof = result.dof
-    cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
-    if result.doubt:
-        problem, cure = result.doubt, [*cure, *listed(result.advice, shell=True)]
-    elif result.robust or not result.chi2_final > dof > 0:  # most graphs: SciPy is not imported for these
+    if not result.misfit:
         return []
-    else:
-        from nls.analysis.chi_squared import chi2_interval
-
-        if not result.chi2_final > chi2_interval(dof)[1]:
-            return []
-        problem = f"chi2 is {result.chi2_final / dof:.3g} times its expectation, more than noise explains"
-        cure += listed([Advice.robust("Cauchy", 1)] * fixes_jump, shell=True)
-    return ["; ".join([f"implausible: {problem}", *cure, f"see: {asking(options, written)}"])]
+    kernel, jump = Advice.robust("Cauchy", 1), fixes_jump and not result.robust
+    advice = dict.fromkeys([*(piece for piece in result.advice if piece.action != "explain"), *[kernel] * jump])
+    cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
+    cure += listed(advice, shell=True)
+    problem = f"implausible: {result.doubt}" if result.doubt else result.misfit
+    return ["; ".join([problem, *cure, f"see: {asking(options, written)}"])]

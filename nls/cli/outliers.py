@@ -19,6 +19,7 @@ __all__ = ["record", "without_rejected"]
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
+NUMBERS = ("count", "total", "number", "meters", "radians", "sigmas")  # of a doubt
 
 
 def is_gnc(robust: str | None) -> bool:
@@ -69,14 +70,7 @@ def record(choice: Robustified) -> dict[str, Any]:
         "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
         "rejected": [{"factor": measurement.factor, "sigmas": measurement.sigmas} for measurement in choice.rejected],
         "doubts": [
-            {
-                "kind": d.kind.name,
-                "count": d.count,
-                "total": d.total,
-                "number": d.number,
-                "part": d.fraction,
-                "sentence": str(d),
-            }
+            {"kind": d.kind.name, "part": d.fraction, "sentence": str(d)} | {name: getattr(d, name) for name in NUMBERS}
             for d in choice.doubts
         ],
         "unverified": [

@@ -13,7 +13,6 @@ __all__ = ["table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
-UNEXPECTED = 2.0  # chi2 per degree of freedom of a mission: sigmas are wrong by more than 40 %, or a sensor is
 FAR = 5.0  # sigmas of a calibration before the measurements
 
 
@@ -45,6 +44,8 @@ def record_of(job: Job) -> dict[str, Any]:
         "chi2_final": result.chi2_final,
         "gauge": result.gauge,
         "dof": result.dof,
+        "fit": result.fit.name,
+        "doubt": result.doubt,
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
@@ -77,17 +78,13 @@ def _findings(report: LoadReport) -> dict[str, Any]:
 
 
 def _doubt(report: dict[str, Any]) -> str:
-    """What the line of the result of a mission adds where its tables, its chi2 or its calibrations are implausible."""
-    if "mission" not in report:
-        return ""
-    checks = list(dict.fromkeys(f"{finding['check']} ({finding['file']})" for finding in report["findings"]))
+    """What the line of the result adds where chi2, or the tables or calibrations of a mission, are implausible."""
+    checks = list(dict.fromkeys(f"{finding['check']} ({finding['file']})" for finding in report.get("findings", ())))
     doubts = [f"implausible: {', '.join(checks)}, see the warnings"] if checks else []
-    ratio = report["chi2_final"] / max(report["dof"], 1)
-    if ratio > UNEXPECTED and report["robust"] is None and report["dof"]:
-        doubts.append(f"chi2 is {ratio:.3g} times its expectation: the sensors contradict each other")
+    doubts += [report["doubt"]] * bool(report["doubt"])
     doubts += [
         f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
-        for c in report["mission"].get("calibrations", ())
+        for c in report.get("mission", {}).get("calibrations", ())
         if c["sigmas_away"] > FAR
     ]
     return f"; but {'; '.join(doubts)}" if doubts else ""

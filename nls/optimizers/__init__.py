@@ -8,6 +8,7 @@ from factors.base import Factor
 from nls.optimizers.automatic import Automatic
 from nls.optimizers.base import Optimizer
 from nls.optimizers.dogleg import Dogleg
+from nls.optimizers.fit import Fit
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
 from nls.optimizers.problem import gauss_newton_step
@@ -19,6 +20,7 @@ __all__ = [
     "Attempt",
     "Automatic",
     "Dogleg",
+    "Fit",
     "GaussNewton",
     "Iteration",
     "LevenbergMarquardt",

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 from models.advice import Advice, listed
 from models.html_table import html_table
+from nls.optimizers.fit import Fit, fit
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 
 __all__ = ["Attempt", "Iteration", "Result"]
 
-
+FAR = 100.0  # chi2 per degree of freedom: sigmas ten times too small are rare, wrong measurements or starts are not
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
 
 
@@ -55,9 +56,6 @@ class Attempt(NamedTuple):
     status: Status
     reason: str
     iterations: int
-
-
-SUSPICIOUS = 100  # chi2 per degree of freedom beyond which noise cannot be the reason
 
 
 @dataclass(repr=False, eq=False)
@@ -143,20 +141,29 @@ class Result:
         return remarks
 
     @property
-    def doubt(self) -> str:
-        """Causes of a chi2 that is too far above its expectation for noise; empty where it is not."""
-        if not self.chi2_final > SUSPICIOUS * max(self.dof, 1):
+    def fit(self) -> Fit:
+        """Whether noise explains chi2; where it is `Fit.IMPLAUSIBLE`, `doubt` says so in words."""
+        return fit(self.chi2_final, self.dof, self.robust)
+
+    @property
+    def misfit(self) -> str:
+        """How many times its expectation chi2 is, and what that means; empty where it is plausible."""
+        if self.fit is Fit.PLAUSIBLE:
             return ""
-        return (
-            f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers, or a "
-            "point that is stationary but no minimum"
-        )
+        return f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: {self.fit.value}"
+
+    @property
+    def doubt(self) -> str:
+        """Causes of a chi2 that is implausible, `Fit.IMPLAUSIBLE`; empty where it is not."""
+        return self.misfit if self.fit is Fit.IMPLAUSIBLE else ""
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """Cures where chi2 is doubtful."""
+        """Cures where chi2 is implausible: a kernel or a start where that is far, else the way to the cause."""
         if not self.doubt:
             return ()
+        if not self.chi2_final > FAR * max(self.dof, 1):
+            return (Advice("explain", ("nls explain",)),)
         return (Advice("start"),) if self.robust else (Advice.robust("Cauchy", 1), Advice("start"))
 
     def __repr__(self) -> str:

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from factors.base import Factor
-from nls.analysis.chi_squared import chi2_gate, chi2_interval
-from nls.optimizers import Result
+from nls.analysis.chi_squared import chi2_gate
+from nls.optimizers import Fit, Result
 
 __all__ = ["misfit"]
 
@@ -40,7 +40,7 @@ def misfit(result: Result, contacts: Sequence[Factor]) -> bool:
     [False, True]
     """
     s = np.concatenate([factor.chi2(result.values) for factor in contacts] or [np.zeros(0)])
-    if not len(s) or result.chi2_final <= chi2_interval(result.dof)[1]:
+    if not len(s) or result.fit is Fit.PLAUSIBLE:
         return False
     variance = max(1.0, float(np.median(s)) / chi2_gate(2, 0.5))
     return bool(s.max() > variance * chi2_gate(2, 1 - UNLIKELY / len(s)))

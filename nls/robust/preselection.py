@@ -26,6 +26,7 @@ __all__ = ["Preselection"]
 FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lower cost is taken
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
 MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
+CLEARLY = 7.0  # rejections by which all closures, tried from odometry, are the better choice
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 SETTLED, HOPELESS = 3, 2.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 0.5
 TURNS = 3  # of giving up contradicted groups
@@ -43,6 +44,7 @@ class Preselection:
     def __init__(self, problem: Truncated, loops: LoopGraph, loss: str, probability: float) -> None:
         self.problem, self.loops, self.loss, self.probability = problem, loops, loss, probability
         self.rivals: list[Choice] = []
+        self.tried = False
         self._judged: tuple[Choice | None, list[Witness]] = None, []
         explained = self._explained()
         self.choice, self.variance = explained or self._grown()
@@ -56,7 +58,9 @@ class Preselection:
     def doubts(self) -> list[Doubt]:
         """Reasons to doubt the choice, see `nls.robust.verdict`."""
         judged = self._witnesses(self.choice)
-        evidence = Evidence(self.problem, self.loops, self.choice, self.rivals, self.variance, judged, self.moved)
+        evidence = Evidence(
+            self.problem, self.loops, self.choice, self.rivals, self.tried, self.variance, judged, self.moved
+        )
         return verdict.preselected(evidence, self.probability)
 
     def _explained(self) -> tuple[Choice, float] | None:
@@ -93,10 +97,10 @@ class Preselection:
         self.rivals = sorted(choices, key=lambda choice: choice.cost)
         if not self._dearer(CHEAP):
             other = problem.choice(loops.values, self.loss, np.inf)
-            better = other.cost < self.rivals[0].cost - verdict.RIVAL * max(problem.c2)
+            better = other.cost < self.rivals[0].cost - CLEARLY * max(problem.c2)
             self.rivals.insert(0 if better else 1, other)
         choice, alternatives = exchanged(problem, loops, self.rivals[0])
-        self.rivals = [choice, *self.rivals, *alternatives]
+        self.rivals, self.tried = [choice, *self.rivals, *alternatives], bool(alternatives)
         return choice, variance
 
     def _dearer(self, times: float) -> bool:
@@ -114,7 +118,7 @@ class Preselection:
         if not wrong.any():
             return choice, 0.0
         other = self.problem.among(choice, self.loops, ~wrong)
-        return other, verdict.shift(self.loops, choice.result.values, other.result.values)
+        return other, verdict.difference(self.loops, choice.result.values, other.result.values).fraction
 
     def _witnesses(self, choice: Choice) -> list[Witness]:
         """The groups of a choice, judged by its other closures; kept for the last choice, as they cost a covariance."""

@@ -7,32 +7,37 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from math import exp, gamma, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
-from nls.optimizers import Result
+from nls.optimizers import Fit, Result
 from nls.robust.consistency import unit_variance
-from nls.robust.groups import Witness, misfits
+from nls.robust.groups import FITS, Witness, misfits
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
 
-__all__ = ["Doubt", "DoubtKind", "Evidence", "doubts", "noise", "preselected", "shift", "strain"]
+__all__ = ["Difference", "Doubt", "DoubtKind", "Evidence", "difference", "doubts", "noise", "preselected", "strain"]
 
 HALF = 0.5  # of the doubted measurements, of the steps between closures
-TAIL = 0.025  # of chi2 to be larger by noise
-TWICE = 2.0  # chi2 over degrees of freedom
+THIRD = 1 / 3  # of the closures, where each group of them more or less was tried
+SPREAD = 3.0  # standard deviations of the number of right measurements that chance rejects
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
-MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
+MANY = 0.6  # of the closures kept; where fewer are, or chi2 is high, sigmas that neighbors contradict are a doubt
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
 NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
-RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
+RIVAL = 1.0  # rejections by which the cost of a rival is higher, at most
+ODDS = 0.005  # that closures are wrong, at least: right ones that hold a map with others have 1e-5 to 0.003
+AWAY = 0.01  # part of the extent by which the map of another choice is away, at least
+LARGEST = 700.0  # exponent of a float
 
 
 class DoubtKind(Enum):
@@ -48,7 +53,11 @@ class DoubtKind(Enum):
         "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
         " and without them the map moves by {percent:.2g} %"
     )
-    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {percent:.2g} % away"
+    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {apart} away"
+    WEAK = (
+        "{count} of {total} kept closures are wrong with odds of {number:.2g} to 1: without them the map is {apart}"
+        " away, {sigmas:.2g} of its sigmas"
+    )
     STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
     UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
     SIGMAS = (
@@ -66,6 +75,8 @@ class Doubt:
     count, total : how many measurements, or steps, of how many.
     number : a ratio, or how many measurements.
     fraction : of its extent, by which the map moves; a probability.
+    meters, radians : by which the other map of a rival differs, nan of other kinds; rms of positions and of rotations.
+    sigmas : that difference as the other map is uncertain.
     """
 
     kind: DoubtKind
@@ -73,30 +84,51 @@ class Doubt:
     total: int = 0
     number: float = float("nan")
     fraction: float = float("nan")
+    meters: float = float("nan")
+    radians: float = float("nan")
+    sigmas: float = float("nan")
 
     def __str__(self) -> str:
-        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.fraction}
-        return self.kind.value.format(**numbers)
+        percent = 100 * self.fraction
+        apart = f"{self.meters:.3g} m ({percent:.2g} % of its extent) and {self.radians:.2g} rad"
+        return self.kind.value.format(**vars(self), percent=percent, apart=apart)
 
 
-def doubts(result: Result, inlier_count: int, doubted: int, probability: float) -> list[Doubt]:
-    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained.
+def doubts(result: Result, inlier_count: int, doubted: int, probability: float, tried: bool = False) -> list[Doubt]:
+    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is plausible.
 
-    Of a right half some are lost by chance: the bound is `probability` times half.
+    Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than `SPREAD`
+    standard deviations above that are too many.
     """
-    reasons = []
-    if inlier_count < HALF * probability * doubted:
+    reasons, n = [], (THIRD if tried else HALF) * doubted
+    if inlier_count < n * probability - SPREAD * sqrt(n * probability * (1 - probability)):
         reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
-    if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - TAIL)):
+    if result.dof > 0 and result.fit is Fit.IMPLAUSIBLE:
         reasons.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
     return reasons
 
 
-def shift(loops: LoopGraph, before: Values, after: Values) -> float:
-    """How far a map moves, as part of its extent: rms of the positions, after the best motion; 1 without positions."""
+class Difference(NamedTuple):
+    """How far two maps differ in shape: rms of the positions after the best motion, of rotations with the first held.
+
+    Attributes
+    ----------
+    fraction : of the extent; 1 without positions.
+    """
+
+    fraction: float
+    meters: float
+    radians: float
+
+
+def difference(loops: LoopGraph, before: Values, after: Values) -> Difference:
+    """How far a map is from another one."""
     p, q = (loops.places(values) for values in (before, after))
-    extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
-    return float(np.sqrt(np.square(displacements(p, q)).mean())) / extent if extent else 1.0
+    turns = loops.poses.group.local(loops.track(before), loops.track(after))[:, p.shape[1] :]
+    extent = float(np.ptp(p, axis=0).max(initial=0.0))
+    meters = float(np.sqrt(np.square(displacements(p, q)).mean())) if extent else 0.0
+    radians = float(np.sqrt(np.square(turns).sum(axis=1).mean()))
+    return Difference(meters / extent if extent else 1.0, meters, radians)
 
 
 @dataclass(frozen=True)
@@ -105,7 +137,8 @@ class Evidence:
 
     Attributes
     ----------
-    rivals : other choices, in the order of their cost.
+    rivals : the choice and others.
+    tried : whether each group of closures more or less is among the others.
     variance : factor on the squares of the stated sigmas for the threshold.
     judged : the groups of the choice, judged by its other closures.
     moved : part of its extent by which the map moves without the contradicted groups.
@@ -115,6 +148,7 @@ class Evidence:
     loops: LoopGraph
     choice: Choice
     rivals: list[Choice]
+    tried: bool
     variance: float
     judged: list[Witness]
     moved: float
@@ -125,18 +159,18 @@ def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
     loops, result, moved = evidence.loops, evidence.choice.result, evidence.moved
     inliers = loops.accepted(evidence.choice.inliers)
     m, n = len(inliers), int(inliers.sum())
-    reasons = doubts(result, n, m, probability)
+    reasons = doubts(result, n, m, probability, evidence.tried)
     span, spans = loops.spanned(inliers), loops.spanned(np.ones(m, dtype=bool))
     if span < HALF * spans:
         reasons.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
     if moved > STILL:
         count = int(misfits(evidence.judged, result, loops).sum())
         reasons.append(Doubt(DoubtKind.CONTRADICTED, count, n, fraction=moved))
-    reasons += [*_alone(evidence, inliers), *_rivals(evidence), *_unchecked(evidence, inliers)]
+    reasons += [*_alone(evidence, inliers), *_rivals(evidence, inliers), *_unchecked(evidence, inliers)]
     if (ratio := strain(loops, result)) > STRAIN:
         reasons.append(Doubt(DoubtKind.STRAINED, number=ratio))
     small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
-    if small and (reasons or n < MANY * m):
+    if small and (reasons or n < MANY * m or result.fit is not Fit.PLAUSIBLE):
         reasons.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
     return reasons
 
@@ -173,21 +207,75 @@ def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     if not 0 < other.dof < result.dof:
         return []
     ratio = (result.chi2_final - other.chi2_final) / (result.dof - other.dof) / noise(other)
-    if ratio <= NOISIER**2 or (moved := shift(loops, result.values, other.values)) <= AWAY:
+    if ratio <= NOISIER**2 or (moved := difference(loops, result.values, other.values).fraction) <= AWAY:
         return []
     count, total = int(alone.sum()), int(inliers.sum())
     return [Doubt(DoubtKind.ALONE, count, total, number=float(np.sqrt(ratio)), fraction=moved)]
 
 
-def _rivals(evidence: Evidence) -> list[Doubt]:
-    """The first choice that fits nearly as well, but for a different map."""
-    c2 = evidence.variance * max(evidence.problem.c2)
+def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
+    """The first choice for a different map that fits as well; else the one whose closures most likely are wrong.
+
+    It fits as well where it takes closures that were rejected, and costs at most `RIVAL` rejections more: of closures,
+    or of groups, as one wrong group may be larger than the right ones together.
+
+    Parameters
+    ----------
+    inliers : (m,) closures of the choice.
+    """
+    loops, here = evidence.loops, evidence.choice.result.values
+    c2, weak = evidence.variance * max(evidence.problem.c2), []
     for rival in evidence.rivals[1:]:
-        worse = (rival.cost - evidence.rivals[0].cost) / c2
-        away = shift(evidence.loops, evidence.choice.result.values, rival.result.values)
-        if worse <= RIVAL and away > AWAY:
-            return [Doubt(DoubtKind.RIVAL, number=worse, fraction=away)]
-    return []
+        apart = difference(loops, here, rival.result.values)
+        if apart.fraction <= AWAY:
+            continue
+        theirs, worse = loops.accepted(rival.inliers), (rival.cost - evidence.rivals[0].cost) / c2
+        given_up, taken = inliers & ~theirs, theirs & ~inliers
+        if taken.any() or not given_up.any():  # the same closures may have a second minimum
+            worse = min(worse, worse - _repeated(loops, given_up) + _repeated(loops, taken))
+            if worse <= RIVAL:
+                return [Doubt(DoubtKind.RIVAL, 0, 0, worse, *apart)]
+            continue
+        distance = _distance(here, rival)
+        odds = _odds(evidence, inliers, given_up, distance)
+        if odds > ODDS:
+            weak += [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
+    return sorted(weak, key=lambda doubt: -doubt.number)[:1]
+
+
+def _repeated(loops: LoopGraph, closures: Mask) -> int:
+    """How many of some closures (m,) repeat another one of their group, which rejected as one costs one rejection."""
+    return int(closures.sum()) - len(np.unique(loops.neighbors.cluster[closures]))
+
+
+def _distance(here: Values, rival: Choice) -> float:
+    """Squared distance of a map from that of fewer closures in the uncertainty of the latter.
+
+    Up to the second order it is chi2 of the fewer closures there less their minimum. No gauge enters it.
+    """
+    variance = unit_variance(rival.result.chi2_final / max(rival.result.dof, 1))
+    return max(rival.graph.chi2(here) - rival.result.chi2_final, 0.0) / variance
+
+
+def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) -> float:
+    r"""The odds that all g groups of k closures (m,) are wrong: (r p)^g exp(D / 2).
+
+    r is the number of rejected groups for one that was kept. A wrong group lies anywhere on the map. A right one lies
+    where the other map is, as far as that is uncertain: p is the ratio of both densities at its most probable place. D
+    is the squared distance less (k - g) d: the noise of odometry between the closures of a group takes up to d for
+    each after the first.
+    """
+    cluster, d = evidence.loops.neighbors.cluster, evidence.loops.poses.group.dim
+    kept, out = (set(cluster[closures].tolist()) for closures in (inliers, ~inliers))
+    chance = np.zeros(len(inliers))
+    for witness in evidence.judged:
+        chance[witness.members] = witness.chance
+    least = [float(chance[given_up & (cluster == group)].min()) for group in set(cluster[given_up].tolist())]
+    if not all(least):
+        return 0.0  # a group that is too large to be judged checks itself
+    prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
+    excess = max(distance - (int(given_up.sum()) - len(least)) * d, 0.0)
+    return exp(min(sum(log(prior * peak * passing) for passing in least) + excess / 2, LARGEST))
 
 
 def _sigmas(result: Result) -> float:

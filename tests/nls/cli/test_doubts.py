@@ -40,15 +40,20 @@ def test_a_chi2_no_noise_explains_is_said_with_its_causes(shell: Shell) -> None:
 
 
 def test_what_is_found_below_the_doubt_is_named(shell: Shell) -> None:
-    """Four times what noise explains, where ``result.doubt`` says nothing yet; and nothing of a good result."""
+    """Four times what noise explains, where no kernel is offered; and nothing of a good result."""
     file = shell.file(PLANE + f"EDGE_SE2 1 3 0.5 2 3 {INFORMATION_2}\n", "a b.g2o")
     graph, values, _ = nls.load(file)
     result = graph.optimize(nls.initialize(graph, values)[0])
-    assert not result.doubt
+    assert result.fit is nls.Fit.IMPLAUSIBLE
     assert 2 < result.chi2_final / result.dof < 100
-    notes = shell.report(f"solve '{file}'")["notes"]
+    report, out = shell.report(f"solve '{file}'"), shell(f"solve '{file}'")
+    assert (report["fit"], report["doubt"]) == ("IMPLAUSIBLE", result.doubt)
+    assert row(out, "result").endswith(f"; but {result.doubt}")
+    assert result.doubt in str(result)
+    assert "see: nls.explain" not in str(result.advice)
+    notes = report["notes"]
     ratio = f"{result.chi2_final / result.dof:.3g} times its expectation"
-    assert notes == [f"implausible: chi2 is {ratio}, more than noise explains; see: nls explain '{file}'"]
+    assert notes == [f"implausible: chi2 is {ratio}: {nls.Fit.IMPLAUSIBLE.value}; see: nls explain '{file}'"]
     assert "chi2 is as expected" not in shell(f"explain '{file}'")
     shell.file()
     for options in ("", "--robust cauchy:1"):
@@ -77,10 +82,10 @@ def test_fixes_that_jump_are_for_a_robust_kernel(shell: Shell) -> None:
 
 
 def test_the_bound_is_that_of_explain() -> None:
-    """Below it nothing is said, above it one line; with a robust kernel chi2 has no expectation."""
+    """Below it nothing is said, above it one line; with a robust kernel only above twice the degrees of freedom."""
     options = parser().parse_args(["solve", "a.g2o"])
     for dof in (1, 12, 40_000):
-        _, bound = chi2_interval(dof)
+        bound, doubtful = (max(chi2_interval(dof)[1], ratio * dof) for ratio in (0, 2))
 
         def said(chi2: float, dof: int = dof, robust: bool = False) -> list[str]:
             result = nls.Result(
@@ -88,10 +93,15 @@ def test_the_bound_is_that_of_explain() -> None:
             )
             return doubts(result, options)
 
-        assert said(0.9999 * bound) == said(0.5 * dof) == said(1.03 * bound, robust=True) == []
-        (sentence,) = said(1.0001 * bound)
-        assert sentence.startswith("implausible: chi2 is 1.") or dof < 100
-        assert sentence.endswith(" times its expectation, more than noise explains; see: nls explain a.g2o")
+        assert said(0.9999 * bound) == said(0.5 * dof) == said(0.9999 * doubtful, robust=True) == []
+        for robust in (False, True):
+            (sentence,) = said(1.0001 * doubtful, robust=robust)
+            assert sentence.startswith("implausible: chi2 is ")
+            assert sentence.endswith(f": {nls.Fit.IMPLAUSIBLE.value}; see: nls explain a.g2o")
+        if bound < doubtful:
+            (sentence,) = said(1.0001 * bound)
+            assert sentence.startswith("chi2 is 1.")
+            assert sentence.endswith(" times its expectation: more than noise explains; see: nls explain a.g2o")
 
 
 def test_the_command_reads_the_same_graph() -> None:

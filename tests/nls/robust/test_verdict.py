@@ -18,7 +18,7 @@ from nls.robust import preselection as preselection_module
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
 from nls.robust.truncated_least_squares import Truncated
-from nls.robust.verdict import doubts, shift
+from nls.robust.verdict import difference, doubts
 
 (x,) = kinds("x")
 PLANE = "pose-graphs-2d/"
@@ -66,10 +66,11 @@ def test_more_than_half_wrong_is_doubtful(
 
 
 def test_half_is_meant_less_what_chance_rejects_and_noise_explains_chi2(laps: sim.World) -> None:
+    """Of 100 right ones chance rejects 1 at 99 %, at most 4, and at 99.9 % at most 1; of 2,000 20, at most 33."""
     result = laps.graph.optimize(laps.start)
-    assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
-    assert [doubt.kind for doubt in doubts(result, 98, 200, 0.99)] == [DoubtKind.FEW_KEPT]
-    assert [doubt.kind for doubt in doubts(result, 99, 200, 0.999)] == [DoubtKind.FEW_KEPT]
+    for kept, of, probability in ((96, 200, 0.99), (98, 200, 0.999), (1966, 4000, 0.99)):
+        assert [doubt.kind for doubt in doubts(result, kept, of, probability)] == [DoubtKind.FEW_KEPT]
+        assert doubts(result, kept + 1, of, probability) == []
     for ratio, doubtful in ((1.9, False), (2.1, True)):
         found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1, 0.99)
         assert [doubt.kind for doubt in found] == [DoubtKind.UNEXPLAINED] * doubtful
@@ -109,6 +110,56 @@ def test_closures_alone_that_are_noisier_than_all_others_are_doubtful() -> None:
     assert doubt.number > 2.5
 
 
+def halls(seed: int, off: float) -> tuple[FactorGraph, Values]:
+    """Three laps of four halls that seven closures hold, each alone, the last one ``off`` meters; and six wrong ones.
+
+    Noise is half of the stated one.
+    """
+    rng, n = np.random.default_rng(seed), 300
+    step = np.tile([1.0, 0.0, 0.0], (n - 1, 1))
+    step[24::25, 2] = np.pi / 2
+    T = [np.zeros(3)]
+    for motion in step:
+        T.append(SE2.compose(T[-1], motion))
+    truth, k, loose, tight = np.array(T), np.arange(n - 1), np.array([0.1, 0.05, 0.02]), np.array([0.1, 0.1, 0.02])
+    odometry = Between(
+        x[k], x[k + 1], SE2.compose(step, SE2.exp(loose / 2 * rng.normal(size=(n - 1, 3)))), Diagonal(loose)
+    )
+    i = np.arange(0, 210, 30)
+    z = SE2.compose(SE2.between(truth[i], truth[i + 100]), SE2.exp(tight / 2 * rng.normal(size=(7, 3))))
+    z[-1] = SE2.compose(z[-1], [0.0, off, 0.0])
+    a = rng.integers(0, 120, 6)
+    far = Between(x[a], x[a + rng.integers(40, 170, 6)], np.zeros((6, 3)), Diagonal(tight))
+    return FactorGraph([odometry, Between(x[i], x[i + 100], z, Diagonal(tight)), far]), Values({x: (SE2, truth)})
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_choice_is_not_in_doubt_because_it_could_give_up_closures_that_fit(seed: int) -> None:
+    graph, values = halls(seed, 0.0)
+    found = nls.gnc(graph, values)
+    assert [int(w.sum()) for w in found.weights] == [299, 7, 0]
+    assert found.doubts == ()
+    without = graph.only([np.ones(299, bool), np.arange(7) < 4, np.zeros(6, bool)]).optimize(found.result.values)
+    assert difference(loop_graph(graph, values), found.result.values, without.values).fraction > verdict.AWAY
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_closures_that_fit_badly_and_that_few_others_check_are_weak(seed: int) -> None:
+    """Two meters off: what the others leave open, and not by chance."""
+    graph, values = halls(seed, 2.0)
+    found = nls.gnc(graph, values)
+    assert [int(w.sum()) for w in found.weights] == [299, 7, 0]
+    (doubt,) = (doubt for doubt in found.doubts if doubt.kind is DoubtKind.WEAK)
+    assert (doubt.number > 100, doubt.total) == (True, 7)
+    assert f"the map is {doubt.meters:.3g} m ({100 * doubt.fraction:.2g} % of its extent)" in str(doubt)
+    if doubt.count == 1:
+        without = graph.only([np.ones(299, bool), np.arange(7) < 6, np.zeros(6, bool)]).optimize(found.result.values)
+        apart = difference(loop_graph(graph, values), found.result.values, without.values)
+        assert (doubt.fraction, doubt.meters, doubt.radians) == pytest.approx(tuple(apart), rel=1e-3)
+        excess = found.result.chi2_final - without.chi2_final
+        assert doubt.sigmas**2 == pytest.approx(excess / (without.chi2_final / without.dof), rel=0.3)
+
+
 @pytest.mark.parametrize("space", [SE2, SE3])
 def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
     rng = np.random.default_rng(2)
@@ -121,12 +172,17 @@ def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
     track = loop_graph(loops, Values({x: (space, X)}))
     moved = Values({x: (space, space.compose(space.exp(rng.normal(size=(1, space.dim))), X))})
     values = Values({x: (space, X)})
-    assert shift(track, values, moved) < 1e-12
+    assert difference(track, values, moved)[:2] == pytest.approx((0, 0), abs=1e-12)
     p = space.position(X)
     other = X.copy()
     other[:, : p.shape[1]] += 0.3 * rng.normal(size=p.shape)
     expected = nls.metrics.ate(other, X, "rigid").rmse / np.ptp(p, axis=0).max()
-    assert shift(track, values, Values({x: (space, other)})) == pytest.approx(expected, rel=1e-6)
+    apart = difference(track, values, Values({x: (space, other)}))
+    assert (apart.fraction, apart.meters) == pytest.approx((expected, expected * np.ptp(p, axis=0).max()), rel=1e-6)
+    turn = np.zeros((30, space.dim))
+    turn[1:, -1] = 0.2 * (-1.0) ** np.arange(29)
+    turned = difference(track, values, Values({x: (space, space.retract(X, turn))}))
+    assert turned == pytest.approx((0, 0, 0.2 * np.sqrt(29 / 30)), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kitti_00.g2o", "CSAIL.g2o", "FR079_P_toro.graph", "input_INTEL.g2o"])
