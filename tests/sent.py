@@ -105,7 +105,7 @@ def things(folder: Path) -> dict[str, Any]:
         "marginals by LU": Marginals(ring.graph, result.values, nls.LU()),
         "marginals by Schur": Marginals(sea.graph, sea.truth, nls.Schur()),
         "joint": Marginals(ring.graph, result.values).joint(x[[1, 2]], frame="world"),
-        "stops": [nls.Stop(max_iterations=3), *nls.Status],
+        "stops": [nls.Stop(max_iterations=3), *nls.Status, *nls.Fit],
         "optimizers": [nls.GaussNewton(nls.Stop(1e-9)), nls.LevenbergMarquardt(), nls.Dogleg()],
         "solvers": [solver() for solver in solvers],
         "explanation": nls.explain(ring.graph, ring.start),
