@@ -22,7 +22,6 @@ def drive(world: dict[str, Any], lag: int) -> tuple[Any, Any]:
     parameters.setRelinearizeThreshold(0.001)
     parameters.relinearizeSkip = 1
     smoother, latest = gtsam.IncrementalFixedLagSmoother(lag, parameters), gtsam.Pose2(*world["first"])
-    known: dict[int, int] = {}
     for k in range(len(world["step"]) + 1):
         graph, values, times = gtsam.NonlinearFactorGraph(), gtsam.Values(), {X(k): float(k)}
         if k == 0:
@@ -39,9 +38,8 @@ def drive(world: dict[str, Any], lag: int) -> tuple[Any, Any]:
             graph.push_back(gtsam.PoseTranslationPrior2D(X(k), world["fix"][row], sigmas["fix"]))
         for row in np.flatnonzero(world.get("pose", np.zeros(0)) == k).tolist():
             l, (bearing, distance) = int(world["landmark"][row]), world["seen"][row]
-            if k - known.get(l, -lag) >= lag:
+            if not smoother.getLinearizationPoint().exists(L(l)):
                 values.insert(L(l), latest.transformFrom(distance * np.array([np.cos(bearing), np.sin(bearing)])))
-            known[l] = k
             times[L(l)] = float(k)
             graph.push_back(gtsam.BearingRangeFactor2D(X(k), L(l), gtsam.Rot2(bearing), distance, sigmas["seen"]))
         smoother.update(graph, values, times)

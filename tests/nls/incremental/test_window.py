@@ -195,6 +195,17 @@ def test_bearings_and_ranges_never_sharpen_the_heading(turn: float, lag: int) ->
         assert sigma > 0.099
 
 
+def test_the_gap_of_a_window_bounds_how_far_chi2_is_above_its_minimum() -> None:
+    for seed in range(2):
+        factors, truth = around(x, l, seed, 0.0)
+        smoother, first = Incremental(lag=5), Values({x: (SE2, truth[x[:1]])})
+        for step in steps(factors):
+            smoother.update(step.factors, first)
+            best = smoother.graph.optimize(smoother.values).chi2_final
+            assert smoother.chi2 - best <= smoother.gap + 1e-9, (seed, step.pose)
+        assert smoother.batch_solutions == 0
+
+
 def test_two_vehicles_that_nothing_joins_keep_their_headings() -> None:
     y, m = kinds("y", "m")
     one, other = around(x, l, 0, 0.2), around(y, m, 1, 0.2)
