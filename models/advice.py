@@ -16,7 +16,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     # the way to an optimum
     "solve": ("solve first", "nls.explain(graph, graph.optimize(values).values)", "more --max-iterations"),
     "start": ("try another start", "nls.initialize(graph, values)", "--init"),
-    "start at better": ("start there", "its `better` or `values`", "another --init may lead there"),
+    "start at better": ("go on from there", "graph.optimize(certificate.better)", "--improve"),
     "certify": ("prove whether there is a lower minimum", "nls.certify(graph, values)", "nls solve --certify"),
     "damp": ("damp the steps", "nls.LevenbergMarquardt()", "--method levenberg-marquardt"),
     "qr": ("keep twice the digits", "linear_solver=nls.QR()", "--linear-solver qr"),

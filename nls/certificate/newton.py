@@ -99,7 +99,8 @@ def newton(problem: Problem, M: Array) -> Optimum:
         trial_cost = problem.cost(trial)
         promised = -float(np.sum(g * delta)) + shift * float(np.sum(D * np.square(delta)))
         if promised <= DECREASE * cost + problem.rounding(M):
-            return Optimum(trial, trial_cost, True, step) if trial_cost < cost else Optimum(M, cost, True, step)
+            rounds = trial_cost <= (1 + DECREASE) * cost + problem.rounding(M)  # the gradient falls, the cost cannot
+            return Optimum(trial, trial_cost, True, step) if rounds else Optimum(M, cost, True, step)
         ratio = (cost - trial_cost) / promised
         if ratio < FAIR:
             shift = max(MORE * shift, smallest)

@@ -26,17 +26,22 @@ SHORTEST = 1e-5  # an added row whose longest entry is shorter changes the cost 
 
 
 def staircase(problem: Problem, optimum: Optimum, known: Spectrum) -> tuple[Optimum | None, float]:
-    """The pose graph next to the global optimum with more rows, None where that is not reached; what none is below."""
-    lifted, lowest = optimum, known.lowest
+    """The lowest minimum next to an optimum with more rows, None without one; what no pose graph is below.
+
+    All optima on the way are rounded. Where the last one needs all its rows, an earlier one can be nearer to poses.
+    """
+    lifted, poses, lowest = optimum, None, known.lowest
     for _ in range(ROWS):
         if (M := _raised(problem, lifted, known.v)) is None:
             break
         lifted = newton(problem, M)
         known = spectrum(problem, lifted)
         lowest = max(lowest, known.lowest)
+        rounded = newton(problem, placed(_rounded(lifted.M), optimum.M, problem.held))
+        poses = rounded if poses is None or rounded.cost < poses.cost else poses
         if known.certified:
-            return newton(problem, placed(_rounded(lifted.M), optimum.M, problem.held)), lowest
-    return None, lowest
+            break
+    return poses, lowest
 
 
 def placed(M: Array, like: Array, held: int) -> Array:

@@ -1,63 +1,76 @@
-"""Certified, refuted or undecided: the verdict on a solved pose graph, in words and numbers."""
+"""Certified, refuted or undecided: the verdict on the values of a solved pose graph, in words and numbers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from models.advice import Advice, listed
 from models.algebra import Array
-from models.errors import UnderconstrainedError
+from models.errors import GraphWarning, UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
 from nls.certificate.problem import Problem, certifiable
 from nls.certificate.spectrum import RELATIVE, Spectrum, spectrum
 from nls.certificate.staircase import placed, staircase
 from nls.graph import FactorGraph
+from nls.optimizers import Result, Stop
+from nls.optimizers.thresholds import Thresholds
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values, refuse_other
 
 __all__ = ["Certificate", "certify"]
 
+LEFT = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
+
 
 @dataclass(frozen=True)
 class Certificate:
-    """Certificate of the global optimum of a pose graph in the SE-Sync cost; ``report()`` says it in words.
+    """Verdict on the values of a pose graph, by a proof in the SE-Sync cost; ``report()`` says it in words.
+
+    The proof is about `values`, the lowest minimum of the SE-Sync cost that was found. The verdict is about the values
+    given: chi2 is optimized from that minimum, and either ends at them or not.
 
     Attributes
     ----------
-    verdict : ``certified``: no pose graph costs less than `lowest`, and that is `cost` but for a millionth, or
-        for what rounding hides, a hundredth at most; ``refuted``: `better` costs less; ``undecided``: neither is shown.
-    cost : of `values`, the local minimum next to the values given.
-    cost_given : of the values given.
-    lowest : no pose graph costs less.
-    eigenvalues : (d + 1,) the smallest ones of the certificate matrix, positions eliminated. At a certified optimum d
-        of them are 0; the next one, above 0, says that there is no other one but for a motion of the whole.
-    values : the values given with the poses of the local minimum; the pose of lowest number, or the one that is fixed
-        or has a prior, keeps its place.
-    better, better_cost : a minimum of lower cost, where one was found, with the same pose in its place.
+    verdict : ``certified``: `values` are proved to be the global optimum of the SE-Sync cost, and chi2 optimized from
+        there ends at the values given. ``refuted``: it ends lower than the values given. ``undecided``: neither; the
+        proof is missing, or chi2 ends higher.
+    chi2_given : of the values given.
+    chi2_reached : where chi2 ends, optimized from `values`.
+    reached : whether that optimization converged.
+    better : the values where it ends; None unless they have a lower chi2 than those given.
+    cost_given : SE-Sync cost of the values given.
+    cost, values : the lowest minimum of the SE-Sync cost that was found, and its cost. The pose of lowest number, or
+        the one that is fixed or has a prior, keeps its place.
+    proved : whether `values` are the global optimum of the SE-Sync cost: `lowest` is `cost` but for a millionth, or
+        for what rounding hides, a hundredth at most.
+    lowest : no pose graph has a lower SE-Sync cost.
+    eigenvalues : (d + 1,) the smallest ones of the certificate matrix at `values`, positions eliminated. Where proved,
+        d of them are 0; the next one, above 0, says that there is no other optimum but for a motion of the whole.
     direction : (n, d + 1) the eigenvector of the first eigenvalue, in the order of the values. Its rows below every [R
-        t] lower the cost. None where certified.
+        t] lower the SE-Sync cost. None where proved.
     moved : largest distance, m, and angle, rad, between the values given and `values`, pose by pose.
     moved_rms : their root mean squares.
-    lower_chi2 : chi2 of the graph at `better`, or else at `values`, where it is below that of the values given. These
-        then are not the global optimum of chi2 either. None otherwise.
     converged, steps : whether Newton's method had nothing left to gain at `values`, and its steps.
     """
 
     verdict: str
-    cost: float
+    chi2_given: float
+    chi2_reached: float
+    reached: bool
+    better: Values | None = field(repr=False)
     cost_given: float
+    cost: float
+    values: Values = field(repr=False)
+    proved: bool
     lowest: float
     eigenvalues: Array
-    values: Values = field(repr=False)
-    better: Values | None = field(repr=False)
-    better_cost: float | None
     direction: Array | None = field(repr=False)
     moved: tuple[float, float]
     moved_rms: tuple[float, float]
-    lower_chi2: float | None
     converged: bool
     steps: int
 
@@ -67,41 +80,53 @@ class Certificate:
         return float(self.eigenvalues[0])
 
     @property
+    def lower_chi2(self) -> float | None:
+        """chi2 of `better`; None where there is none."""
+        return None if self.better is None else self.chi2_reached
+
+    @property
     def advice(self) -> tuple[Advice, ...]:
-        """Cures where the solution is not the lowest."""
-        return () if self.lower_chi2 is None else (Advice("start at better"),)
+        """The way on where a lower chi2 was found."""
+        return () if self.better is None else (Advice("start at better"),)
 
     def report(self, shell: bool = False) -> str:
-        """The verdict, its minimum and the distance of the given values, and the eigenvalues: four lines. Two more
-        where `lower_chi2` is known, with the advice for Python or for the command line."""
+        """The verdict, chi2, the SE-Sync minimum and its distance, the eigenvalues: five lines. One more, the way on
+        for Python or for the command line, where it is refuted."""
+        minimum = "global optimum of the SE-Sync cost" if self.proved else "lowest minimum of the SE-Sync cost found"
         sentences = {
-            "certified": "globally optimal in the SE-Sync cost, which differs slightly from chi2. This does not "
-            "validate the measurements",
-            "refuted": "not globally optimal: other poses have a lower SE-Sync cost",
-            "undecided": "no poses with a lower SE-Sync cost were found, and global optimality was not proved",
-        }
-        known = {
-            "certified": f"the lowest possible one is at most {self.cost - self.lowest:.1g} below",
-            "refuted": f"a lower one is {self.better_cost or 0.0:.6g}",
-            "undecided": f"the lowest possible one is at least {self.lowest:.6g}",
+            "certified": f"chi2, optimized from the {minimum}, ends at this solution. The proof is in that cost, which "
+            "differs slightly from chi2. This does not validate the measurements",
+            "refuted": f"not globally optimal: chi2, optimized from the {minimum}, ends lower",
+            "undecided": f"no lower chi2 was found, and {self._missing}",
         }
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
             f"{self.verdict}: {sentences[self.verdict]}",
-            f"SE-Sync cost: {self.cost:.6g} at the minimum beside this solution, {known[self.verdict]}",
-            f"the solution has {self.cost_given:.6g} and is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg "
-            f"rms from that minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg at most",
-            f"smallest eigenvalues of the certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
+            f"chi2: {self.chi2_given:.9g} at this solution, {self.chi2_reached:.9g} optimized from that minimum",
+            f"SE-Sync cost: {self.cost_given:.6g} at this solution, {self.cost:.6g} at that minimum, "
+            + (
+                f"{self.cost - self.lowest:.1g} above the lowest possible one at most"
+                if self.proved
+                else f"the lowest possible one is at least {self.lowest:.6g}"
+            ),
+            f"that minimum is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg rms from this solution, "
+            f"{distance:.3g} m and {np.degrees(angle):.3g} deg at most",
+            f"smallest eigenvalues of its certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
         ]
-        if self.lower_chi2 is not None:
-            lines.append(f"chi2 of the solution is not the lowest: {self.lower_chi2:.6g} is lower")
-            lines += [f"  -> {words}" for words in listed(self.advice, shell)]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  -> {words}" for words in listed(self.advice, shell))])
+
+    @property
+    def _missing(self) -> str:
+        """What an undecided certificate lacks."""
+        if not self.proved:
+            return "no minimum of the SE-Sync cost was proved to be its global optimum"
+        ended = "ends higher" if self.reached else "does not converge"
+        return f"chi2, optimized from the global optimum of the SE-Sync cost, {ended}"
 
 
 @single_thread()
-def certify(graph: FactorGraph, values: Values) -> Certificate:
-    r"""Global optimality of a pose graph, in the cost in which it can be certified.
+def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Certificate:
+    r"""Whether the chi2 of values is the lowest, by a proof in the SE-Sync cost.
 
     .. math:: \sum_{(i,j)} \kappa |R_j - R_i R_{ij}|_F^2 + \tau |t_j - t_i - R_i t_{ij}|^2
 
@@ -112,7 +137,8 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     Parameters
     ----------
     graph : `Between` factors of SE2, or of SE3, that connect all poses; nothing else but a `Prior` on one pose.
-    values : a solution, such as ``graph.optimize(...).values``. From there the cost is minimized first.
+    values : a solution, such as ``graph.optimize(...).values``.
+    stop : thresholds by which the values were found, where they are looser than those of `Stop`.
 
     Returns
     -------
@@ -125,13 +151,18 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
         that has no inverse.
     EvaluationError
         Weights that overflow, or of positions that differ by more than the digits of numbers hold.
+    UnderconstrainedError
+        chi2 cannot be optimized from the minimum of the SE-Sync cost.
 
     Notes
     -----
-    chi2 has another optimum, near this one where residuals are small. A certificate holds for chi2 only if the two
-    minima lie in one valley, and `Certificate.moved` says how far they are apart. D. Rosen, L. Carlone, A. Bandeira, J.
-    Leonard, "SE-Sync: a certifiably correct algorithm for synchronization over the special Euclidean group", IJRR
-    38(2-3), 2019.
+    The global optimum of chi2 is another one, near that of the SE-Sync cost where residuals are small. So chi2 is
+    optimized from there, as by ``graph.optimize``. It ends at the values given if it has the same chi2 within 10
+    `chi2_rtol`: that much a step may still promise where the optimizer stops. chi2 of exact measurements is rounding;
+    then the poses have to agree within `update_tol`. D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a
+    certifiably correct algorithm for synchronization over the special Euclidean group", IJRR 38(2-3), 2019.
+
+    Where the values are refuted, ``graph.optimize(certificate.better)`` goes on; certify its values in turn.
 
     Examples
     --------
@@ -150,41 +181,69 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     refuse_other("certify", graph, values)
     problem = certifiable(graph, values)
     M_given = problem.matrices(problem.graph.stack(values))
-    optimum = newton(problem, M_given)
-    known = spectrum(problem, optimum)
-    better, lowest = (None, known.lowest) if known.certified else _better(problem, graph, values, optimum, known)
+    optimum, known = _lowest(problem, graph, values, newton(problem, M_given))
     distance, angle = _apart(M_given, optimum.M)
-    minimum, best = (problem.graph.replaced(values, problem.poses(at.M)) for at in (optimum, better or optimum))
-    chi2, chi2_given = graph.chi2(best), graph.chi2(values)
+    minimum, chi2_given = problem.graph.replaced(values, problem.poses(optimum.M)), graph.chi2(values)
+    end = _optimized(graph, minimum)
+    same = _same(problem, graph, values, end, stop or Stop())
+    lower = not same and end.chi2_final < chi2_given
     return Certificate(
-        verdict="certified" if known.certified else "undecided" if better is None else "refuted",
-        cost=optimum.cost,
+        verdict="refuted" if lower else "certified" if same and known.certified and end.converged else "undecided",
+        chi2_given=chi2_given,
+        chi2_reached=end.chi2_final,
+        reached=end.converged,
+        better=end.values if lower else None,
         cost_given=problem.cost(M_given),
-        lowest=lowest,
-        eigenvalues=known.eigenvalues,
+        cost=optimum.cost,
         values=minimum,
-        better=None if better is None else best,
-        better_cost=None if better is None else better.cost,
+        proved=known.certified,
+        lowest=known.lowest,
+        eigenvalues=known.eigenvalues,
         direction=None if known.certified else known.v,
         moved=(float(distance.max()), float(angle.max())),
         moved_rms=(float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean(angle**2)))),
-        lower_chi2=chi2 if chi2 < (1 - RELATIVE) * chi2_given - problem.rounding(M_given) else None,
         converged=optimum.converged,
         steps=optimum.steps,
     )
 
 
-def _better(
-    problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum, known: Spectrum
-) -> tuple[Optimum | None, float]:
-    """A lower minimum, from the chordal start or else up the staircase, and what no pose graph costs less than."""
-    limit, lowest = (1 - RELATIVE) * optimum.cost, known.lowest
-    better = _from_chordal(problem, graph, values, optimum)
-    if better is None or better.cost >= limit:
-        better, lowest = staircase(problem, optimum, known)
-    if better is None or better.cost >= limit:
-        return None, lowest
-    return better, max(spectrum(problem, better).lowest, lowest)
+def _same(problem: Problem, graph: FactorGraph, values: Values, end: Result, stop: Stop) -> bool:
+    """Whether values have the chi2 at which an optimization ended, within their stop.
+
+    Where `stop` is looser than that of the optimization, chi2 optimized from the values has to end there, too.
+    """
+    given, tol = graph.chi2(values), Thresholds()
+    gap = abs(given - end.chi2_final) / LEFT
+    if gap <= tol.chi2_rtol * given:
+        return True
+    M, M_end = (problem.matrices(problem.graph.stack(at)) for at in (values, end.values))
+    apart = np.max(_apart(M, placed(M_end, M, problem.held)))
+    if apart <= tol.update_tol and gap <= tol.chi2_rtol * len(problem.W):  # exact measurements: chi2 is rounding
+        return True
+    is_looser = tol.chi2_rtol < stop.in_force.chi2_rtol and gap <= stop.in_force.chi2_rtol * given
+    return is_looser and _same(problem, graph, _optimized(graph, values).values, end, Stop())
+
+
+def _optimized(graph: FactorGraph, values: Values) -> Result:
+    """The optimum of chi2 from values."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
+        return graph.optimize(values)
+
+
+def _lowest(problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum) -> tuple[Optimum, Spectrum]:
+    """The lowest minimum of the SE-Sync cost, as given, from the chordal start or up the staircase; and its spectrum."""
+    known = spectrum(problem, optimum)
+    if not known.certified:
+        start = _from_chordal(problem, graph, values, optimum)
+        if start is not None and start.cost < (1 - RELATIVE) * optimum.cost:
+            optimum, known = start, spectrum(problem, start)
+    if not known.certified:
+        start, lowest = staircase(problem, optimum, known)
+        if start is not None and start.cost < (1 - RELATIVE) * optimum.cost:
+            optimum, known = start, spectrum(problem, start)
+        known = replace(known, lowest=max(lowest, known.lowest))
+    return optimum, known
 
 
 def _from_chordal(problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum) -> Optimum | None:

@@ -39,6 +39,7 @@ class Job:
     chi2_read : chi2 of the values as read; None where it does not exist.
     stages : seconds that the library counts inside reading and starting.
     result, solved, certificate : of the optimization, of a mission, of ``--certify``.
+    refuted : chi2 of the solutions that were refuted and left, with ``--improve``.
     failed : outputs that could not be written.
     """
 
@@ -63,6 +64,7 @@ class Job:
         self.options, self.clock, self.solver, self.stop = options, clock, solver, stop
         self.starts: dict[str, float] = {}
         self.stages: dict[str, float] = {}
+        self.refuted: list[float] = []
         self.failed: list[LeadlineError] = []
 
     @property
@@ -83,4 +85,6 @@ class Job:
         record: dict[str, Any] = {} if self.solved is None else {name: self.solved.record()}
         record |= {} if self.sigmas is None else {"sigmas": sigmas.record(self.sigmas)}
         record |= {} if self.choice is None else outliers.record(self.choice)
-        return record | ({} if self.certificate is None else {"certificate": certificate.record(self.certificate)})
+        return record | (
+            {} if self.certificate is None else {"certificate": certificate.record(self.certificate, self.refuted)}
+        )

@@ -42,6 +42,7 @@ EXAMPLES = """examples:
   nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
   nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
+  nls solve survey.g2o --improve                       the same; where it is not, go on from the lower one
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
@@ -201,6 +202,11 @@ def parser() -> Parser:
         "--certify",
         action="store_true",
         help="prove that a pose graph is at its global optimum; exit with 1 if a better one is found",
+    )
+    solve.add_argument(
+        "--improve",
+        action="store_true",
+        help="--certify before anything is written; while a better optimum is found, go on from there and say so",
     )
     _json(solve)
     solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")

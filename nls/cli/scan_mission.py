@@ -37,6 +37,7 @@ REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and w
     "sigmas": ("stated", "the sigmas of a scan mission are those of [drift] in mission.toml and of its matches"),
     "gauge": ("first", "the first keyframe of a scan mission is held"),
     "certify": (False, "the drifts of a scan mission are no poses"),
+    "improve": (False, "the drifts of a scan mission are no poses"),
     "convention": ("g2o", "a scan mission has its own residuals"),
     "allow_doubtful": (False, "it goes with --robust gnc-tls, of graph files"),
 }

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 __all__ = ["record"]
 
 
-def refuse(sigmas: str, robust: str | None) -> None:
-    """Refuse scales from measurements that were chosen by the stated sigmas.
+def refuse(sigmas: str, robust: str | None, improve: bool) -> None:
+    """Refuse scales from measurements that were chosen by the stated sigmas, or from an optimum that may be left.
 
     Raises
     ------
@@ -28,6 +28,9 @@ def refuse(sigmas: str, robust: str | None) -> None:
         allowed = (
             f"stated with --robust {robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
         )
+        raise OptionError("--sigmas", sigmas, allowed)
+    if sigmas != "stated" and improve:
+        allowed = "stated with --improve: scales hold for the optimum they were estimated at; --certify goes with it"
         raise OptionError("--sigmas", sigmas, allowed)
 
 

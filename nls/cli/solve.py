@@ -25,8 +25,11 @@ def solve(options: argparse.Namespace) -> int:
         _optimize(job)
     else:
         _close(job)
+    if options.improve:
+        _improve(job)
     _write(job)
-    _certify(job)
+    if options.certify and not options.improve:
+        _certify(job)
     _draw(job)
     _report(job)
     return _status(job)
@@ -56,7 +59,7 @@ def _checked(options: argparse.Namespace) -> Job:
 
         if (select := selection_of(options)) is not None:
             job.select, options.robust, options.init = select, None, "file"
-    refuse(options.sigmas, options.robust)
+    refuse(options.sigmas, options.robust, options.improve)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
@@ -167,7 +170,7 @@ def _check_graph(job: Job) -> None:
         job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
     if job.form:
         refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
-    if job.options.certify:
+    if job.options.certify or job.options.improve:
         from nls.certificate.problem import certifiable
 
         certifiable(job.graph, job.start)
@@ -238,6 +241,18 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
     return OPTIMIZERS[name](job.stop, progress.show)
 
 
+def _improve(job: Job) -> None:
+    """From a solution that is refuted on to the optimum of lower chi2, until none is refuted."""
+    _certify(job)
+    while job.certificate is not None and job.certificate.better is not None:
+        job.refuted.append(job.result.chi2_final)
+        job.start, job.init = job.certificate.better, "better poses"
+        job.starts["better poses"] = job.graph.chi2(job.start)
+        _find_optimum(job)
+        job.clock.lap("optimize")
+        _certify(job)
+
+
 def _write(job: Job) -> None:
     """Every output but the reports."""
     from nls.cli.solve_outputs import write_outputs
@@ -251,17 +266,17 @@ def _write(job: Job) -> None:
 
 
 def _certify(job: Job) -> None:
-    """Last of the work: it can take longer than the solution, which is written by now."""
+    """The certificate; without ``--improve`` last of the work, as it can take longer than the solution."""
     import nls
     from models.errors import LeadlineError
 
-    if job.options.certify:
-        job.options.phase.now("while certifying the optimum")
-        try:
-            job.certificate = nls.certify(job.graph, job.result.values)
-        except LeadlineError as error:
-            job.failed.append(error)
-        job.clock.lap("certify")
+    job.options.phase.now("while certifying the optimum")
+    try:
+        job.certificate = nls.certify(job.graph, job.result.values, job.stop)
+    except LeadlineError as error:
+        job.certificate = None
+        job.failed.append(error)
+    job.clock.lap("certify")
 
 
 def _draw(job: Job) -> None:
@@ -294,14 +309,14 @@ def _report(job: Job) -> None:
     if not options.quiet and options.json != "-":
         rows = [] if job.choice is None else outliers.rows(job.choice, options.robust is not None)
         rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
-        rows += [] if job.certificate is None else certificate.rows(job.certificate)
+        rows += [] if job.certificate is None else certificate.rows(job.certificate, job.refuted)
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 
 def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
-    from nls.cli import outliers, sigmas
+    from nls.cli import certificate, outliers, sigmas
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -310,9 +325,8 @@ def _status(job: Job) -> int:
     if not result.converged and not (allowed and options.quiet):
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
-    refuted = job.certificate is not None and job.certificate.verdict == "refuted"
-    if refuted:
-        print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
+    if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
+        print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
     doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
     doubtful = sigmas.unsettled(job.sigmas) or doubtful
     if job.select is not None:

@@ -24,7 +24,7 @@ MEANINGS = {
     "check": "whether the output can hold the graph",
     "build": "gauge and pattern",
     "analyze": "elimination order, symbolic factorization",
-    "other": "stop rules, degrees of freedom; of scans the matching",
+    "other": "stop rules, degrees of freedom; of scans the matching; solutions that --improve left",
     "write": "files asked for",
     "certify": "optimum and eigenvalues in the SE-Sync cost",
     "report": "explanation, covariances and pictures of the page",
@@ -45,9 +45,9 @@ class Clock:
         self._began = self._last = began
 
     def lap(self, name: str) -> float:
-        """End of a stage; returns its seconds."""
+        """End of a stage, or of a part of it; returns its seconds so far."""
         now = perf_counter()
-        self.seconds[name], self._last = now - self._last, now
+        self.seconds[name], self._last = self.seconds.get(name, 0.0) + now - self._last, now
         return self.seconds[name]
 
     def timings(self, optimize: dict[str, float], stages: dict[str, float]) -> dict[str, float]:

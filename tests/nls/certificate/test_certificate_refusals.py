@@ -50,9 +50,11 @@ def test_what_cannot_be_certified_is_named() -> None:
 
 def test_fixed_poses_and_other_spaces_are_refused() -> None:
     graph = FactorGraph([CHAIN, Prior(x[1], [0, 0, 0], Diagonal([1, 1, 1]))])
-    assert nls.certify(graph, VALUES).verdict == "certified"
+    values = graph.optimize(Values({x: (SE2, VALUES[x[:3]])})).values
+    assert nls.certify(graph, values).verdict == "certified"
+    assert nls.certify(graph, VALUES).verdict == "refuted"  # and no warning of values that nothing measures
     graph.fix(x[1])
-    assert nls.certify(graph, VALUES).verdict == "certified"  # the pose of the prior
+    assert nls.certify(graph, values).verdict == "certified"  # the pose of the prior
     graph.fix(x[0])
     with pytest.raises(nls.GraphError, match="x0 and x1 are both held"):
         nls.certify(graph, VALUES)
@@ -84,7 +86,8 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -
     graph, values, _ = nls.load(file)
     start, *_ = nls.initialize(graph, values)
     expected = nls.certify(graph, graph.optimize(start).values)
-    assert (found["verdict"], found["better_cost"], found["lower_chi2"]) == ("certified", None, None)
+    assert (found["verdict"], found["proved"], found["lower_chi2"], found["refuted"]) == ("certified", True, None, [])
+    assert found["chi2_given"] == report["chi2_final"] == pytest.approx(found["chi2_reached"], rel=1e-5)
     assert found["cost"] == pytest.approx(expected.cost, rel=1e-12)
     assert found["cost_given"] == pytest.approx(expected.cost_given, rel=1e-12)
     assert [found["moved"]["distance"], found["moved"]["angle"]] == pytest.approx(expected.moved, rel=1e-6)
@@ -96,17 +99,46 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -
     assert "certify" not in plain["timings"]
 
 
-def test_the_command_line_refutes(tmp_path: Path, capsys: Captured) -> None:
-    k, turn = np.arange(8), 2 * np.pi / 8
-    lines = [f"VERTEX_SE2 {i} {np.cos(2 * turn * i)} {np.sin(2 * turn * i)} {2 * turn * i + 1}" for i in k]
-    lines += [f"EDGE_SE2 {i} {(i + 1) % 8} 1 0 {turn} {INFORMATION_2}" for i in k]
-    file = str(write(tmp_path, "\n".join(lines) + "\n"))
-    assert main(["solve", file, "--init", "file", "--certify", "--method", "levenberg-marquardt"]) == 1
-    shown = capsys.readouterr().out
-    assert "certificate refuted: " in shown
-    assert "chi2 of the solution is not the lowest: " in shown
-    assert "is lower\n" in shown
-    assert "-> start there: another --init may lead there" in shown
+def square(tmp_path: Path) -> str:
+    """A square whose corners start on one spot."""
+    lines = [f"VERTEX_SE2 {k} 0 0 {0.001 * (k == 1)}" for k in range(4)]
+    lines += [f"EDGE_SE2 {k} {(k + 1) % 4} 1 0 {np.pi / 2 + 0.05 * (k == 0)} {INFORMATION_2}" for k in range(4)]
+    return str(write(tmp_path, "\n".join(lines) + "\n"))
+
+
+def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp_path: Path, capsys: Captured) -> None:
+    out, where = str(tmp_path / "out.g2o"), tmp_path / "r.json"
+    command = ["solve", square(tmp_path), "--init", "file", "-o", out, "--json", str(where)]
+    assert main([*command, "--certify"]) == 1
+    captured = capsys.readouterr()
+    assert "\ncertificate refuted: " in captured.out
+    first = json.loads(where.read_text())
+    lower = first["certificate"]["lower_chi2"]
+    assert lower < 1e-3 * first["chi2_final"]
+    (way_on,) = [line.partition(": ")[2] for line in captured.out.splitlines() if "-> go on from there: " in line]
+    assert captured.err.splitlines()[-1].startswith("nls: refuted: ")
+    assert captured.err.splitlines()[-1].endswith(f"; go on from there: {way_on}")
+
+    assert main([*command, *way_on.split()]) == 0
+    captured = capsys.readouterr()
+    assert f"\nimproved    refuted at chi2 {first['chi2_final']:.9g}: went on from its better poses\n" in captured.out
+    assert "\ncertificate certified: " in captured.out
+    assert captured.err == ""
+    report = json.loads(where.read_text())
+    assert report["certificate"]["refuted"] == [first["chi2_final"]]
+    assert report["chi2_final"] == pytest.approx(lower, rel=1e-5)
+    assert report["init"] == "better poses"
+    graph, values, _ = nls.load(out)  # what is written is the better one
+    assert graph.chi2(values) == pytest.approx(report["chi2_final"], rel=1e-4)
+    seconds = report["timings"]
+    assert seconds["total"] == pytest.approx(sum(seconds[k] for k in ("solved", "check", "certify", "write")))
+
+
+def test_a_certified_solution_is_not_improved(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["solve", square(tmp_path), "--improve", "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["certificate"]["verdict"], report["certificate"]["refuted"]) == ("certified", [])
+    assert "better poses" not in report["starts"]
 
 
 @pytest.mark.filterwarnings("ignore::models.errors.GraphWarning")
@@ -119,4 +151,9 @@ def test_a_solution_is_written_before_its_certificate_fails(tmp_path: Path, caps
     captured = capsys.readouterr()
     assert "nls: certify: the weights of positions differ by more than the digits" in captured.err
     assert "certificate" not in json.loads(captured.out)
+    assert out.exists()
+    out.unlink()
+    assert main(["solve", file, "--improve", *options[1:]]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("nls: certify: the weights of positions differ by more than the digits") == 1
     assert out.exists()

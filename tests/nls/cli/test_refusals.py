@@ -122,6 +122,8 @@ solve square.g2o --robust gnc-tls --init chordal => begins with odometry
 explain square.g2o --robust gnc-tls => one of huber, .*; nls solve has gnc-tls and gnc-gm
 solve chain.g2o --robust gnc-tls => no loop closures, (.|\n)*-> use a robust kernel: --robust cauchy:1$
 solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certify: .
+solve graph.g2o --improve --sigmas estimate => expected stated with --improve
+solve ray.g2o --improve => ^nls: certify: Bearing\(x0, l20\)
 solve ray.g2o --certify => ^nls: certify: Bearing\(x0, l20\)
 
 solve m -o m => -o: 'm' is not possible; expected another folder than that of the mission

@@ -124,6 +124,7 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
         ("--method dogleg", "the rounds of a scan mission choose their own"),
         ("--hold x", "a scan mission has only its keyframes and their drift"),
         ("--certify", "the drifts of a scan mission are no poses"),
+        ("--improve", "the drifts of a scan mission are no poses"),
         ("--crs utm -o out", "a scan mission has coordinates of its own"),
         ("-o out.g2o", "a folder: the solution of a mission is several files"),
         ("-o m", "another folder than that of the mission"),

@@ -178,7 +178,7 @@ def test_what_was_rejected_and_certified(monkeypatch: pytest.MonkeyPatch) -> Non
     assert page.text.count("Between(x3, x90)") == 12
     for line in certificate.report().splitlines():
         assert line in page.text
-    lower = replace(certificate, verdict="refuted", better_cost=0.0)
+    lower = replace(certificate, verdict="refuted", better=start)
     assert (
         "Not the optimum  The certificate found a lower minimum."
         in Page(report(graph, start, result, certificate=lower)).text
