@@ -272,34 +272,48 @@ class Incremental:
         _, fall = self._system.step(self._allowed(SETTLED) / HONEST)
         self.gap = self._bound(fall)
 
-    def remove(self, factor: Factor) -> None:
-        """Take out measurements that were given, and settle.
+    def remove(self, factors: Factor | Sequence[Factor]) -> None:
+        """Take out measurements that were given, all or none of them, and settle.
+
+        Parameters
+        ----------
+        factors : the objects that were given to `update`.
 
         Raises
         ------
         GraphError
-            They were not given, or were taken out before.
+            They were not given, or were taken out before. All is as before the call.
         UnderconstrainedError
             Something is free without them; they stay.
         """
-        used = [place[0] for place in (*self._places, *self._decision.rejected)]
-        if not any(factor is given for given in (*self.pending, *used)):
-            raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate", factor.keys, factor.name)
-        system, gap = self._system.mark(), self.gap
-        weights = [(batch, rows, batch.silence(rows)) for given, _, batch, rows in self._places if given is factor]
+        factors = [factors] if isinstance(factors, Factor) else list(factors)
+        here = [*self.pending, *(place[0] for place in (*self._places, *self._decision.rejected))]
+        given, out = {id(factor) for factor in here}, {id(factor) for factor in factors}
+        for factor in factors:
+            if not isinstance(factor, Factor):
+                raise GraphError(f"Incremental.remove: expected factors that were given to update, got {factor!r:.80}")
+            if id(factor) not in given:
+                like = any(type(other) is type(factor) and other.keys == factor.keys for other in here)
+                cure = ". Another object of its type and variables is: pass that one" if like else ""
+                raise GraphError(
+                    f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys, factor.name
+                )
+        system, gap, places = self._system.mark(), self.gap, self._places
+        weights = [(batch, rows, batch.silence(rows)) for of, _, batch, rows in places if id(of) in out]
         self._system.renew()
+        self._places = [place for place in places if id(place[0]) not in out]  # a batch solution is without them, too
         try:
             self.settle()
         except LeadlineError:
+            self._system.back_to(system)
             for batch, rows, W in weights:
                 batch.weigh(rows, W)
-            self._system.back_to(system)
-            self.gap = gap
+            self._places, self.gap = places, gap
             raise
-        self._places = [place for place in self._places if place[0] is not factor]
-        self._undecided = [given for given in self._undecided if given is not factor]
-        self._decision.rejected = [part for part in self._decision.rejected if part[0] is not factor]
-        self._arrivals.drop(factor)
+        self._undecided = [factor for factor in self._undecided if id(factor) not in out]
+        self._decision.rejected = [part for part in self._decision.rejected if id(part[0]) not in out]
+        for factor in factors:
+            self._arrivals.drop(factor)
 
     @property
     def values(self) -> Values:

@@ -66,7 +66,7 @@ class MarginalPrior(Factor):
     keys : the variables, one each.
     X0 : per variable the value (size,) where it was linearized.
     A : (m, D) whitened rows over the tangent steps delta from X0, side by side.
-    z : (m,) whitened right-hand side c.
+    z : (m,) whitened right-hand side.
     relative, unmoved : as the measurements were, see `Factor`.
 
     Notes

@@ -229,6 +229,29 @@ def test_what_would_be_free_stays() -> None:
     is_optimal(smoother)
 
 
+def test_a_list_is_taken_out_whole_or_not_at_all() -> None:
+    smoother = Incremental(tol=1e-9)
+    walk = [Between(x[k], x[k + 1], [1, 0, 0], STEP) for k in range(3)]
+    smoother.update([Prior(x[0], [0, 0, 0], STEP), *walk], Values({x: (SE2, [[0, 0, 0]])}))
+    straight = smoother.values.stack("x").X.copy()
+    wrong = [Between(x[0], x[2], [3, 1, 0], STEP), Between(x[1], x[3], [1, -1, 0], STEP)]
+    smoother.update(wrong)
+    bent, chi2, gap = smoother.values.stack("x").X.copy(), smoother.chi2, smoother.gap
+    again = Between(x[0], x[2], [3, 1, 0], STEP)
+    with pytest.raises(GraphError, match="Another object of its type and variables is"):
+        smoother.remove([wrong[1], again])
+    with pytest.raises(GraphError, match="expected factors"):
+        smoother.remove([wrong[0], "x0"])  # type: ignore[list-item]
+    with pytest.raises(UnderconstrainedError):
+        smoother.remove([walk[2], wrong[1]])
+    np.testing.assert_array_equal(smoother.values.stack("x").X, bent)
+    assert (smoother.chi2, smoother.gap) == (chi2, gap)
+    smoother.remove(wrong)
+    np.testing.assert_allclose(smoother.values.stack("x").X, straight, atol=1e-6)
+    assert len(smoother.graph.factors) == 2
+    is_optimal(smoother)
+
+
 def test_a_measurement_that_waits_can_be_taken_back() -> None:
     smoother = Incremental()
     smoother.update(Prior(x[0], [0.0, 0, 0], STEP), Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), np.zeros((0, 2)))}))
