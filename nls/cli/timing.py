@@ -26,7 +26,7 @@ MEANINGS = {
     "analyze": "elimination order, symbolic factorization",
     "other": "stop rules, degrees of freedom; of scans the matching; solutions that --improve left",
     "write": "files asked for",
-    "certify": "optimum and eigenvalues in the SE-Sync cost",
+    "certify": "optimum and eigenvalues in the SE-Sync cost, chi2 from there",
     "report": "explanation, covariances and pictures of the page",
 }
 

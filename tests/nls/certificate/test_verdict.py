@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import nls
+import sim
 from factors import Between, Isotropic
 from models import SE2, SE3, LieGroup
 from nls import FactorGraph, Values
@@ -125,6 +126,11 @@ def test_values_that_are_no_optimum_are_refuted() -> None:
         moved = optimum.retract(np.r_[np.zeros(9), delta, delta, delta])
         verdicts[delta] = nls.certify(graph, moved).verdict
     assert verdicts == {1e-5: "certified", 1e-2: "refuted"}
+    # in a world of micrometers all poses are within `update_tol`: chi2 tells them apart
+    graph = FactorGraph([Between(x[[0, 1, 2]], x[[1, 2, 0]], [1e-6, 0.0, 2 * np.pi / 3], Isotropic(1e-8))])
+    exact = Values({x: (SE2, sim.chain(SE2, [0, 0, 0], np.tile([1e-6, 0.0, 2 * np.pi / 3], (2, 1))))})
+    assert nls.certify(graph, exact).verdict == "certified"
+    assert nls.certify(graph, exact.retract(np.r_[np.zeros(6), 5e-7, 0.0, 0.0])).verdict == "refuted"
 
 
 def test_a_looser_stop_counts_but_not_for_another_minimum() -> None:
