@@ -251,6 +251,10 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
     columns = [
         f"{truth} {verdict}" for truth in ("right", "wrong") for verdict in ("certified", "undecided", "refuted")
     ]
+    notes = []
+    if checkout is not None:
+        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=checkout, capture_output=True, text=True)
+        notes = [f"*before*: the same solutions, judged by the library at {commit.stdout.strip() or checkout.name}."]
     columns += ["led", *(["right certified, before", "wrong certified, before"] if checkout else [])]
     total: Counter[str] = sum(count.values(), Counter())
     rows = [[row, *(str(found[column]) for column in columns)] for row, found in [*count.items(), ("all", total)]]
@@ -263,6 +267,7 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
         "*led*: of the wrong and refuted ones, those from which `graph.optimize(certificate.better)`, repeated until",
         f"nothing is refuted, arrives at the lowest chi2 known. Certified in {spent:.0f} s; {seconds:.0f} s with all",
         "solutions. Contradictions are graphs of 3 to 9 poses with errors of up to 3 m and 1.6 rad.",
+        *notes,
         "",
         *markdown(["world", *columns], rows),
     ]
