@@ -1,4 +1,4 @@
-"""Which solutions of pose graphs are certified, and whether rightly: public graphs, and 1,500 shaken starts.
+"""Which solutions of pose graphs are certified, and whether rightly: public graphs, and shaken and other starts.
 
     LEADLINE_DATA=DIR python benchmarks/evidence/certificate.py [--before CHECKOUT] [--out DIR]
 
@@ -120,13 +120,13 @@ class World:
 
     def solve(self) -> None:
         """Solutions of the starts, and the lowest chi2 of all that is known."""
-        for begin in [*self.starts, *self.known]:
+        for k, begin in enumerate([*self.starts, *self.known]):
             try:
                 result = self.graph.optimize(begin)
             except (ArithmeticError, np.linalg.LinAlgError):  # a start without chi2, or a singular system on the way
                 continue
             self.lowest = min(self.lowest, result.chi2_final)
-            if result.converged and any(begin is start for start in self.starts):
+            if result.converged and k < len(self.starts):
                 self.solutions.append(result.values)
 
     def is_right(self, values: Values) -> bool:
@@ -160,7 +160,7 @@ def small_ring(n: int, space: bool, sigma: float, seed: int) -> World:
     graph = FactorGraph([Between(x[k], x[(k + 1) % n], z, Diagonal(spread))])
     first = group.identity(1)[0]
     wound = [Values({x: (group, sim.chain(group, first, steps(2 * np.pi / n * w)[1:]))}) for w in range(1 - n, n)]
-    return World(f"rings of {n} poses", graph, shaken(wound[n], rng, 8 if space else 12) + wound[::2], wound)
+    return World(f"rings of {n} poses", graph, shaken(wound[n], rng, 8 if space else 12) + wound[::2], wound[1::2])
 
 
 def contradiction(seed: int) -> World:
@@ -260,9 +260,10 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
     rows = [[row, *(str(found[column]) for column in columns)] for row, found in [*count.items(), ("all", total)]]
     number = sum(total[column] for column in columns[:6])
     return [
-        "## From shaken starts",
+        "## From shaken and other starts",
         "",
-        f"{number:,} converged solutions of {len(tried)} graphs; every pose shaken by 0.1 to 3 m and 0.1 to 3 rad.",
+        f"{number:,} converged solutions of {len(tried)} graphs; every pose shaken by 0.1 to 3 m and 0.1 to 3 rad,",
+        "beside them rings wound in other ways, and odometry of the public graphs.",
         "Right is the lowest chi2 known within 1e-4: from all starts, truth, chordal, odometry, rings wound anyhow.",
         "*led*: of the wrong and refuted ones, those from which `graph.optimize(certificate.better)`, repeated until",
         f"nothing is refuted, arrives at the lowest chi2 known. Certified in {spent:.0f} s; {seconds:.0f} s with all",
