@@ -11,9 +11,10 @@ import numpy as np
 from factors.keys import Keys
 from models.errors import GraphError
 
-__all__ = ["attributes", "declared", "refuse_undeclared"]
+__all__ = ["OWN", "attributes", "declared", "factors_within", "refuse_undeclared"]
 
-BASE = {"keys", "_z", "_noise", "_model", "slots", "unmoved"}  # attributes that the base class knows how to cut
+OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
+BASE = {*OWN, "unmoved"}  # attributes that the base class knows how to cut
 MANY = 64  # items of a list or tuple, of another length than the batch, that are looked into
 
 
@@ -43,6 +44,15 @@ def attributes(factor: object) -> dict[str, Any]:
             if name not in ("__dict__", "__weakref__") and hasattr(factor, name):
                 held[name] = getattr(factor, name)
     return held
+
+
+def factors_within(factor: Any) -> dict[str, Any]:
+    """The factors that a factor is made of, by attribute: they are cut and joined with it."""
+    return {name: value for name, value in attributes(factor).items() if _is_factor(value)}
+
+
+def _is_factor(value: object) -> bool:
+    return hasattr(value, "per_measurement") and not isinstance(value, type)
 
 
 def refuse_undeclared(factor: Any) -> None:
@@ -77,7 +87,7 @@ def refuse_undeclared(factor: Any) -> None:
 
 def _with_rows(value: Any, n: int, place: str) -> Iterator[tuple[str, Any]]:
     """The things of first length n in an attribute, itself or what it holds, and their places."""
-    if value is None or isinstance(value, str | bytes | int | float) or hasattr(value, "per_measurement"):
+    if value is None or isinstance(value, str | bytes | int | float) or _is_factor(value):
         return  # a factor within is cut as a whole
     if isinstance(value, Mapping):
         if len(value) == n and set(value) == set(range(n)):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.declared import attributes, refuse_undeclared
+from factors.declared import OWN, attributes, factors_within, refuse_undeclared
 from factors.keys import Keys
 from factors.noise import Noise, SqrtInformation, square
 from factors.robust import Robust
@@ -17,8 +17,6 @@ from factors.slices import below
 from models.algebra import Array
 
 __all__ = ["alike", "batch_of", "bound_batch", "grouped", "joined", "joined_noise", "sort_of"]
-
-OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
 
 def joined(models: Sequence[Model]) -> list[Factor]:
@@ -112,7 +110,7 @@ def batch_of(factors: Sequence[Factor], z: Sequence[Array], noise: Noise) -> Fac
     whole._z.setflags(write=False)
     for name in whole.per_measurement:
         setattr(whole, name, below([getattr(factor, name) for factor in factors], counts))
-    for name in [name for name, value in vars(whole).items() if isinstance(value, Factor)]:
+    for name in factors_within(whole):
         setattr(whole, name, batch_of([getattr(factor, name) for factor in factors], z, noise))
     return whole
 

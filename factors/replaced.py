@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 
 from factors.base import Factor
+from factors.declared import factors_within
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import GraphError
@@ -50,7 +51,7 @@ def replaced(factor: Factor, keys: Sequence[Keys] | None = None, z: Array | None
         for name in factor.per_measurement:
             if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
                 setattr(substitute, name, substitute.keys[factor.keys.index(held)])
-    for name in [name for name, value in vars(factor).items() if isinstance(value, Factor)]:
+    for name in factors_within(factor):
         within = getattr(factor, name)
         setattr(substitute, name, replaced(within, substitute.keys[: len(within.keys)], z))
     if z is not None:

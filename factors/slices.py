@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from factors.declared import refuse_undeclared
+from factors.declared import factors_within, refuse_undeclared
 from factors.keys import Keys
 from models.algebra import Array, Index
 from models.errors import GraphError
@@ -68,9 +68,8 @@ def part(factor: Any, index: Index) -> Any:
     subset._noise = factor.noise.take(index, n)
     for name in factor.per_measurement:
         setattr(subset, name, rows(getattr(factor, name), index, n))
-    for name, value in vars(factor).items():
-        if hasattr(value, "per_measurement"):  # a factor that this one is made of
-            setattr(subset, name, value[index])
+    for name, within in factors_within(factor).items():
+        setattr(subset, name, within[index])
     subset._model = None if model is None else model.part(subset, index)
     return subset
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy import sparse as sp
 
 from factors.base import Factor, Model
-from factors.declared import refuse_undeclared
+from factors.declared import factors_within, refuse_undeclared
 from factors.joined import alike
 from factors.keys import Keys
 from factors.robust import Kernel
@@ -207,7 +207,7 @@ def _own(factor: Factor) -> dict[Place, Array]:
         items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
         stacks = {place: item for place, item in items.items() if isinstance(item, np.ndarray) and item.ndim}
         arrays.update({place: stack if len(stack) in (1, n) else stack[None] for place, stack in stacks.items()})
-    for name, within in _within(factor).items():
+    for name, within in factors_within(factor).items():
         arrays.update({(name, *place): own for place, own in _own(within).items()})
     return arrays
 
@@ -224,15 +224,10 @@ def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) ->
             setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
         elif (name,) in own:
             setattr(whole, name, own[name,])
-    for name, within in _within(factor).items():
+    for name, within in factors_within(factor).items():
         inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}
         setattr(whole, name, _holding(within, keys[: len(within.keys)], inner))
     return whole
-
-
-def _within(factor: Factor) -> dict[str, Factor]:
-    """Factors that a factor is made of."""
-    return {name: value for name, value in vars(factor).items() if isinstance(value, Factor)}
 
 
 def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:

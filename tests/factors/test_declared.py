@@ -173,6 +173,20 @@ def test_slots_are_attributes_as_well() -> None:
         assert other.gain == 2.0
 
 
+def test_a_factor_in_a_slot_is_cut_and_joined_with_its_batch() -> None:
+    one = drift(Slotted, TIMES)
+    one.gain = drift(Declared, TIMES)  # type: ignore[attr-defined]
+    parts = [one[:2], one[[4]]]
+    assert [part.gain.times.tolist() for part in parts] == [TIMES[:2].tolist(), [TIMES[4]]]  # type: ignore[attr-defined]
+    (whole,) = joined([VALUES.gather(part)[0] for part in parts])
+    assert whole.gain.times.tolist() == TIMES[[0, 1, 4]].tolist()  # type: ignore[attr-defined]
+    smoother = Incremental()
+    smoother.update([Prior(b[0], [0.5], Isotropic(1.0)), one[:2]], VALUES)
+    smoother.update(one[[4]])
+    (kept,) = (factor for factor in smoother.graph.factors if isinstance(factor, Slotted))
+    assert kept.gain.times.tolist() == TIMES[[0, 1, 4]].tolist()  # type: ignore[attr-defined]
+
+
 def test_the_check_finds_what_the_attributes_do_not_show() -> None:
     """Data in a closure: no attribute, and no part of the batch is right."""
 
