@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from factors.base import Factor
 from nls.optimizers.automatic import Automatic
@@ -12,7 +12,7 @@ from nls.optimizers.fit import Fit
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
 from nls.optimizers.problem import gauss_newton_step
-from nls.optimizers.result import Attempt, Iteration, Result
+from nls.optimizers.result import Attempt, Callback, Iteration, Result
 from nls.optimizers.thresholds import Status, Stop
 
 __all__ = [
@@ -31,9 +31,6 @@ __all__ = [
     "default_optimizer",
     "gauss_newton_step",
 ]
-
-
-Callback = Callable[[Iteration], bool | None]
 
 
 def default_optimizer(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -12,7 +11,7 @@ from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.optimizers.problem import Problem
-from nls.optimizers.result import Iteration
+from nls.optimizers.result import Callback
 from nls.optimizers.thresholds import Status, Stop
 from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
@@ -32,7 +31,7 @@ class Optimizer(Abstract):
     """
 
     stop: Stop = field(default_factory=Stop)
-    callback: Callable[[Iteration], bool | None] | None = None
+    callback: Callback | None = None
     name: ClassVar[str]
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from nls.optimizers.fit import Fit, fit
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 
-__all__ = ["Attempt", "Iteration", "Result"]
+__all__ = ["Attempt", "Callback", "Iteration", "Result"]
 
 FAR = 100.0  # chi2 per degree of freedom: sigmas ten times too small are rare, wrong measurements or starts are not
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
@@ -41,6 +41,9 @@ class Iteration(NamedTuple):
     damping: float = 0.0
     seconds: Mapping[str, float] = MappingProxyType({})
     reused: bool = False
+
+
+Callback = Callable[[Iteration], bool | None]  # True stops
 
 
 class Attempt(NamedTuple):
@@ -129,13 +132,13 @@ class Result:
     @property
     def remarks(self) -> list[str]:
         """Sentences on how the methods went: which one failed and which continued, what was reused."""
-        remarks = [
-            f"{attempt.method} ended as {attempt.status.name} {after}"
-            + f": {attempt.reason}".removesuffix(f": {after}")
-            + f"; {self.method.rpartition('then ')[2]} continued from the lowest point"
-            for attempt in self.attempts
-            for after in [f"after {attempt.iterations} iterations"]
-        ]
+        remarks = []
+        for attempt in self.attempts:
+            how = ": ".join(
+                dict.fromkeys([f"after {attempt.iterations} iterations", attempt.reason])
+            )  # a limit is both
+            went_on = f"{self.method.rpartition('then ')[2]} continued from the lowest point"
+            remarks.append(f"{attempt.method} ended as {attempt.status.name} {how}; {went_on}")
         if self.reused:
             remarks.append(f"{self.reused} of {self.iterations} steps reused the last factorization")
         return remarks

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from models.algebra import Array
 from nls.optimizers import refusal, stop
 from nls.optimizers.record import Record
-from nls.optimizers.result import Iteration
+from nls.optimizers.result import Callback, Iteration
 from nls.optimizers.step import Step
 from nls.optimizers.thresholds import Status, Stop
 from nls.optimizers.undamped import Undamped
@@ -38,7 +38,7 @@ class Watch(Record):
     def __init__(
         self,
         settings: Stop,
-        callback: Callable[[Iteration], bool | None] | None,
+        callback: Callback | None,
         values: Values,
         system: LinearSystem,
         seconds: dict[str, float],
