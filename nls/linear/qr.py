@@ -98,12 +98,13 @@ class OrthogonalFactor(Factorization):
         p, lengths = hessian.permutation, system.column_norms
         _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], FIXED)
         self._R = sp.csr_array(sp.diags_array(np.sign(R.diagonal())) @ R @ sp.diags_array(lengths[p]))
+        self._L = sp.csr_array(self._R.T)
 
     def solve(self, g: Array) -> Array:
         from scipy.sparse.linalg import spsolve_triangular
 
         x, p = np.empty_like(g), self.hessian.permutation
-        x[p] = spsolve_triangular(self._R, spsolve_triangular(sp.csr_array(self._R.T), g[p]), lower=False)
+        x[p] = spsolve_triangular(self._R, spsolve_triangular(self._L, g[p]), lower=False)
         return x
 
     def lower(self) -> tuple[sp.csc_array, Index]:
