@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nls.cli.timing import Clock
 from tests.nls.cli.shell import Shell
 
 ROOT = Path(__file__).parents[3]
@@ -32,6 +33,15 @@ def test_the_table_adds_up(shell: Shell) -> None:
     spent = np.array([line.split() for line in parts[1].splitlines()], dtype=float)
     assert spent[:, 1:6].sum(axis=1) == pytest.approx(spent[:, 6], abs=0.03)
     assert spent[:, 3].sum() == pytest.approx(milliseconds["factorize"], abs=0.1)
+
+
+def test_parts_of_a_stage_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a solution that --improve left, and the one it ended at."""
+    now = iter([1.0, 3.0, 4.0, 9.0])
+    monkeypatch.setattr("nls.cli.timing.perf_counter", lambda: next(now))
+    clock = Clock(0.0, 0.0)
+    assert [clock.lap(name) for name in ("optimize", "certify", "optimize", "certify")] == [1.0, 2.0, 2.0, 7.0]
+    assert clock.seconds == {"startup": 0.0, "optimize": 2.0, "certify": 7.0}
 
 
 def test_the_report_of_a_process(shell: Shell) -> None:
