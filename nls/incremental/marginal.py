@@ -43,11 +43,11 @@ RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 
 
 class _Chart(NamedTuple):
-    """Variables of one space: the slot of the pose that sees them, if any, theirs, X0 (k, size), A T (k, m, dim)."""
+    """Variables of one space: the slot of the pose that sees them, if any, theirs, Y0 (k, size), A T (k, m, dim)."""
 
     root: int | None
     slots: list[int]
-    X0: Array
+    Y0: Array
     rows: Array
 
 
@@ -106,7 +106,7 @@ class MarginalPrior(Factor):
         if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
             raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
         self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), X0, A, bool(relative), unmoved
-        self._charts: tuple[tuple[Manifold, ...], list[_Chart]] | None = None
+        self._charts: dict[tuple[Manifold, ...], list[_Chart]] = {}  # by spaces; copies of the prior share it
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
@@ -122,21 +122,23 @@ class MarginalPrior(Factor):
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         h: Array = np.zeros((len(X[0]), len(self.A)))
         H: list[Array] = [np.zeros((len(h), len(self.A), space.dim)) for space in manifolds]
-        for root, slots, X0, rows in self._charted(manifolds):
-            group, S0, S = (None, X0, X0) if root is None else (manifolds[root], self.X0[root], X[root][:, None])
-            x = np.stack([X[k] for k in slots], axis=1)
-            c, M, M_S = _coordinates(group, S0, S, manifolds[slots[0]], X0, x)
+        for root, slots, Y0, rows in self._charted(manifolds):
+            space, x = manifolds[slots[0]], np.stack([X[k] for k in slots], axis=1)
+            group, S = (None, x) if root is None else (manifolds[root], X[root][:, None])
+            Y, (H_S, H_X) = _view(group, S, space, x)
+            c, J = space.motion(Y0, Y)
             h += np.einsum("kmd,nkd->nm", rows, c)
-            for k, H_k in zip(slots, np.moveaxis(rows @ M, 1, 0), strict=True):
+            moves = rows @ J
+            for k, H_k in zip(slots, np.moveaxis(moves @ H_X, 1, 0), strict=True):
                 H[k] += H_k
-            if root is not None and M_S is not None:
-                H[root] += (rows @ M_S).sum(axis=1)
+            if root is not None:
+                H[root] += (moves @ H_S).sum(axis=1)
         return h, tuple(H)
 
     def _charted(self, manifolds: tuple[Manifold, ...]) -> list[_Chart]:
         """A T, with the pose that sees the others last; it depends on X0 alone, and is kept."""
-        if self._charts is not None and self._charts[0] == manifolds:
-            return self._charts[1]
+        if manifolds in self._charts:
+            return self._charts[manifolds]
         A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
         poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
         first = next((k for k in poses if k not in self.unmoved), None)
@@ -148,25 +150,21 @@ class MarginalPrior(Factor):
         for (space, root, _), slots in sorts.items():
             X0 = np.stack([self.X0[k] for k in slots])
             group, S0 = (None, X0) if root is None else (manifolds[root], self.X0[root])
-            _, M, M_S = _coordinates(group, S0, S0, space, X0, X0)
-            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(M)
-            if root is not None and M_S is not None:
-                A[root] = A[root] - (rows @ M_S).sum(axis=0)
-            charts.append(_Chart(root, slots, X0, rows))
-        self._charts = manifolds, charts
+            Y0, (H_S, H_X) = _view(group, S0, space, X0)
+            J = space.motion(Y0, Y0)[1]
+            rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(J @ H_X)
+            if root is not None:
+                A[root] = A[root] - (rows @ J @ H_S).sum(axis=0)
+            charts.append(_Chart(root, slots, Y0, rows))
+        self._charts[manifolds] = charts
         return charts
 
 
-def _coordinates(
-    group: Manifold | None, S0: Array, S: Array, space: Manifold, X0: Array, X: Array
-) -> tuple[Array, Array, Array | None]:
-    """Coordinates c (..., dim) of variables, 0 where they were, and their derivatives by X and by the pose S."""
-    views = [seen_from(group, pose, space, x) for pose, x in ((S0, X0), (S, X))] if isinstance(group, LieGroup) else []
-    match views:
-        case [(Y0, _), (Y, (H_S, H_X))]:
-            c, J = space.motion(Y0, Y)
-            return c, J @ H_X, J @ H_S
-    return *space.motion(X0, X), None
+def _view(group: Manifold | None, S: Array, space: Manifold, X: Array) -> tuple[Array, tuple[Array, Array]]:
+    """As `seen_from`; X itself without a pose, and where motions of the group do not move the space."""
+    if isinstance(group, LieGroup) and (view := seen_from(group, S, space, X)) is not None:
+        return view
+    return X, (np.zeros((space.dim, 1)), np.eye(space.dim))  # one 0 for all numbers of a pose
 
 
 def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:

@@ -24,10 +24,10 @@ from factors import (
     Range,
 )
 from factors.keys import Kind
-from models import SE2, SE3, R, euler, wrap
+from models import SE2, SE3, Manifold, R, euler, wrap
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Marginals, Values, kinds
-from nls.incremental.marginal import MarginalPrior
+from nls.incremental.marginal import MarginalPrior, _Chart
 from nls.incremental.steps import steps
 
 x, l, s = kinds("x", "l", "s")
@@ -204,6 +204,24 @@ def test_the_gap_of_a_window_bounds_how_far_chi2_is_above_its_minimum() -> None:
             best = smoother.graph.optimize(smoother.values).chi2_final
             assert smoother.chi2 - best <= smoother.gap + 1e-9, (seed, step.pose)
         assert smoother.batch_solutions == 0
+
+
+def test_what_follows_from_where_a_prior_was_linearized_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    charted, used = MarginalPrior._charted, []
+
+    def recorded(prior: MarginalPrior, manifolds: tuple[Manifold, ...]) -> list[_Chart]:
+        used.append((prior.A, charted(prior, manifolds)))
+        return used[-1][1]
+
+    monkeypatch.setattr(MarginalPrior, "_charted", recorded)
+    factors, truth = around(x, l, 0, 0.2)
+    smoother, first = Incremental(lag=5), Values({x: (SE2, truth[x[:1]])})
+    for step in steps(factors):
+        smoother.update(step.factors, first)
+    made: dict[int, list[_Chart]] = {}
+    for A, charts in used:
+        assert made.setdefault(id(A), charts) is charts
+    assert len(used) > 2 * len(made) > 60
 
 
 def test_two_vehicles_that_nothing_joins_keep_their_headings() -> None:
