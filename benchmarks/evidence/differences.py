@@ -225,7 +225,8 @@ def main() -> None:
     beside = [
         "",
         "Functions of u = x - value, with the same values and residuals, in R(1). A slope of 0 is right within "
-        f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right.",
+        f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right. Wrong are kinks "
+        "and roots in the rounding of f: it stands still at small steps, as at a plateau, and the column is 0.",
         "",
         *markdown(["function", "slope", "right", "refused", "wrong"], ends_at),
     ]
