@@ -27,13 +27,22 @@ another step is tried. It is smaller where f is curved, rough or not finite, and
 stands still. Then one between the two is tried. A difference at a larger step is believed only if the one at a smaller
 step agrees, within the errors of both, and the noise that smaller steps have met counts at the larger ones.
 
-A column whose error remains above 4e-4 of the change of f is refused by name: a jump, or too few digits. Three are not.
-A kink has the same difference at every step, the mean of both sides. A column that is noise, 1e-6 of the largest, is 0:
-f does not depend on that component. An error below 1e-9 of the largest column, or in the rounding of the residual, is
-nothing.
+A column whose error remains above 4e-4 of the change of f is refused by name: a jump, or too few digits. Four are not:
+
+- A kink has the same difference at every step, the mean of both sides, and a slope that does not grow as steps fall.
+  At sqrt|x| and cbrt(x) it grows. slope is the largest change of f, by the step.
+- A derivative that vanishes, as of x^3 at 0, is as small as its error at every step. The slope bounds it. Where that,
+  or the error, falls to 1e-6 of the slope at larger steps, the column is 0. One trial at the largest step shows more.
+- A column that is noise, 1e-6 of the largest, is 0: f does not depend on that component.
+- An error below 1e-9 of the largest column, or in the rounding of the residual, is nothing.
+
+Not seen is what would take smaller steps at every f. A trial with an error below 1e-3 is believed. A structure or jump
+with less than that part of the change of f, such as 1e-12 sin(1e9 x) beside x, counts as noise. |x| at 1e-300 is a kink
+at x: steps end near 1e-22. Where a kink or root is in the rounding of f, f stands still at small steps. A plateau looks
+the same, and the column may be 0.
 
 Most columns take one trial, 5 evaluations. A column of zeros takes two, one with unknown noise 3 to 8, and a very fine
-function up to 14.
+or flat function up to 14.
 
 Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical Analysis,
 1971, and J. More, S. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (2011) (the noise of a function
@@ -197,8 +206,9 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
     least, natural, most = 4 * EPS * size, 2 * first * np.maximum(size, 1.0), MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
     lowest, best, slope = (np.full(n, np.inf) for _ in range(3))  # of the trial that is believed; best: its step
-    grain = np.zeros(n)  # the largest noise that a step has met
-    silent, noise, steady, firm, certain = (np.zeros(n, dtype=bool) for _ in range(5))
+    deepest, shallow, gentle, calm = (np.full(n, np.inf) for _ in range(4))  # least: step at which f moves, slope, gap
+    grain, steep = np.zeros(n), np.zeros(n)  # the largest noise, and the largest slope, that a step has met
+    silent, noise, steady, firm, certain, climbed = (np.zeros(n, dtype=bool) for _ in range(6))
     going = np.ones(n, dtype=bool)
     low, high = np.zeros(n), np.full(n, np.inf)  # largest step with too much rounding, smallest beyond the smooth part
     top, border = np.zeros(n), np.full(n, np.inf)  # largest step with noise or a fine structure, smallest out of domain
@@ -217,22 +227,30 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         below, noisy = step < best, trial.noisy
         met = np.where(below | ~(noise | firm), 0.0, grain / step)  # noise of f that smaller steps have met
         unsure = trial.error + met[:, None]
-        relative = np.where(np.isfinite(unsure).all(axis=1) & ~trial.silent, unsure.max(axis=1) / trial.largest, np.inf)
+        finite = np.isfinite(unsure).all(axis=1)
+        moved = finite & ~trial.silent
+        known = np.where(moved, trial.slope, np.nan)
+        steep, gentle = np.fmax(steep, known), np.fmin(gentle, known)
+        deepest, shallow = np.where(moved & (step < deepest), [step, trial.slope], [deepest, shallow])
+        relative = np.where(moved, unsure.max(axis=1) / trial.largest, np.inf)
         doubt = (trial.bent / step + met) / trial.slope
         clear = (relative <= SMOOTH) | (trial.rounded & ((relative <= ROUGH) | (doubt <= SMOOTH)))
         fine = noisy & ~clear & ~trial.rounded & ~noise
         flat = noise & (step > NEAR * top) & (trial.bent <= SAFE * grain)  # no more than smaller steps: not of a kink
         small = trial.silent | trial.rounded | (noisy & ~fine) | flat
-        trusted = np.where((small | (relative <= ROUGH))[:, None], unsure, np.inf)
-        new, old, gap = trusted.max(axis=1), error.max(axis=1), np.abs(trial.D - D).max(axis=1)
+        gap, rise = np.abs(trial.D - D).max(axis=1), np.where(below, 1, -1) * (trial.slope - slope)  # at a smaller step
+        same = np.maximum(gap, rise) <= CERTAIN * np.minimum(slope, trial.slope)
+        kink = fine & (lowest > ROUGH) & (relative > ROUGH) & same
+        trusted = np.where((small | kink | (relative <= ROUGH))[:, None], unsure, np.inf)
+        new, old = trusted.max(axis=1), error.max(axis=1)
         apart = gap > SAFE * (new + old)
         down = np.where(trial.silent, lowest > ROUGH, (clear & apart) | (relative <= lowest))
         up = (clear & ~firm) | (~apart & (new < old) & ((relative <= lowest) | noise))
-        up = np.where(
-            silent, flat | trial.silent | trial.rounded | (relative <= ROUGH), np.where(trial.silent, noise & ~firm, up)
-        )
-        better = going & np.where(below, down, up)
-        steady |= fine & (lowest > ROUGH) & (relative > ROUGH) & (gap <= CERTAIN * np.minimum(slope, trial.slope))
+        up = np.where(trial.silent, noise & ~firm, up)
+        up = np.where(silent, flat | trial.silent | trial.rounded | (relative <= ROUGH), up)
+        nearer = kink & below & (gap < calm)
+        better = going & ~climbed & (nearer | (np.where(below, down, up) & (clear | ~steady)))
+        steady, calm = steady | kink, np.where(nearer, gap, calm)
         small &= better | below | trial.silent | noise
         D[better], error[better], lowest[better] = trial.D[better], trusted[better], relative[better]
         best[better], silent[better], slope[better] = step[better], trial.silent[better], trial.slope[better]
@@ -240,15 +258,17 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         firm = np.where(better, clear, firm)
         grain = np.where(better & below & clear, 0.0, grain)  # resolved: what a larger step has met was no noise
         grain = np.where(noisy & ~trial.rounded, np.maximum(grain, trial.bent), grain)
-        border = np.where(np.isfinite(unsure).all(axis=1), border, np.minimum(border, step))
+        border = np.where(finite, border, np.minimum(border, step))
         low, high = np.where(small, np.maximum(low, step), low), np.where(small, high, np.minimum(high, step))
-        deep = (high <= NARROW * low) | (step <= 2 * least) | ((step * DEEP <= top) & ~small)
+        deep, rough = (high <= NARROW * low) | (step <= 2 * least), (step * DEEP <= top) & ~small & ~firm & ~noise
         bottom = (top > step) & ~firm & ~noise & deep
         top, noise = np.where(fine, np.maximum(top, step), top), noise | bottom
         low, high = np.where(bottom, np.maximum(low, top), low), np.where(bottom, border, high)
         wide = small & ~bottom & (step >= 0.9 * np.where(trial.silent, natural, most))
         worth = better | ~small | bottom | ~firm
-        going &= (relative > ENOUGH) & ~wide & (high > CLOSE * low) & worth
+        going &= (relative > ENOUGH) & ~wide & (high > CLOSE * low) & worth & ~(rough | climbed)
+        climbs = (shallow < ROUGH * steep) & ~(going | silent | steady | certain | climbed)
+        going, climbed = going | climbs, climbed | climbs
         if not going.any():
             break
         stride = np.where(better & clear, NEAR, FAR)
@@ -257,8 +277,12 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         after = np.where(bottom, top * FAR, after)
         between = (low > 0) & np.isfinite(high)
         after[between] = np.sqrt(low[between] * high[between])
-        step = np.where(going, np.minimum(after, most), step)
-    return D, error, silent | steady | certain
+        step = np.where(going, np.minimum(np.where(climbs, most, after), most), step)
+    certain |= silent | (steady & (shallow <= 2 * gentle))  # of a kink; of a root, the slope grows
+    bound = np.minimum(shallow, error.max(axis=1))
+    vanishes = ~certain & (shallow < ROUGH * steep) & (bound <= DUST * steep) & (np.abs(D) <= SAFE * error).all(axis=1)
+    D[vanishes], error[vanishes] = 0.0, bound[vanishes, None]
+    return D, error, certain | vanishes
 
 
 @np.errstate(all="ignore")  # a step may leave the domain of f

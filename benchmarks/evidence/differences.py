@@ -4,6 +4,7 @@
 
 Own factors by differences at variables from 0 and 1e-16 to 1e6, inner numbers of 1 to 1e8 and residuals of 0 to 1e3, in
 R, SE2 and SE3. A column is right within 1e-4 of the exact one. `check_jacobians` gets the exact Jacobian, twice it, 0.
+A second table has functions that are flat at the value, that have a kink there, or that have no derivative.
 """
 
 from __future__ import annotations
@@ -35,6 +36,24 @@ BEACONS = np.array([[1, 0, 0.2], [-0.3, 0.9, 0.1], [0.2, -0.8, -0.5], [0.6, 0.6,
 RIGHT = 1e-4  # of a column
 NOTHING = 1e-6  # part of the largest column below which one is compared with that part
 FACTORS = {"landmark": Landmark, "bearing": Bearing, "range": Range}
+
+SINGULAR: dict[str, tuple[Callable[[Array], Array], float]] = {  # of u = x - value; the slope, nan where there is none
+    "u^3": (lambda u: u**3, 0.0),
+    "u^4": (lambda u: u**4, 0.0),
+    "u^5": (lambda u: u**5, 0.0),
+    "1e20 u^9": (lambda u: 1e20 * u**9, 0.0),
+    "u abs(u)": (lambda u: u * np.abs(u), 0.0),
+    "abs(u)^1.5": (lambda u: np.abs(u) ** 1.5, 0.0),
+    "u - sin(u)": (lambda u: u - np.sin(u), 0.0),
+    "1 - cos(u)": (lambda u: 1 - np.cos(u), 0.0),
+    "u^3 + 1e-3 u": (lambda u: u**3 + 1e-3 * u, 1e-3),
+    "abs(u), a kink": (np.abs, 0.0),
+    "max(u, 0), a kink": (lambda u: np.maximum(u, 0), 0.5),
+    "sqrt(abs(u)), steep": (lambda u: np.sqrt(np.abs(u)), np.nan),
+    "abs(u)^0.9, steep": (lambda u: np.abs(u) ** 0.9, np.nan),
+    "cbrt(u), steep": (np.cbrt, np.nan),
+    "sign(u), a jump": (np.sign, np.nan),
+}
 
 
 class Problem(NamedTuple):
@@ -115,6 +134,13 @@ def step(group: LieGroup, value: float, inner: float, residual: float) -> Proble
     return Problem(group, X, function, jacobian)
 
 
+def singular(function: Function, slope: float, value: float, residual: float) -> Problem:
+    """A function of x less its value: flat there, with a kink, or without a derivative."""
+    return Problem(
+        R(1), np.array([value]), lambda X: function(X - value) + residual, lambda X: np.full((len(X), 1, 1), slope)
+    )
+
+
 def problems() -> Iterator[tuple[str, Callable[[float, float, float], Problem]]]:
     """Kinds of residuals, by what they are and where."""
     yield from ((f"ranges in R({d})", partial(ranges, d)) for d in (1, 3))
@@ -141,7 +167,7 @@ def by_differences(problem: Problem) -> tuple[str, float, float]:
         named = "component" in str(error) and "x0" in str(error)
         return "refused" if named else "wrong", 0.0, len(calls) / exact.shape[1]
     size = np.abs(exact).max(axis=0)
-    off = float((np.abs(A[0] - exact).max(axis=0) / np.maximum(size, NOTHING / RIGHT * size.max())).max())
+    off = float((np.abs(A[0] - exact).max(axis=0) / np.maximum(size, NOTHING / RIGHT * (size.max() or 1.0))).max())
     return "right" if off <= RIGHT else "wrong", off, (len(calls) - 1) / exact.shape[1]
 
 
@@ -181,6 +207,11 @@ def main() -> None:
                 " / ".join(str(wrong.count(verdict)) for verdict in ("refused", "doubted", "passed")),
             ]
         )
+    ends_at = []
+    for name, (function, slope) in SINGULAR.items():
+        ends = [by_differences(singular(function, slope, *numbers)) for numbers in product(VALUES, RESIDUALS)]
+        counts = [sum(end == which for end, _, _ in ends) for which in ("right", "refused", "wrong")]
+        ends_at.append([name, "none" if np.isnan(slope) else f"{slope:g}", *map(str, counts)])
     titles = ["residual", "cases", "right", "refused", "wrong", "farthest off", "evaluations a column"]
     titles += ["exact: passed / doubted / refused", "wrong: refused / doubted / passed"]
     text = [
@@ -191,7 +222,15 @@ def main() -> None:
         "`check_jacobians` gets the exact Jacobian, and wrong ones: zeros, and twice the exact one.",
         "",
     ]
-    write_page([*lines, *text, *markdown(titles, table)], options.out / "differences.md")
+    beside = [
+        "",
+        "Functions of u = x - value, with the same values and residuals, in R(1). A slope of 0 is right within "
+        f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right. Wrong are kinks "
+        "and roots in the rounding of f: it stands still at small steps, as at a plateau, and the column is 0.",
+        "",
+        *markdown(["function", "slope", "right", "refused", "wrong"], ends_at),
+    ]
+    write_page([*lines, *text, *markdown(titles, table), *beside], options.out / "differences.md")
 
 
 if __name__ == "__main__":

@@ -175,20 +175,92 @@ def test_a_component_that_f_does_not_depend_on_is_0_in_spite_of_noise() -> None:
     assert A[0, 0, 2] == 0
 
 
+FLAT: dict[str, Function] = {
+    "cube": lambda u: u**3,
+    "fourth": lambda u: u**4,
+    "fifth": lambda u: u**5,
+    "large": lambda u: 1e20 * u**9,
+    "signed square": lambda u: u * np.abs(u),
+    "even": lambda u: np.abs(u) ** 1.5,
+    "rounded": lambda u: u - np.sin(u),
+    "cosine": lambda u: 1 - np.cos(u),
+}
+
+
+@for_all(name=sorted(FLAT), origin=[0.0, 1.0, 1e6], added=[0.0, 5.0])
+def test_a_derivative_that_vanishes_is_0(name: str, origin: float, added: float) -> None:
+    """The slope falls with the step, so that the error of a difference is as large as the difference."""
+    residual = lambda X: FLAT[name](X - origin) + added  # noqa: E731
+    (A,), _ = linearized(Factor.from_function(residual, p[0], 1), Values({p: (R(1), [[origin]])}))
+    assert abs(A[0, 0, 0]) < 1e-9
+    assert outcome(residual, 0.0, origin) == "passed"
+    assert outcome(residual, 1.0, origin) == "refused"
+
+
+def outcome(residual: Function, slope: float, x: float) -> str:
+    """How the check takes this slope."""
+    factor = Factor.from_function(residual, p[0], 1, jacobians=lambda X: [np.full((len(X), 1, 1), slope)])
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        try:
+            check_jacobians(factor, Values({p: (R(1), [[x]])}))
+        except JacobianError:
+            return "refused"
+    return "doubted" if doubts else "passed"
+
+
+def test_flat_measurements_have_no_part_in_each_other() -> None:
+    """The search of one ends before that of another, in which steps go down to 1e-42."""
+    added = np.array([[0.0], [5.0], [500.0], [5e4]])
+    (A,), _ = linearized(Factor.from_function(lambda X: X**3 + added, p[0:4], 1), Values({p: (R(1), np.zeros((4, 1)))}))
+    assert (A == 0).all()
+
+
+@for_all(slope=[1e-12, 1e-6, 1e-3], x=[0.0, 1e-15], power=[3, 5])
+def test_a_small_slope_under_a_power_is_found(slope: float, x: float, power: int) -> None:
+    factor = Factor.from_function(lambda X: X**power + slope * X, p[0], 1)
+    (A,), _ = linearized(factor, Values({p: (R(1), [[x]])}))
+    assert A[0, 0, 0] == pytest.approx(slope, rel=1e-6)
+
+
 def test_kinks_have_a_difference_and_plateaus_none() -> None:
-    """Not noise: |x| and max(0, x) at 0, a limit 1e-5, 0.1 and 1e-12 away."""
+    """Not noise: |x| and max(0, x) at 0, a limit 1e-5, 0.1 and 1e-12 away, inner numbers, a curve beside."""
     for function, x, slope in (
         (np.abs, 0.0, 0.0),
+        (lambda X: np.abs(X) + X**2, 0.0, 0.0),
+        (lambda X: X**5 + 1e-6 * np.maximum(X, 0), 0.0, 5e-7),
+        (lambda X: np.maximum((1e2 + X) - 1e2, 0), 0.0, 0.5),
         (lambda X: np.maximum(X, 0), 0.0, 0.5),
         (lambda X: np.maximum(X - 1, 0), 1 - 1e-5, 0.0),
         (lambda X: np.maximum(X - 1, 0), 0.9, 0.0),
         (lambda X: np.maximum(X - 1, 0), 1 + 1e-12, 1.0),
     ):
-        (A,), _ = linearized(Factor.from_function(function, p[0], 1), Values({p: (R(1), [x])}))
-        assert A[0, 0, 0] == pytest.approx(slope, abs=1e-9), x
+        calls = []
+
+        def counted(X: Array, function: Function = function, calls: list[Array] = calls) -> Array:
+            calls.append(X)
+            return function(X)
+
+        (A,), _ = linearized(Factor.from_function(counted, p[0], 1), Values({p: (R(1), [x])}))
+        assert A[0, 0, 0] == pytest.approx(slope, abs=1e-8), x
+        assert len(calls) <= 1 + 8 * 5
 
 
-@for_all(function=[lambda X: np.sign(X), lambda X: (1e13 + X) - 1e13, lambda X: np.sin(1e20 * (X + 1))])
+@for_all(
+    function=[
+        lambda X: np.sign(X),
+        lambda X: X != 0,
+        lambda X: np.cbrt(X),
+        lambda X: np.sqrt(np.abs(X)),
+        lambda X: X + np.abs(X) ** 0.9,
+        lambda X: np.abs(X) ** 0.99,
+        lambda X: np.sqrt(np.abs(X)) + 1e9 * X**2,
+        lambda X: np.abs(X) ** 0.9 + 1e9 * X**2,
+        lambda X: 5 + np.sqrt(np.abs(X)),
+        lambda X: (1e13 + X) - 1e13,
+        lambda X: np.sin(1e20 * (X + 1)),
+    ]
+)
 def test_too_few_digits_and_jumps_are_refused_by_name(function: Function) -> None:
     factor = Factor.from_function(function, p[[0, 1]], 1)
     named = r"\(p0\): no central difference in component x of p0: .* expected 0\.0004 of it; .* or give Jacobians"
