@@ -250,7 +250,10 @@ def _optimized(graph: FactorGraph, values: Values) -> Result:
 
 
 def _lowest(problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum) -> tuple[Optimum, Spectrum]:
-    """The lowest minimum of the SE-Sync cost, as given, from a chordal start or up the staircase; its spectrum."""
+    """The lowest minimum of the SE-Sync cost, as given, from a chordal start or up the staircase; its spectrum.
+
+    What the staircase knows that nothing is below can prove it, too.
+    """
     known = spectrum(problem, optimum)
     if not known.certified:
         start = _from_chordal(problem, graph, values, optimum)

@@ -240,7 +240,7 @@ def test_the_staircase_is_taken_where_chordal_rotations_cancel(monkeypatch: pyte
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_measurements_that_contradict_each_other_are_undecided(seed: int) -> None:
+def test_measurements_that_contradict_each_other_are_undecided(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """After the way on, followed until nothing is refuted: chi2 falls each time."""
     graph, values = noise_graph(SE3, seed)
     chi2 = [graph.optimize(values).chi2_final]
@@ -257,6 +257,12 @@ def test_measurements_that_contradict_each_other_are_undecided(seed: int) -> Non
     assert 0.9 * found.cost < found.lowest < (1 - 1e-4) * found.cost  # the bound of the poses with more rows
     assert "undecided" in found.report()
     assert f"{found.cost - found.lowest:.1g} above the lowest possible one at most" in found.report()
+    # a bound from poses with more rows proves it, where it is near
+    for gap, verdict in ((1e-4, "undecided"), (1e-8, "certified")):
+        monkeypatch.setattr("nls.certificate.verdict.staircase", lambda *_, gap=gap: (None, (1 - gap) * found.cost))
+        bound = nls.certify(graph, result.values)
+        assert (bound.verdict, bound.proved) == (verdict, verdict == "certified")
+        assert bound.lowest == pytest.approx((1 - gap) * found.cost, rel=1e-12)
 
 
 def test_a_pose_that_is_fixed_or_has_a_prior_keeps_its_place() -> None:
