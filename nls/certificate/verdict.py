@@ -52,7 +52,8 @@ class Certificate:
         for what rounding hides, a hundredth at most; and never for more than 1.
     lowest : no pose graph has a lower SE-Sync cost.
     eigenvalues : (d + 1,) the smallest ones of the certificate matrix at `values`, positions eliminated. Where proved,
-        d of them are 0; the next one, above 0, says that there is no other optimum but for a motion of the whole.
+        d of them are 0 but for rounding; the next one, above 0, says that there is no other optimum but for a
+        motion of the whole.
     direction : (n, d + 1) the eigenvector of the first eigenvalue, in the order of the values. Its rows below every [R
         t] lower the SE-Sync cost. None where proved.
     moved : largest distance, m, and angle, rad, between the values given and `values`, pose by pose.
@@ -110,10 +111,8 @@ class Certificate:
         elif self.proved:
             why = f"no lower chi2 was found, and {ends} {higher}"
         else:
-            why = (
-                "no lower chi2 was found, and no minimum of the SE-Sync cost was proved to be its global optimum: that "
-            )
-            why += f"may be {self.cost - self.lowest:.3g} lower, more than {negligible(self.cost):.3g}"
+            why = "no lower chi2 was found, and no minimum of the SE-Sync cost was proved to be its global optimum: "
+            why += f"that may be {self.cost - self.lowest:.3g} lower, more than {negligible(self.cost):.3g}"
         return f"{self.verdict}: {why}"
 
     def report(self, shell: bool = False) -> str:
