@@ -26,7 +26,8 @@ from nls.linear.singular import SingularSystemError
 
 __all__ = ["Optimum", "nearest", "newton", "rotations", "tangent"]
 
-DECREASE = 1e-13  # of the cost: a step that promises less is the last one
+DECREASE, LEAST = 1e-13, 1e-6  # of the cost, and at most: a step that promises less is the last one
+DIGITS = 1e-15  # of the cost: a smaller promise is rounding
 STEPS = 300
 FAIR, GOOD, MORE = 0.1, 0.75, 10.0  # parts of the promised decrease, and how the shift changes
 SMALL = 1e-5  # of the largest weight of a rotation: a shift below is none
@@ -98,7 +99,7 @@ def newton(problem: Problem, M: Array) -> Optimum:
         trial = nearest(M + apply(E, delta[:, None]))
         trial_cost = problem.cost(trial)
         promised = -float(np.sum(g * delta)) + shift * float(np.sum(D * np.square(delta)))
-        if promised <= DECREASE * cost + problem.rounding(M):
+        if promised <= max(min(DECREASE * cost, LEAST), DIGITS * cost) + problem.rounding(M):
             rounds = trial_cost <= (1 + DECREASE) * cost + problem.rounding(M)  # the gradient falls, the cost cannot
             return Optimum(trial, trial_cost, True, step) if rounds else Optimum(M, cost, True, step)
         ratio = (cost - trial_cost) / promised

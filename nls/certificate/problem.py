@@ -152,19 +152,13 @@ def _refuse_others(graph: FactorGraph) -> None:
     for factor in graph.factors:
         if not len(factor) or isinstance(factor, Prior):
             continue
-        if not isinstance(factor, Between):
-            raise GraphError(
-                f"certify: {factor!r:.80} is no measured difference of two poses; expected Between factors alone",
-                factor.keys,
-                factor.name,
-            )
-        if factor.kernel is not None:
-            raise GraphError(
-                f"certify: {factor!r:.80} has the robust kernel {factor.kernel!r}; certify the graph without kernels, "
-                "and without the measurements that they would turn off",
-                factor.keys,
-                factor.name,
-            )
+        says = "is no measured difference of two poses; expected Between factors alone"
+        if isinstance(factor, Between):
+            if factor.kernel is None:
+                continue
+            says = f"has the robust kernel {factor.kernel!r}; certify the graph without kernels, and without the "
+            says += "measurements that they would turn off"
+        raise GraphError(f"certify: {factor!r:.80} {says}", factor.keys, factor.name)
 
 
 def _weights(poses: PoseGraph) -> tuple[Array, Array]:

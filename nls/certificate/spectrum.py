@@ -10,9 +10,11 @@ Where S + mu D has no negative eigenvalue the first term is none either, so that
     optimum >= tr Lambda - mu n d
 
 whatever the start, and whether or not M is exactly stationary. S has r eigenvalues 0, of the rows of M, so mu has to be
-above 0 for a Cholesky factorization to tell. mu is so small that mu n d is half a millionth of the cost; or 100 eps
-times the largest entry of Q, where that is more. Then the gap may be as wide as this mu makes it, up to a hundredth of
-the cost. With one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
+above 0 for a Cholesky factorization to tell. mu is so small that mu n d is half a millionth of the cost, or half of 1
+where that is less; or 100 eps times the largest entry of Q, where that is more. Then the gap may be as wide as this mu
+makes it, up to a hundredth of the cost. It is never wider than 1: one measurement that contradicts the others raises
+the cost without bound, and a millionth of it would hide another minimum. So would rounding, where one edge is a million
+times as precise as all others.
 
 Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization
 over the special Euclidean group", IJRR 38(2-3), 2019, section 4.
@@ -31,9 +33,10 @@ from nls.certificate.problem import Problem
 from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
 
-__all__ = ["RELATIVE", "Spectrum", "spectrum"]
+__all__ = ["BOUND", "Spectrum", "negligible", "spectrum"]
 
 RELATIVE = 1e-6  # of the cost: a smaller gap is none
+BOUND = 1.0  # of chi2 and of the cost, a sigma: a wider gap is one, however high the cost
 COARSE = 1e-2  # of the cost: a wider gap is one, even where rounding could be its cause
 ROUNDING = 100 * np.finfo(float).eps  # of the largest entry of Q: smallest shift
 MORE = 10.0  # times the shift, until S + mu D is positive definite
@@ -50,13 +53,18 @@ class Spectrum:
     eigenvalues : (d + 1,) the smallest ones of S, positions eliminated.
     v : (n, d + 1) the eigenvector of the first.
     lowest : no pose graph costs less.
-    certified : the cost of the point is that, but for a millionth, or for rounding of at most a hundredth.
+    certified : the cost of the point is that, but for a millionth, or for rounding of at most a hundredth; or 1.
     """
 
     eigenvalues: Array
     v: Array
     lowest: float
     certified: bool
+
+
+def negligible(cost: float) -> float:
+    """The widest gap below a cost that is none."""
+    return min(RELATIVE * cost, BOUND)
 
 
 def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
@@ -73,7 +81,7 @@ def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
     S[problem.held, d, d] += problem.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
     D = np.diag([1.0] * d + [0.0])
     size = float(problem.on_diagonal.max())
-    smallest = mu = max(RELATIVE / 2 * optimum.cost / (n * d), ROUNDING * size)
+    smallest = mu = max(negligible(optimum.cost) / (2 * n * d), ROUNDING * size)
     while True:
         try:
             state = problem.factorized(S + mu * D, problem.off)
@@ -87,7 +95,7 @@ def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
             mu *= MORE
     lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
     gap = optimum.cost - lowest
-    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * optimum.cost, problem.rounding(optimum.M))
+    certified = gap <= min(2 * n * d * smallest, max(COARSE * optimum.cost, problem.rounding(optimum.M)), BOUND)
     theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 

@@ -12,10 +12,10 @@ from models.algebra import Array
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import RELATIVE, Spectrum, spectrum
+from nls.certificate.spectrum import BOUND, Spectrum, negligible, spectrum
 from nls.certificate.staircase import placed, staircase
 from nls.graph import FactorGraph
-from nls.optimizers import Result, Stop
+from nls.optimizers import Result, Stop, default_optimizer
 from nls.optimizers.thresholds import Thresholds
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
@@ -23,7 +23,9 @@ from nls.values import Values, refuse_other
 
 __all__ = ["Certificate", "certify"]
 
+LARGEST = "the measurements with the largest errors: without those that contradict the others a proof is possible"
 LEFT = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
+FALL = BOUND / LEFT  # of chi2: a step that brings less is the last one, however high chi2 is
 
 
 @dataclass(frozen=True)
@@ -36,20 +38,22 @@ class Certificate:
     Attributes
     ----------
     verdict : ``certified``: `values` are proved to be the global optimum of the SE-Sync cost, and chi2 optimized from
-        there ends at the values given. ``refuted``: it ends lower than the values given. ``undecided``: neither; the
-        proof is missing, or chi2 ends higher.
+        there ends at the values given, within 1. ``refuted``: it ends lower, elsewhere. ``undecided``: neither; the
+        proof is missing, chi2 ends higher, or the stop of the values given left more than 1 of chi2.
     chi2_given : of the values given.
     chi2_reached : where chi2 ends, optimized from `values`.
     reached : whether that optimization converged.
-    better : the values where it ends; None unless they have a lower chi2 than those given.
+    better : the values where it ends; None unless they have a lower chi2 than those given. Where they are at the same
+        minimum, by more than 1.
     cost_given : SE-Sync cost of the values given.
     cost, values : the lowest minimum of the SE-Sync cost that was found, and its cost. The pose of lowest number, or
         the one that is fixed or has a prior, keeps its place.
     proved : whether `values` are the global optimum of the SE-Sync cost: `lowest` is `cost` but for a millionth, or
-        for what rounding hides, a hundredth at most.
+        for what rounding hides, a hundredth at most; and never for more than 1.
     lowest : no pose graph has a lower SE-Sync cost.
     eigenvalues : (d + 1,) the smallest ones of the certificate matrix at `values`, positions eliminated. Where proved,
-        d of them are 0; the next one, above 0, says that there is no other optimum but for a motion of the whole.
+        d of them are 0 but for rounding; the next one, above 0, says that there is no other optimum but for a
+        motion of the whole.
     direction : (n, d + 1) the eigenvector of the first eigenvalue, in the order of the values. Its rows below every [R
         t] lower the SE-Sync cost. None where proved.
     moved : largest distance, m, and angle, rad, between the values given and `values`, pose by pose.
@@ -86,42 +90,45 @@ class Certificate:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """The way on where a lower chi2 was found."""
-        return () if self.better is None else (Advice("start at better"),)
+        """The way on where a lower chi2 was found; what to look at where only the proof is missing."""
+        if self.better is not None:
+            return (Advice("start at better"),)
+        return () if self.proved else (Advice("inspect", (LARGEST,)),)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict and its reason."""
+        minimum = "global optimum of the SE-Sync cost" if self.proved else "lowest minimum of the SE-Sync cost found"
+        ends, higher = f"chi2, optimized from the {minimum},", "ends higher" if self.reached else "does not converge"
+        if self.verdict == "certified":
+            why = f"{ends} ends at this solution. The proof is in that cost, which differs slightly from chi2. This "
+            why += "does not validate the measurements"
+        elif self.verdict == "refuted":
+            why = f"not globally optimal: {ends} ends lower"
+        elif self.better is not None:
+            fall = self.chi2_given - self.chi2_reached
+            why = f"this solution stopped too early: chi2 falls to its minimum by {fall:.3g}, more than {BOUND:g}"
+        elif self.proved:
+            why = f"no lower chi2 was found, and {ends} {higher}"
+        else:
+            why = "no lower chi2 was found, and no minimum of the SE-Sync cost was proved to be its global optimum: "
+            why += f"that may be {self.cost - self.lowest:.3g} lower, more than {negligible(self.cost):.3g}"
+        return f"{self.verdict}: {why}"
 
     def report(self, shell: bool = False) -> str:
         """The verdict, chi2, the SE-Sync minimum and its distance, the eigenvalues: five lines. One more, the way on
-        for Python or for the command line, where it is refuted."""
-        minimum = "global optimum of the SE-Sync cost" if self.proved else "lowest minimum of the SE-Sync cost found"
-        sentences = {
-            "certified": f"chi2, optimized from the {minimum}, ends at this solution. The proof is in that cost, which "
-            "differs slightly from chi2. This does not validate the measurements",
-            "refuted": f"not globally optimal: chi2, optimized from the {minimum}, ends lower",
-            "undecided": f"no lower chi2 was found, and {self._missing}",
-        }
+        for Python or for the command line, where there is one."""
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
-            f"{self.verdict}: {sentences[self.verdict]}",
+            self.sentence,
             f"chi2: {self.chi2_given:.9g} at this solution, {self.chi2_reached:.9g} optimized from that minimum",
             f"SE-Sync cost: {self.cost_given:.6g} at this solution, {self.cost:.6g} at that minimum, "
-            + (
-                f"{self.cost - self.lowest:.1g} above the lowest possible one at most"
-                if self.proved
-                else f"the lowest possible one is at least {self.lowest:.6g}"
-            ),
+            f"{self.cost - self.lowest:.1g} above the lowest possible one at most",
             f"that minimum is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg rms from this solution, "
             f"{distance:.3g} m and {np.degrees(angle):.3g} deg at most",
             f"smallest eigenvalues of its certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
         ]
         return "\n".join([*lines, *(f"  -> {words}" for words in listed(self.advice, shell))])
-
-    @property
-    def _missing(self) -> str:
-        """What an undecided certificate lacks."""
-        if not self.proved:
-            return "no minimum of the SE-Sync cost was proved to be its global optimum"
-        ended = "ends higher" if self.reached else "does not converge"
-        return f"chi2, optimized from the global optimum of the SE-Sync cost, {ended}"
 
 
 @single_thread()
@@ -157,12 +164,13 @@ def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Cer
     Notes
     -----
     The global optimum of chi2 is another one, near that of the SE-Sync cost where residuals are small. So chi2 is
-    optimized from there, as by ``graph.optimize``. It ends at the values given if it has the same chi2 within 10
-    `chi2_rtol`: that much a step may still promise where the optimizer stops. chi2 of exact measurements is rounding;
-    then the poses have to agree within `update_tol`. D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a
-    certifiably correct algorithm for synchronization over the special Euclidean group", IJRR 38(2-3), 2019.
+    optimized from there, until a step brings less than 0.1. It ends at the values given if it has the same chi2 within
+    10 `chi2_rtol`, that much a step may still promise where the optimizer stops, and within 1. Where 10 `chi2_rtol` is
+    wider than 1, chi2 is optimized from the values given, too, and has to end there. chi2 of exact measurements is
+    rounding; then the poses have to agree within `update_tol`. D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync:
+    a certifiably correct algorithm for synchronization over the special Euclidean group", IJRR 38(2-3), 2019.
 
-    Where the values are refuted, ``graph.optimize(certificate.better)`` goes on; certify its values in turn.
+    Where there is a `better`, ``graph.optimize(certificate.better)`` goes on; certify its values in turn.
 
     Examples
     --------
@@ -186,9 +194,10 @@ def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Cer
     minimum, chi2_given = problem.graph.replaced(values, problem.poses(optimum.M)), graph.chi2(values)
     end = _optimized(graph, minimum)
     same = _same(problem, graph, values, end, stop or Stop())
-    lower = not same and end.chi2_final < chi2_given
+    lower = chi2_given - end.chi2_final > BOUND * same
+    sure = same and not lower and known.certified and end.converged
     return Certificate(
-        verdict="refuted" if lower else "certified" if same and known.certified and end.converged else "undecided",
+        verdict="certified" if sure else "refuted" if lower and not same else "undecided",
         chi2_given=chi2_given,
         chi2_reached=end.chi2_final,
         reached=end.converged,
@@ -208,41 +217,53 @@ def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Cer
 
 
 def _same(problem: Problem, graph: FactorGraph, values: Values, end: Result, stop: Stop) -> bool:
-    """Whether values have the chi2 at which an optimization ended, within their stop.
+    """Whether values are at the minimum where an optimization ended, within their stop.
 
-    Where `stop` is looser than that of the optimization, chi2 optimized from the values has to end there, too.
+    Where that leaves more than chi2 may differ, chi2 optimized from the values has to end there.
     """
-    given, tol = graph.chi2(values), Thresholds()
-    gap = abs(given - end.chi2_final) / LEFT
-    if gap <= tol.chi2_rtol * given:
+    if _agree(problem, graph, values, end):
         return True
+    given, rtol = graph.chi2(values), max(Thresholds().chi2_rtol, stop.in_force.chi2_rtol)
+    is_loose = abs(given - end.chi2_final) <= LEFT * rtol * given
+    return is_loose and _agree(problem, graph, _optimized(graph, values).values, end)
+
+
+def _agree(problem: Problem, graph: FactorGraph, values: Values, end: Result) -> bool:
+    """Whether values have the chi2 at which an optimization ended."""
+    given, tol = graph.chi2(values), Thresholds()
+    gap = abs(given - end.chi2_final)
+    if gap > BOUND or gap <= LEFT * tol.chi2_rtol * given:
+        return gap <= BOUND
     M, M_end = (problem.matrices(problem.graph.stack(at)) for at in (values, end.values))
     apart = np.max(_apart(M, placed(M_end, M, problem.held)))
-    if apart <= tol.update_tol and gap <= tol.chi2_rtol * len(problem.W):  # exact measurements: chi2 is rounding
-        return True
-    is_looser = tol.chi2_rtol < stop.in_force.chi2_rtol and gap <= stop.in_force.chi2_rtol * given
-    return is_looser and _same(problem, graph, _optimized(graph, values).values, end, Stop())
+    return bool(apart <= tol.update_tol and gap <= LEFT * tol.chi2_rtol * len(problem.W))  # exact measurements
 
 
 def _optimized(graph: FactorGraph, values: Values) -> Result:
     """The optimum of chi2 from values."""
+    tol, chi2 = Thresholds(), graph.chi2(values)
+    stop = Stop(*tol._replace(chi2_rtol=min(tol.chi2_rtol, FALL / max(chi2, BOUND))))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
-        return graph.optimize(values)
+        return graph.optimize(values, default_optimizer(graph.factors, stop))
 
 
 def _lowest(problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum) -> tuple[Optimum, Spectrum]:
-    """The lowest minimum of the SE-Sync cost, as given, from a chordal start or up the staircase; its spectrum."""
+    """The lowest minimum of the SE-Sync cost, as given, from a chordal start or up the staircase; its spectrum.
+
+    What the staircase knows that nothing is below can prove it, too.
+    """
     known = spectrum(problem, optimum)
     if not known.certified:
         start = _from_chordal(problem, graph, values, optimum)
-        if start is not None and start.cost < (1 - RELATIVE) * optimum.cost:
+        if start is not None and start.cost < optimum.cost - negligible(optimum.cost):
             optimum, known = start, spectrum(problem, start)
     if not known.certified:
         start, lowest = staircase(problem, optimum, known)
-        if start is not None and start.cost < (1 - RELATIVE) * optimum.cost:
+        if start is not None and start.cost < optimum.cost - negligible(optimum.cost):
             optimum, known = start, spectrum(problem, start)
-        known = replace(known, lowest=max(lowest, known.lowest))
+        lowest, gap = max(lowest, known.lowest), negligible(optimum.cost)
+        known = replace(known, lowest=lowest, certified=known.certified or optimum.cost - lowest <= gap)
     return optimum, known
 
 

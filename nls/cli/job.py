@@ -39,7 +39,7 @@ class Job:
     chi2_read : chi2 of the values as read; None where it does not exist.
     stages : seconds that the library counts inside reading and starting.
     result, solved, certificate : of the optimization, of a mission, of ``--certify``.
-    refuted : chi2 of the solutions that were refuted and left, with ``--improve``.
+    refuted : chi2 of the solutions that were left for better ones, with ``--improve``.
     failed : outputs that could not be written.
     """
 

@@ -242,7 +242,7 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
 
 
 def _improve(job: Job) -> None:
-    """From a solution that is refuted on to the optimum of lower chi2, until none is refuted."""
+    """From a solution that is refuted, or stopped too early, on to the optimum of lower chi2, until there is none."""
     _certify(job)
     while job.certificate is not None and job.certificate.better is not None:
         job.refuted.append(job.result.chi2_final)

@@ -18,7 +18,7 @@ from nls.certificate.staircase import _raised, _rounded, placed, staircase
 from nls.linear import laplacian
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
-from tests.nls.certificate.worlds import GROUPS, SEED, contradiction, noise_graph, problem_of, ring
+from tests.nls.certificate.worlds import GROUPS, SEED, contradiction, dominated, noise_graph, problem_of, ring
 from tests.nls.graphs import informations, x
 
 
@@ -255,3 +255,15 @@ def test_the_last_step_of_newton_is_taken_where_the_cost_is_rounding(seed: int) 
         optimum = newton(problem, problem.matrices(values.stacks["x"].X))
         assert np.abs(_second_order(problem, optimum.M)[1]).max() < 1e-9
         assert optimum.cost - spectrum(problem, optimum).lowest < 1e-6 * optimum.cost
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.2])
+def test_the_last_step_promises_little_however_high_the_cost(noise: float) -> None:
+    """A part of 1e-13 of a cost of 5e9 leaves a gradient that widens the gap to 70 and more."""
+    graph, values = dominated(SE2, 1e4, 1, noise)
+    values = graph.optimize(values).values
+    problem = certifiable(graph, values)
+    optimum = newton(problem, problem.matrices(values.stacks["x"].X))
+    assert optimum.converged
+    assert 4e9 < optimum.cost < 6e9
+    assert 0.4 < optimum.cost - spectrum(problem, optimum).lowest < 30

@@ -14,6 +14,7 @@ from factors import BearingRange, Between, Diagonal, Huber, Information, Isotrop
 from models import SE2, SE3, SO3, R
 from nls import FactorGraph, Values
 from nls.cli import main
+from tests.nls.certificate.worlds import dominated
 from tests.nls.graphs import l, pose_graph, x, y
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, write
 
@@ -122,7 +123,7 @@ def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp
 
     assert main([*command, *way_on.split()]) == 0
     captured = capsys.readouterr()
-    assert f"\nimproved    refuted at chi2 {first['chi2_final']:.9g}: went on from its better poses\n" in captured.out
+    assert f"\nimproved    left at chi2 {first['chi2_final']:.9g}: went on from its better poses\n" in captured.out
     assert "\ncertificate certified: " in captured.out
     assert captured.err == ""
     report = json.loads(where.read_text())
@@ -133,6 +134,23 @@ def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp
     assert graph.chi2(values) == pytest.approx(report["chi2_final"], rel=1e-4)
     seconds = report["timings"]
     assert seconds["total"] == pytest.approx(sum(seconds[k] for k in ("solved", "check", "certify", "write")))
+
+
+def test_the_command_line_goes_on_from_a_solution_that_stopped_too_early(tmp_path: Path, capsys: Captured) -> None:
+    graph, start = dominated(SE2, 1e4, 1)
+    file = str(tmp_path / "far.npz")
+    nls.save(file, graph, start)
+    command = ["solve", file, "--init", "file", "--json", str(tmp_path / "r.json")]
+    assert main([*command, "--certify"]) == 0
+    shown = capsys.readouterr().out
+    assert "\ncertificate undecided: this solution stopped too early: " in shown
+    (way_on,) = [line.partition(": ")[2] for line in shown.splitlines() if "-> go on from there: " in line]
+    stopped = json.loads((tmp_path / "r.json").read_text())["chi2_final"]
+    assert main([*command, *way_on.split()]) == 0
+    shown = capsys.readouterr().out
+    assert f"\nimproved    left at chi2 {stopped:.9g}: went on from its better poses\n" in shown
+    assert "\ncertificate certified: " in shown
+    assert json.loads((tmp_path / "r.json").read_text())["chi2_final"] == pytest.approx(9999**2 / 0.02, abs=0.1)
 
 
 def test_a_certified_solution_is_not_improved(tmp_path: Path, capsys: Captured) -> None:

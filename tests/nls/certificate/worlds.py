@@ -48,6 +48,20 @@ def square(spin: float = 0.05) -> tuple[FactorGraph, Values]:
     return graph, Values({x: (SE2, [[0, 0, 0], [0, 0, 1e-3], [0, 0, 0], [0, 0, 0]])})
 
 
+def dominated(group: LieGroup, far: float, turns: int, noise: float = 0.0) -> tuple[FactorGraph, Values]:
+    """A ring of six steps, wound so many times, and a pose beside it that is measured twice, `far` apart."""
+    k, step, shift = np.arange(6), np.zeros((6, group.dim)), group.identity(2)
+    step[:, 0], step[:, -1], shift[:, 0] = 1.0, 2 * np.pi / 6, [1.0, far]
+    z = group.exp(step) if group is SE3 else step
+    z = group.retract(z, noise * np.random.default_rng(1).normal(size=step.shape))
+    ring = Between(x[k], x[(k + 1) % 6], z, Isotropic(0.1))
+    graph = FactorGraph([ring, Between(x[[5, 5]], x[[6, 6]], shift, Isotropic(0.1))])
+    turned, moved = np.zeros((2, 7, group.dim))
+    turned[:, -1] = (2 * np.pi * turns / 6 * np.arange(7) + np.pi) % (2 * np.pi) - np.pi
+    moved[:, :2] = 0.3 * np.random.default_rng(0).normal(size=(7, 2))
+    return graph, Values({x: (group, group.retract(group.retract(group.identity(7), turned), moved))})
+
+
 def contradiction(seed: int, n: int = 12) -> tuple[FactorGraph, Values]:
     """A chain in space and two closures of its ends, 12 times as wrong as they say; poses anywhere."""
     rng = np.random.default_rng(seed)
