@@ -124,7 +124,7 @@ class FunctionFactor(Factor):
         except Exception as error:  # broad: the function is the user's and may raise anything; it is named and chained
             hint = _stacks(X) if isinstance(error, SCALARS) else ""
             raise EvaluationError(
-                f"{self!r}: your function raised {type(error).__name__}: {error}{hint}", "from_function", self.keys
+                f"{self!r}: your function raised {type(error).__name__}: {error}{hint}", self.name, self.keys
             ) from error
 
 

@@ -46,6 +46,16 @@ class LeadlineError(Exception):
         """The message, and what helps as Python or as the command line writes it."""
         return [self.message, *(f"  -> {words}" for words in listed(self.advice, shell))]
 
+    @property
+    def is_fault(self) -> bool:
+        """Whether code of the user's raised an exception: a fault to see, no place where a measurement has no value."""
+        return False
+
+    def advise(self, *advice: Advice) -> None:
+        """Add what helps."""
+        self.advice += advice
+        self.args = ("\n".join(self.lines()),)
+
     def leave_out(self, in_use: Collection[str]) -> None:
         """Drop the cures that ask for what is in use, as Python or the command line writes it."""
         self.advice = tuple(piece for piece in self.advice if not piece.repeats(in_use))
@@ -133,6 +143,10 @@ class EvaluationError(LeadlineError, ArithmeticError):
     ) -> None:
         self.factor, self.keys, self.iteration, self.where = factor, tuple(keys), iteration, where
         super().__init__(message)
+
+    @property
+    def is_fault(self) -> bool:
+        return self.__cause__ is not None
 
 
 class JacobianError(EvaluationError):

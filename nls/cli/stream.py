@@ -22,6 +22,7 @@ from typing import Any, cast
 import nls
 from factors.robust import kernel_from_text
 from models import LieGroup
+from models.finite import finite_or_none
 from nls.cli.outputs import input_name, refuse_unwritable
 from nls.gauge import fixed_variables
 from nls.incremental.steps import Arrived, steps
@@ -83,7 +84,7 @@ def stream(options: argparse.Namespace) -> int:
         began = perf_counter()
         session.smoother.update(arrived.factors, values)
         session.step, session.line = session.step + 1, arrived.line
-        print(json.dumps(_facts(session, arrived, 1e3 * (perf_counter() - began))), flush=True)
+        print(json.dumps(finite_or_none(_facts(session, arrived, 1e3 * (perf_counter() - began)))), flush=True)
         if options.checkpoint is not None and session.step % EVERY == 0:
             _save(options, session, reader)
     if not session.step:

@@ -13,14 +13,14 @@ from factors.keys import Keys
 from factors.sighting import Sighting
 from models import LieGroup, Manifold, R
 from models.algebra import Mask
-from models.errors import GraphError
+from models.errors import GraphError, LeadlineError
 from models.manifolds.rn import Vectors
 from nls.incremental.beginnings import Known, New, Variable, alone, part, points, together
 from nls.incremental.growing import Variables
 from nls.incremental.window import Window
 from nls.values import Values
 
-__all__ = ["Arrivals", "Ready"]
+__all__ = ["Arrivals", "Ready", "is_about"]
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,10 @@ class Arrivals:
         """Factors, as they were given, of which something waits."""
         return tuple(given for given, _ in self._pending)
 
-    def drop(self, factor: Factor) -> None:
-        """Forget what waits of a factor."""
-        self._pending = [(given, rest) for given, rest in self._pending if given is not factor]
+    def drop(self, factors: set[int]) -> None:
+        """Forget what waits of some factors, by their `id`."""
+        self._pending = [(given, rest) for given, rest in self._pending if id(given) not in factors]
+        self._tried.clear()
 
     @property
     def waiting(self) -> tuple[Keys, ...]:
@@ -170,3 +171,11 @@ class Arrivals:
             if isinstance(factor, Sighting) and slot == 1 and isinstance(pose, LieGroup):
                 return R(pose.point_dim)
         return None
+
+
+def is_about(error: LeadlineError, factor: Factor) -> bool:
+    """Whether an error names the type of a factor and all its variables, or no type and one of them."""
+    named: Sequence[Keys] = getattr(error, "keys", ())
+    touched = [any(key.kind == k.kind and np.isin(key.numbers, k.numbers).all() for k in factor.keys) for key in named]
+    name = getattr(error, "factor", "")
+    return name == factor.name and all(touched) if name else any(touched)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import copy
 from typing import Any
 
@@ -16,14 +16,16 @@ from factors.joined import alike
 from factors.keys import Keys
 from factors.robust import Kernel
 from models.algebra import Array, Index, Mask
+from nls.incremental.beginnings import part
 from nls.incremental.growing import Growing, Variables
 from nls.values import take
 
-__all__ = ["GrowingBatch"]
+__all__ = ["BatchMark", "GrowingBatch", "touched"]
 
 SLIGHTLY = 1e-6  # part of s, for the slope of a weight
 FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
 
+BatchMark = tuple[list[tuple[Factor, Factor]], int, int, list[npt.NDArray[Any]]]
 Place = tuple[str | int, ...]  # attribute, place in a tuple; before them the attribute of a factor within
 
 
@@ -34,9 +36,14 @@ class GrowingBatch:
     ----------
     model : the first of them.
     variables : of every slot.
+
+    Attributes
+    ----------
+    given : factors as they were given, and the part of each that is here, in the order of the rows.
     """
 
     def __init__(self, model: Model, variables: list[Variables]) -> None:
+        self.given: list[tuple[Factor, Factor]] = []
         self.variables, self._first, self.kernel = variables, model, model.factor.kernel
         factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
         self._own = {place: Growing(own[:0]) for place, own in _own(factor).items()}
@@ -63,9 +70,10 @@ class GrowingBatch:
         """Whether measurements are of this sort."""
         return model.W.ndim == self._first.W.ndim and alike(self._first, model)
 
-    def append(self, model: Model) -> slice:
-        """Add measurements whose variables are there; their rows."""
-        begin, n = len(self), len(model.z)
+    def append(self, model: Model, given: Factor) -> None:
+        """Add measurements whose variables are there, of a factor that was given."""
+        n = len(model.z)
+        self.given.append((given, model.factor))
         for slot, keys in enumerate(model.factor.keys):
             self._numbers[slot].append(keys.numbers, n)
             self._index[slot].append(self.variables[slot].index(keys), n)
@@ -74,16 +82,22 @@ class GrowingBatch:
         for place, own in _own(model.factor).items():
             self._own[place].append(own, n)
         self._cost.append(np.zeros(1), n)
-        for part in (self._A, self._columns, self._b):
-            part.grow(n)
+        for rows in (self._A, self._columns, self._b):
+            rows.grow(n)
         self._sparse = None
-        return slice(begin, begin + n)
 
-    def keep(self, n: int) -> None:
-        """Forget all measurements but the first n."""
-        for part in self._parts():
-            part.keep(n)
-        self._linearized, self._sparse = min(self._linearized, n), None
+    def mark(self) -> BatchMark:
+        """What is there: rows of A and b are not copied, and follow later linearizations."""
+        return self.given, len(self.given), self._linearized, [own.rows for own in self._parts()]
+
+    def back_to(self, mark: BatchMark) -> None:
+        """Be as at a mark; the variables are."""
+        self.given, count, self._linearized, parts = mark
+        del self.given[count:]
+        for own, rows in zip(self._parts(), parts, strict=True):
+            own.put(rows)
+        self.place()
+        self.linearize(slice(0, self._linearized))
 
     def touches(self, of: dict[str, Mask]) -> Mask:
         """Which measurements (n,) are about some of the variables, by kind; of an opaque factor all or none."""
@@ -99,16 +113,19 @@ class GrowingBatch:
 
     def drop(self, rows: Mask) -> None:
         """Forget some measurements (n,)."""
+        gone = np.split(rows, np.cumsum([len(factor) for _, factor in self.given]))
+        rest = [(given, part(factor, ~of)) for (given, factor), of in zip(self.given, gone, strict=False)]
+        self.given = [(given, kept) for given, kept in rest if kept is not None]
         self._linearized -= int(np.count_nonzero(rows[: self._linearized]))
         self._sparse = None
-        for part in self._parts():
-            part.drop(rows)
+        for own in self._parts():
+            own.drop(rows)
 
     def renumber(self, rows: dict[str, Index]) -> None:
         """The variables of some kinds have new rows."""
         for v, index in zip(self.variables, self._index, strict=True):
             if v.kind in rows:
-                index.rows[...] = rows[v.kind][index.rows]
+                index.put(rows[v.kind][index.rows])
 
     def _parts(self) -> Iterator[Growing]:
         """Everything that has a row a measurement."""
@@ -123,17 +140,6 @@ class GrowingBatch:
             self.linearize(rows)
             self._linearized = len(self)
         return self.cost(rows)
-
-    def silence(self, rows: slice) -> Array:
-        """Take the weight of some measurements, which is returned: they say nothing any more."""
-        W = np.array(self._W.rows[rows])
-        self.weigh(rows, np.zeros_like(W))
-        return W
-
-    def weigh(self, rows: slice, W: Array) -> None:
-        """Give some measurements other weights."""
-        self._W.rows[rows] = W
-        self.linearize(rows)
 
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
@@ -153,9 +159,9 @@ class GrowingBatch:
         else:
             A, b, cost = _weighted(self.kernel, A, b)
         at = 0
-        for part in A:
-            self._A.rows[rows, :, at : at + part.shape[2]] = part
-            at += part.shape[2]
+        for block in A:
+            self._A.rows[rows, :, at : at + block.shape[2]] = block
+            at += block.shape[2]
         self._b.rows[rows], self._cost.rows[rows] = b, cost
 
     def cost(self, rows: slice = slice(None)) -> float:
@@ -195,6 +201,16 @@ class GrowingBatch:
     def blocks(self) -> tuple[Array, ...]:
         """A (n, m, d) of every slot."""
         return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
+
+
+def touched(v: Variables, batches: Iterable[GrowingBatch], by: dict[str, Mask] | None = None) -> Mask:
+    """Which variables (n,) of a kind are measured: by all measurements, or by those of some others."""
+    measured = np.zeros(len(v), dtype=bool)
+    for batch in batches:
+        rows = slice(None) if by is None else batch.touches(by)
+        for index in batch.rows_of(v):
+            measured[index[rows]] = True
+    return measured
 
 
 def _own(factor: Factor) -> dict[Place, Array]:

@@ -43,6 +43,14 @@ class Decision:
         self.rejected: list[tuple[Factor, Factor]] = []
         self._new = 0
 
+    def mark(self) -> tuple[list[tuple[Factor, Factor]], int]:
+        """What was rejected, and how many closures came since."""
+        return self.rejected, self._new
+
+    def back_to(self, mark: tuple[list[tuple[Factor, Factor]], int]) -> None:
+        """Be as at a mark."""
+        self.rejected, self._new = mark
+
     def is_due(self, factors: Sequence[Factor]) -> bool:
         """Whether enough closures have come, with those among some factors."""
         if self.every is None:

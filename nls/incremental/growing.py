@@ -46,15 +46,13 @@ class Growing:
             self._room = room
         self._n = end
 
-    def keep(self, n: int) -> None:
-        """Forget all rows but the first n."""
-        self._n = n
+    def put(self, rows: npt.NDArray[Any]) -> None:
+        """Have other rows; who holds the old ones keeps them."""
+        self._room, self._n = rows, len(rows)
 
     def drop(self, rows: Mask) -> None:
         """Forget some rows (n,)."""
-        rest = self.rows[~rows]
-        self._n = len(rest)
-        self.rows[...] = rest
+        self.put(np.array(self.rows[~rows], order=self._order))
 
 
 class Variables:
@@ -97,16 +95,23 @@ class Variables:
         self._X.append(value[None], 1)
         self._columns.append(np.array([column]), 1)
 
-    def keep(self, n: int) -> None:
-        """Forget all but the first n that joined."""
-        self.place = dict(list(self.place.items())[:n])
-        for part in (self._X, self._numbers, self._columns):
-            part.keep(n)
+    def mark(self) -> tuple[Array, Numbers, Index]:
+        """Values, numbers and columns as they are."""
+        return self.X.copy(order="F"), self.numbers, self.columns.copy()
+
+    def back_to(self, mark: tuple[Array, Numbers, Index]) -> None:
+        """Be as at a mark."""
+        for part, rows in zip((self._X, self._numbers, self._columns), mark, strict=True):
+            part.put(rows)
+        self._find()
 
     def drop(self, rows: Mask) -> None:
         """Forget some of them (n,)."""
         for part in (self._X, self._numbers, self._columns):
             part.drop(rows)
+        self._find()
+
+    def _find(self) -> None:
         self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
 
     def keys(self, rows: Mask) -> Keys:

@@ -14,15 +14,17 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask, Numbers
+from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.batch import GrowingBatch
+from nls.incremental.batch import BatchMark, GrowingBatch, touched
 from nls.incremental.growing import Variables
 from nls.incremental.marginal import MarginalPrior, priors_left
 from nls.incremental.preconditioner import Preconditioner
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
+from nls.optimizers.fit import Fit, fit
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
@@ -34,6 +36,10 @@ OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelf
 AGED = 20  # iterations beyond the first of every solution, after which the preconditioner is made anew
 ITERATIONS = 60
 HALVES = 8  # of a step, at most
+ENOUGH = 0.01  # of the fall that a step promises; less is no reason for another one
+
+
+Mark = tuple[dict[str, Any], dict[str, tuple[Array, Numbers, Index]], list[BatchMark], tuple[int, int]]
 
 
 class GrowingSystem:
@@ -43,6 +49,7 @@ class GrowingSystem:
     ----------
     variables : by kind.
     iterations, factorizations : so far.
+    held : a variable of every part of the map that nothing but the gauge holds.
     """
 
     def __init__(self) -> None:
@@ -52,7 +59,7 @@ class GrowingSystem:
         self._preconditioner: Preconditioner | None = None
         self._entered: list[int] = []  # measurements of every batch that are in it
         self._age = 0
-        self._held = False
+        self.held: list[Keys] = []
         self._part = 1.0  # of the last step
 
     def __getstate__(self) -> dict[str, Any]:
@@ -70,13 +77,22 @@ class GrowingSystem:
         return sum(batch.cost() for batch in self.batches)
 
     @property
+    def fit(self) -> Fit:
+        """Whether noise explains chi2; what the gauge holds is counted as measured."""
+        free = sum(v.columns.size * v.manifold.dim for v in self.variables.values())
+        return fit(self.chi2, sum(batch.b.size for batch in self.batches) - free, self.robust)
+
+    @property
     def robust(self) -> bool:
         """Whether a kernel weighs some measurements."""
         return any(batch.kernel for batch in self.batches)
 
     def put(self, values: Values) -> None:
         """Take other values."""
-        self.back_to((self.mark()[0], {kind: stack.X for kind, stack in values.stacks.items()}))
+        for kind, stack in values.stacks.items():
+            self.variables[kind].X[...] = stack.X
+        self._linearize()
+        self.renew()
 
     def join(self, key: Keys, space: Manifold, value: Array) -> None:
         """Add a variable at a value (size,)."""
@@ -88,8 +104,8 @@ class GrowingSystem:
             self.renew()
         variables.join(int(key.numbers[0]), value, 0 if room is None else room)
 
-    def enter(self, factor: Factor) -> tuple[GrowingBatch, slice]:
-        """Add measurements of variables that are there; where they are."""
+    def enter(self, factor: Factor, given: Factor) -> None:
+        """Add measurements of variables that are there, of a factor that was given."""
         variables = [self.variables[keys.kind] for keys in factor.keys]
         model = factor.bind(*(v.manifold for v in variables))
         batch = next((batch for batch in self.batches if batch.takes(model)), None)
@@ -97,44 +113,54 @@ class GrowingSystem:
             batch = GrowingBatch(model, variables)
             self.batches.append(batch)
             self._entered.append(0)
-        if self._held and not factor.relative:
-            self.renew()  # what was held for the gauge may move now
-        return batch, batch.append(model)
+        if self.held and not factor.relative:
+            self.held = []  # what was held for the gauge may move now
+            self.renew()
+        batch.append(model, given)
 
     def catch_up(self) -> float:
         """Linearize what has come; its cost."""
         return sum(batch.catch_up() for batch in self.batches)
 
-    def mark(self) -> tuple[list[int], dict[str, Array]]:
-        """How many measurements there are, and where the variables are."""
-        return [len(batch) for batch in self.batches], {kind: v.X.copy() for kind, v in self.variables.items()}
+    def mark(self) -> Mark:
+        """Attributes, variables, batches, and how much is in the preconditioner."""
+        state = {**vars(self), "batches": [*self.batches], "_entered": [*self._entered]}
+        variables = {kind: v.mark() for kind, v in self.variables.items()}
+        F = self._preconditioner
+        return state, variables, [batch.mark() for batch in self.batches], (F.used, F.rows) if F else (0, 0)
 
-    def back_to(self, mark: tuple[list[int], dict[str, Array]]) -> None:
-        """Be as at a mark."""
-        measurements, X = mark
-        del self.batches[len(measurements) :]
-        del self._entered[len(measurements) :]
-        for kind in set(self.variables) - set(X):
+    def back_to(self, mark: Mark) -> None:
+        """Be as at a mark; the preconditioner is made anew where it has taken rows since."""
+        state, variables, batches, (used, rows) = mark
+        vars(self).update(state)
+        for kind in set(self.variables) - set(variables):
             del self.variables[kind]
-        for kind, variables in self.variables.items():
-            variables.keep(len(X[kind]))
-            variables.X[...] = X[kind]
-        for batch, n in zip(self.batches, measurements, strict=True):
-            batch.keep(n)
-            batch.linearize()
-        self.renew()
+        for kind, were in variables.items():
+            self.variables[kind].back_to(were)
+        for batch, measurements in zip(self.batches, batches, strict=True):
+            batch.back_to(measurements)
+        if (F := self._preconditioner) and F.rows == rows:
+            F.used = used
+        else:
+            self.renew()
 
-    def drop(self, rows: list[Mask]) -> None:
-        """Forget measurements (n,) of every batch."""
-        for batch, mask in zip(self.batches, rows, strict=True):
-            if mask.any():
-                batch.drop(mask)
+    @property
+    def given(self) -> list[tuple[Factor, Factor]]:
+        """Factors as they were given, and the part of each that is used."""
+        return [pair for batch in self.batches for pair in batch.given]
+
+    def drop(self, masks: list[Mask]) -> None:
+        """Forget measurements (n,) of every batch, or of every factor that was given."""
+        whole, ends = np.concatenate([*masks, np.zeros(0, bool)]), np.cumsum([len(batch) for batch in self.batches])
+        for batch, rows in zip(self.batches, np.split(whole, ends), strict=False):
+            if rows.any():
+                batch.drop(rows)
         self.batches = [batch for batch in self.batches if len(batch)]
         self._entered = [len(batch) for batch in self.batches]
         self.renew()
 
-    def marginalize(self, gone: dict[str, Mask]) -> tuple[list[Mask], list[MarginalPrior]]:
-        """Take out variables (n,) by kind; the measurements (n,) of every batch that went with them, and what they say.
+    def marginalize(self, gone: dict[str, Mask]) -> list[MarginalPrior]:
+        """Take out variables (n,) by kind, and the measurements of them; what these say of the others.
 
         Raises
         ------
@@ -146,12 +172,22 @@ class GrowingSystem:
         leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
         priors = priors_left(factors, self.values, leaving)
         self.drop(rows)
+        self.leave(gone)
+        return priors
+
+    def leave(self, gone: dict[str, Mask]) -> None:
+        """Take out variables (n,) by kind that no measurement is about."""
         for kind, mask in gone.items():
             self.variables[kind].drop(mask)
         places = {kind: np.cumsum(~mask) - 1 for kind, mask in gone.items()}
         for batch in self.batches:
             batch.renumber(places)
-        return rows, priors
+        self.renew()
+
+    def leave_unmeasured(self) -> None:
+        """Take out all variables that no measurement is about."""
+        alone = {kind: ~touched(v, self.batches) for kind, v in self.variables.items()}
+        self.leave({kind: mask for kind, mask in alone.items() if mask.any()})
 
     def renew(self) -> None:
         """Make the preconditioner anew before the next step."""
@@ -163,9 +199,25 @@ class GrowingSystem:
         Parameters
         ----------
         enough : a fall that is not worth a digit.
+
+        Returns
+        -------
+        dx, fall : infinite, without a step, where weights differ too much to compute one.
+
+        Raises
+        ------
+        UnderconstrainedError
+            Something is free.
         """
+        if not self.batches:
+            return np.zeros(0), 0.0
         self.catch_up()
-        F = self._refreshed()
+        try:
+            F = self._refreshed()
+        except UnderconstrainedError as error:
+            if error.nullity:
+                raise
+            return np.zeros(0), np.inf
         rows = [batch.A(F.width) for batch in self.batches]
         dx = np.zeros(F.width)
         r = _sum([At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)], F.n)
@@ -188,19 +240,38 @@ class GrowingSystem:
             d = z + (rz / before) * d
         return dx, fall + OLD * rz
 
-    def move(self, dx: Array) -> bool:
-        """Move all variables by the whole step, or the first half of halves that lowers chi2; whether one does."""
+    def move(self, dx: Array, fall: float) -> bool:
+        """Move all variables by the whole step, or the first of its halves that lowers chi2 enough; whether one does.
+
+        Parameters
+        ----------
+        dx, fall : the step, and the fall that the linear model promises.
+
+        Raises
+        ------
+        EvaluationError
+            A function of the user's raised an exception.
+        """
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
         first = min(2 * self._part, 1.0)  # of a step like the last one
         for part in (*first * 0.5 ** np.arange(HALVES), 0.0):
             for kind, v in self.variables.items():
                 v.move(begin[kind], part * dx[v.columns[:, None] + np.arange(v.manifold.dim)])
-            for batch in self.batches:
-                batch.linearize()
-            if self.chi2 < chi2:
-                self._part = part
-                return True
+            try:
+                self._linearize()
+            except (EvaluationError, SingularGeometryError) as error:
+                if error.is_fault:
+                    raise
+            else:
+                if chi2 - self.chi2 > ENOUGH * fall:
+                    self._part = part
+                    return True
         return False
+
+    def _linearize(self) -> None:
+        """All measurements at values that have changed."""
+        for batch in self.batches:
+            batch.linearize()
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
@@ -222,7 +293,7 @@ class GrowingSystem:
         pattern = Pattern([batch.model().factor for batch in self.batches], values)
         untouched = ~touched_variables(pattern)  # the first of all, while its measurements wait for others
         gauge = choose_gauge("first", pattern, values, untouched)
-        self._held = bool(gauge.held.any())
+        self.held = [pattern.key(k) for k in np.flatnonzero(gauge.held).tolist()]
         pattern = pattern.holding(gauge.held)
         b = [batch.b for batch in self.batches]
         system = LinearSystem(pattern, [batch.blocks() for batch in self.batches], np.concatenate(b))

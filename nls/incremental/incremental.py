@@ -22,7 +22,9 @@ minimum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -30,20 +32,23 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.joined import joined
 from factors.keys import Keys
-from models.algebra import Array, Mask
-from models.errors import GraphError, LeadlineError, UnderconstrainedError
+from models.advice import Advice
+from models.algebra import Array
+from models.errors import EvaluationError, GraphError, LeadlineError, SingularGeometryError, UnderconstrainedError
+from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals
-from nls.incremental.batch import GrowingBatch
+from nls.incremental.arrivals import Arrivals, is_about
 from nls.incremental.beginnings import New, part
 from nls.incremental.decision import Decision
 from nls.incremental.growing_system import GrowingSystem
 from nls.incremental.window import Window
 from nls.linear.updatable import updatable_class
+from nls.optimizers import Fit, LevenbergMarquardt, Stop
 from nls.robust import Robustified
 from nls.sparse.threads import single_thread
+from nls.starts import odometry
 from nls.values import Values
 
 __all__ = ["Incremental"]
@@ -51,6 +56,7 @@ __all__ = ["Incremental"]
 HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 SETTLED = 0.8  # of the tolerance: a smaller gap is no reason for another step
 PASSES = 30
+LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on
 SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
 
 
@@ -59,7 +65,7 @@ class Incremental:
 
     Parameters
     ----------
-    tol : relative, a part of chi2: after every update the gap is at most tol * max(chi2, 1).
+    tol : relative, a part of chi2: an update settles until the gap is at most tol * max(chi2, 1).
     lag : how many poses are kept, the newest; all where it is None. The information of an older one about the others
         stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
@@ -70,7 +76,7 @@ class Incremental:
     Attributes
     ----------
     gap : absolute, in units of chi2: chi2 is above its minimum by no more. With robust kernels an estimate, from how
-        fast the weights settle.
+        fast the weights settle. Above tol * max(chi2, 1) where not even a batch solution has arrived.
 
     Examples
     --------
@@ -102,7 +108,6 @@ class Incremental:
         self._system = GrowingSystem()
         self._window, self._decision = Window(lag, landmarks), Decision(decide_every, lag)
         self._arrivals = Arrivals(self._system.variables, self._window)
-        self._places: list[tuple[Factor, Factor, GrowingBatch, slice]] = []  # given, the part of it, where it is
         self._undecided: list[Factor] = []  # absolute measurements that are too few to let the gauge go
 
     def update(self, factors: Factor | Sequence[Factor], values: Values | None = None) -> None:
@@ -111,50 +116,74 @@ class Incremental:
         Parameters
         ----------
         factors : as they arrive; of new variables, too.
-        values : start values of new variables; the first of every kind needs one, which says its space. Those of the
-            others follow from the measurements.
+        values : starts; the first variable of every kind needs one, which says its space. Others follow from factors.
 
         Raises
         ------
-        GraphError, NoiseModelError, EvaluationError
-            A measurement that cannot be used. All is as before the call.
+        GraphError, NoiseModelError, EvaluationError, SingularGeometryError
+            A measurement that cannot be used. All is as before the call, and the advice names the measurement.
         """
         factors = [factors] if isinstance(factors, Factor) else list(factors)
         for factor in factors:
             if not isinstance(factor, Factor):
                 raise GraphError(f"Incremental.update: expected factors such as Between(...), got {factor!r:.80}")
-        factors = [*self._undecided, *factors]
-        relative = [factor for factor in factors if factor.relative]
-        try:
-            self._attempt(factors, values)
-        except UnderconstrainedError:  # what held the gauge was let go for too few absolute measurements
-            if len(relative) == len(factors):
+        with self._unless_it_fails():
+            try:
+                self._use([*self._undecided, *factors], values)
+                self._leave()
+                if self._decision.is_due(factors):
+                    self.decide()
+            except LeadlineError as error:
+                self._blame(error, factors)
                 raise
-            self._attempt(relative, values)
-            self._undecided = [factor for factor in factors if not factor.relative]
-        else:
-            self._undecided = []
-        self._leave()
-        if self._decision.is_due(factors):
-            self.decide()
+
+    def _use(self, factors: list[Factor], values: Values | None) -> None:
+        """Take measurements, but for absolute ones that are too few to let the gauge go: these wait."""
+        self._undecided, absolute = [], [factor for factor in factors if not factor.relative]
+        if not absolute:
+            return self._take(factors, values)
+        try:
+            with self._unless_it_fails():
+                self._take(factors, values)
+        except UnderconstrainedError:
+            self._undecided = absolute
+            self._take([factor for factor in factors if factor.relative], values)
 
     def _leave(self) -> None:
         """Marginalize what is older than the window."""
-        gone = self._window.leaving(self._system.variables, self._system.batches)
-        if not gone:
+        if not (gone := self._window.leaving(self._system.variables, self._system.batches)):
             return
         self.gap += self._system.catch_up()
-        batches, variables = self._system.batches, self._system.variables
-        stacks = [variables[kind].stack(mask) for kind, mask in gone.items()]
+        stacks = [self._system.variables[kind].stack(mask) for kind, mask in gone.items()]
         try:
-            rows, priors = self._system.marginalize(gone)
+            priors = self._system.marginalize(gone)
         except UnderconstrainedError:
             return  # not determined yet: it stays for another step
-        self._window.leave(stacks)
-        self._forget(dict(zip(map(id, batches), rows, strict=True)))
-        self._places += [(prior, prior, *self._system.enter(prior)) for prior in priors]
+        for prior in priors:
+            self._system.enter(prior, prior)
         self._system.catch_up()
+        self._window.leave(stacks)
         self._arrivals.reach()
+
+    @contextmanager
+    def _unless_it_fails(self) -> Iterator[None]:
+        """All is as before where something fails."""
+        kept: list[Any] = [self._system, self._arrivals, self._window, self._decision]
+        marks, numbers = [part.mark() for part in kept], (self.gap, self._undecided)
+        try:
+            yield
+        except BaseException:
+            for part, mark in zip(kept, marks, strict=True):
+                part.back_to(mark)
+            self.gap, self._undecided = numbers
+            raise
+
+    def _blame(self, error: LeadlineError, factors: list[Factor]) -> None:
+        """Name the measurements that an error is about: those that came, or else those that were given before."""
+        for action, here in (("leave out", factors), ("take out", [given for given, _ in self._system.given])):
+            if blamed := [factor for factor in here if is_about(error, factor)]:
+                error.advise(Advice(action, (some([repr(factor) for factor in blamed]),)))
+                return
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.
@@ -174,47 +203,21 @@ class Incremental:
         GraphError
             No pose graph, or one without closures; nothing that is doubted has come.
         """
-        count = len(self._places)
-        pairs = [*((given, factor) for given, factor, _, _ in self._places), *self._decision.rejected]
-        named = None if doubted is None else {id(factor) for factor in doubted}
-        suspect = None if named is None else np.array([id(given) in named for given, _ in pairs], dtype=bool)
-        decided, keeps = self._decision.judge([self._bound_model(factor) for _, factor in pairs], self.values, suspect)
-        parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
-        self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
-        dropped = {id(batch): np.zeros(len(batch), dtype=bool) for batch in self._system.batches}
-        for (_, _, batch, rows), keep in zip(self._places, keeps[:count], strict=True):
-            dropped[id(batch)][rows] = ~keep
-        self._system.drop([dropped[id(batch)] for batch in self._system.batches])
-        self._forget(dropped)
-        for given, factor, keep in parts[count:]:
-            if (again := part(factor, keep)) is not None:
-                self._places.append((given, again, *self._system.enter(again)))
-        self._system.put(decided.result.values)
-        self.settle()
+        system, old = self._system, self._system.given
+        pairs = [*old, *self._decision.rejected]
+        suspect = None if doubted is None else np.isin([id(g) for g, _ in pairs], [id(factor) for factor in doubted])
+        with self._unless_it_fails():
+            models = [self._bound_model(factor) for _, factor in pairs]
+            decided, keeps = self._decision.judge(models, self.values, suspect)
+            parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
+            self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
+            system.drop([~keep for keep in keeps[: len(old)]])
+            for given, factor, keep in parts[len(old) :]:
+                if (again := part(factor, keep)) is not None:
+                    system.enter(again, given)
+            system.put(decided.result.values)
+            self.settle()
         return decided
-
-    def _forget(self, dropped: dict[int, Mask]) -> None:
-        """Measurements (n,) of some batches are dropped."""
-        places = []
-        for given, factor, batch, rows in self._places:
-            gone = dropped[id(batch)]
-            if (kept := part(factor, ~gone[rows])) is not None:
-                begin = int(np.count_nonzero(~gone[: rows.start]))
-                places.append((given, kept, batch, slice(begin, begin + len(kept))))
-        self._places = places
-
-    def _attempt(self, factors: list[Factor], values: Values | None) -> None:
-        """Take measurements; where that fails all is as before."""
-        system, arrivals, places, gap = self._system.mark(), self._arrivals.mark(), len(self._places), self.gap
-        behind = len(self._window.behind)
-        try:
-            self._take(factors, values)
-        except LeadlineError:
-            self._system.back_to(system)
-            self._arrivals.back_to(arrivals)
-            del self._places[places:], self._window.behind[behind:]
-            self.gap = gap
-            raise
 
     def _take(self, factors: list[Factor], values: Values | None) -> None:
         """Add variables and measurements, and settle."""
@@ -226,8 +229,7 @@ class Incremental:
                 exact = arrival.measurement
                 self._system.join(arrival.key, arrival.space, arrival.value)
             else:
-                batch, rows = self._system.enter(arrival.factor)
-                self._places.append((arrival.given, arrival.factor, batch, rows))
+                self._system.enter(arrival.factor, arrival.given)
                 residuals = residuals or arrival.factor is not exact
         if residuals:
             self.gap += self._system.catch_up()
@@ -253,7 +255,7 @@ class Incremental:
             self.gap = self._bound(fall, last)
             if self.gap <= self._allowed(share):
                 return
-            if not self._system.move(dx):
+            if math.isinf(fall) or not self._system.move(dx, fall):
                 break
             last = fall
         self._solve_batch()
@@ -266,14 +268,17 @@ class Incremental:
         return fall * max(HONEST, 1 / (1 - rate))
 
     def _solve_batch(self) -> None:
-        """Solve the whole graph from the present values, where these steps do not arrive."""
+        """Solve the whole graph by damped steps from the present values, where these steps do not arrive."""
         self.batch_solutions += 1
-        self._system.put(self.graph.optimize(self.values).values)
+        result = self.graph.optimize(self.values, LevenbergMarquardt(LIMIT))
+        self._system.put(result.values)
         _, fall = self._system.step(self._allowed(SETTLED) / HONEST)
-        self.gap = self._bound(fall)
+        self.gap = self._bound(min(fall, LIMIT.in_force.chi2_rtol * self.chi2) if result.converged else fall)
 
     def remove(self, factors: Factor | Sequence[Factor]) -> None:
         """Take out measurements that were given, all or none of them, and settle.
+
+        A variable leaves with its last measurement, and comes back with the next one.
 
         Parameters
         ----------
@@ -282,12 +287,12 @@ class Incremental:
         Raises
         ------
         GraphError
-            They were not given, or were taken out before. All is as before the call.
+            They were not given, or were taken out before, or left the window. All is as before the call.
         UnderconstrainedError
-            Something is free without them; they stay.
+            Something else is free without them; they stay.
         """
         factors = [factors] if isinstance(factors, Factor) else list(factors)
-        here = [*self.pending, *(place[0] for place in (*self._places, *self._decision.rejected))]
+        here = [*self.pending, *(given for given, _ in [*self._system.given, *self._decision.rejected])]
         given, out = {id(factor) for factor in here}, {id(factor) for factor in factors}
         for factor in factors:
             if not isinstance(factor, Factor):
@@ -295,25 +300,34 @@ class Incremental:
             if id(factor) not in given:
                 like = any(type(other) is type(factor) and other.keys == factor.keys for other in here)
                 cure = ". Another object of its type and variables is: pass that one" if like else ""
-                raise GraphError(
-                    f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys, factor.name
-                )
-        system, gap, places = self._system.mark(), self.gap, self._places
-        weights = [(batch, rows, batch.silence(rows)) for of, _, batch, rows in places if id(of) in out]
-        self._system.renew()
-        self._places = [place for place in places if id(place[0]) not in out]  # a batch solution is without them, too
-        try:
-            self.settle()
-        except LeadlineError:
-            self._system.back_to(system)
-            for batch, rows, W in weights:
-                batch.weigh(rows, W)
-            self._places, self.gap = places, gap
-            raise
-        self._undecided = [factor for factor in self._undecided if id(factor) not in out]
-        self._decision.rejected = [part for part in self._decision.rejected if id(part[0]) not in out]
-        for factor in factors:
-            self._arrivals.drop(factor)
+                raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
+        with self._unless_it_fails():
+            self._undecided = [factor for factor in self._undecided if id(factor) not in out]
+            self._decision.rejected = [pair for pair in self._decision.rejected if id(pair[0]) not in out]
+            self._arrivals.drop(out)
+            held, batches = self._system.held, self.batch_solutions
+            self._system.drop([np.full(len(factor), id(given) in out) for given, factor in self._system.given])
+            self._system.leave_unmeasured()
+            try:
+                self.settle()
+            except UnderconstrainedError as error:
+                error.advise(Advice("remove all", (some([repr(key) for key in error.keys]),)))
+                raise
+            if len(apart := self._system.held) > max(len(held), all(b.factor.relative for b in self._system.batches)):
+                cut = f"Incremental.remove: nothing else joins {apart[-1]} to the rest of the map; join it first"
+                raise UnderconstrainedError(cut, apart[-1:])
+            if self.batch_solutions > batches or self._system.fit is not Fit.PLAUSIBLE:  # the map was bent far
+                self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Go to the optimum that a start from the measurements alone leads to, where that is lower."""
+        nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in self.values.stacks.items()}
+        with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
+            start = odometry(self.graph, self.values.replaced(nothing))
+            result = self.graph.optimize(start, LevenbergMarquardt(LIMIT))
+            if result.chi2_final < self.chi2:
+                self._system.put(result.values)
+        self._solve_batch()
 
     @property
     def values(self) -> Values:
@@ -336,7 +350,7 @@ class Incremental:
     @property
     def graph(self) -> FactorGraph:
         """The measurements that are in the estimate."""
-        return FactorGraph(joined([self._bound_model(factor) for _, factor, _, _ in self._places]))
+        return FactorGraph(joined([self._bound_model(factor) for _, factor in self._system.given]))
 
     def _bound_model(self, factor: Factor) -> Model:
         """A factor in the spaces of its variables."""
@@ -381,5 +395,5 @@ class Incremental:
         return updatable_class().name
 
     def __repr__(self) -> str:
-        count = sum(len(variables) for variables in self._system.variables.values())
-        return f"Incremental({count} variables, {len(self._places)} factors, chi2 {self.chi2:.6g}, gap {self.gap:.2g})"
+        counts = sum(map(len, self._system.variables.values())), len(self._system.given)
+        return f"Incremental({counts[0]} variables, {counts[1]} factors, chi2 {self.chi2:.6g}, gap {self.gap:.2g})"

@@ -36,6 +36,8 @@ class Preconditioner:
 
     Attributes
     ----------
+    used : columns that variables have.
+    rows : that came later.
     n : columns, with those in reserve.
     width : with those of what is held, behind them.
 
@@ -46,7 +48,7 @@ class Preconditioner:
     """
 
     def __init__(self, hessian: Hessian, S: Array) -> None:
-        self._used, self.n = hessian.n, hessian.n + RESERVE
+        self.used, self.rows, self.n = hessian.n, 0, hessian.n + RESERVE
         self.width = self.n + WIDEST
         small = SMALL * float(hessian.diagonal(S).mean())
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
@@ -57,11 +59,12 @@ class Preconditioner:
 
     def column(self, d: int) -> int | None:
         """The first of d columns of a new variable; None where no room is left."""
-        column, self._used = self._used, self._used + d
-        return column if self._used <= self.n else None
+        column, self.used = self.used, self.used + d
+        return column if self.used <= self.n else None
 
     def add(self, A: Array, columns: npt.NDArray[np.int32]) -> None:
         """Add rows of A (k, D), and their columns (k, D)."""
+        self.rows += len(A)
         free = columns < self.n
         indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
         self._factor.add(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))

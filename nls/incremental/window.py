@@ -11,7 +11,7 @@ from factors.base import Factor
 from models.algebra import Array, Mask
 from models.errors import OptionError
 from models.options import check_whole
-from nls.incremental.batch import GrowingBatch
+from nls.incremental.batch import GrowingBatch, touched
 from nls.incremental.beginnings import part
 from nls.incremental.growing import Variables
 from nls.incremental.marginal import MarginalPrior
@@ -44,6 +44,15 @@ class Window:
         self._sensors: set[str] = set()  # kinds that a motion of everything does not move
         self._left: dict[str, dict[int, Array]] = {}
 
+    def mark(self) -> tuple[int, set[str], set[str]]:
+        """How much is behind, and the sorts of kinds; what left is not in it."""
+        return len(self.behind), {*self._tracks}, {*self._sensors}
+
+    def back_to(self, mark: tuple[int, set[str], set[str]]) -> None:
+        """Be as at a mark."""
+        n, self._tracks, self._sensors = mark
+        del self.behind[n:]
+
     def reached(self, factor: Factor) -> Factor | None:
         """The measurements of a factor that are about no pose that left; the others are `behind`."""
         if self.lag is None:
@@ -74,7 +83,7 @@ class Window:
         measured = [batch for batch in batches if not isinstance(batch.factor, MarginalPrior)]
         for kind, v in variables.items():
             if kind not in old and kind not in self._sensors:
-                old[kind] = _measured(v, measured, old) & ~_measured(v, measured, new)
+                old[kind] = touched(v, measured, old) & ~touched(v, measured, new)
         return {kind: mask for kind, mask in old.items() if mask.any()}
 
     def leave(self, stacks: Iterable[Stack]) -> None:
@@ -90,13 +99,3 @@ class Window:
             if away:
                 stacks.append(Stack(kind, variables[kind].manifold, np.stack([*away.values()]), np.array([*away])))
         return Values.of(stacks)
-
-
-def _measured(v: Variables, batches: Sequence[GrowingBatch], by: dict[str, Mask]) -> Mask:
-    """Which variables (n,) of a kind some of the others measure."""
-    measured = np.zeros(len(v), dtype=bool)
-    for batch in batches:
-        rows = batch.touches(by)
-        for index in batch.rows_of(v):
-            measured[index[rows]] = True
-    return measured

@@ -79,9 +79,7 @@ class Optimizer(Abstract):
             step = watch.step_count + 1
             if isinstance(error, EvaluationError):
                 error.iteration = step
-            at_start = step == 1 and getattr(error, "where", "") == "A'A"
-            raised = isinstance(error, EvaluationError) and error.__cause__ is not None  # by a function of the user's
-            if raised or at_start:  # a fault to see, not a place the step should have avoided
+            if error.is_fault or (step == 1 and getattr(error, "where", "") == "A'A"):
                 raise
             watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
         except KeyboardInterrupt:

@@ -86,7 +86,7 @@ class Problem:
             moved = self.retract(values, dx)
             return moved, evaluate(moved), ""
         except (EvaluationError, SingularGeometryError) as error:
-            if isinstance(error, EvaluationError) and error.__cause__ is not None:
+            if error.is_fault:
                 raise
             return values, None, f"where {error}"
 

@@ -45,13 +45,11 @@ class DoubtKind(Enum):
 
     FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
     DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
-    CONTRADICTED = (
-        "{count} of {total} kept closures contradict the others: without them the map moves by {percent:.2g} %"
-    )
+    CONTRADICTED = "{count} of {total} kept closures contradict the others: without them the map moves {percent:.2g} %"
     UNCHECKED = "a wrong closure would pass with a probability of {percent:.2g} %: too little checks the closures"
     ALONE = (
         "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
-        " and without them the map moves by {percent:.2g} %"
+        " and without them the map moves {percent:.2g} %"
     )
     RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {apart} away"
     WEAK = (
@@ -60,9 +58,7 @@ class DoubtKind(Enum):
     )
     STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
     UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
-    SIGMAS = (
-        "most neighboring closures differ by {number:.3g} times their sigmas: these are too small, or most are wrong"
-    )
+    SIGMAS = "most neighboring closures differ by {number:.3g} sigmas: these are too small, or most are wrong"
 
 
 @dataclass(frozen=True)

@@ -176,3 +176,13 @@ def test_a_checkpoint_of_something_else_is_refused(ring: Path, tmp_path: Path, r
     state.write_text("hello")
     assert "is no checkpoint" in run(ring, "--checkpoint", state)[1]
     assert "this is the input" in run(ring, "--checkpoint", ring)[1]
+
+
+def test_a_gap_that_nobody_knows_is_null(run: Run, ring: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(smoother: nls.Incremental) -> None:
+        smoother.gap = float("inf")
+
+    monkeypatch.setattr(nls.Incremental, "settle", lost)
+    steps, _, status = run(ring)
+    assert status == 0
+    assert None in [step["gap"] for step in steps]
