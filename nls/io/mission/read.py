@@ -171,9 +171,9 @@ def _anchor(
 ) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose: at the truth,
-    else at the first row of path.csv, else at 0. A compass measures the heading in place of the anchor, which is then
-    the first pose that the compass sees. Where the mission need not be anchored, nothing holds it.
+    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose: at the
+    truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
+    compass it is the first pose that this one sees. Where the mission need not be anchored, nothing holds it.
     """
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
