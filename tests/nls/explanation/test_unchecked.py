@@ -45,6 +45,14 @@ def test_an_anchor_is_believed_and_a_second_depth_sensor_checks_depth_rows() -> 
     assert unchecked(values(), STEPS, CLOSURE, DEPTHS, AGAIN, *ANCHOR).keys() == {""}
 
 
+def test_priors_of_all_poses_are_believed() -> None:
+    """As those of a vehicle whose attitude nothing measures."""
+    level = Prior(x[I], SE3.identity(), Diagonal([0.1, 0.01, 0.01]), components=("z", "roll", "pitch"))
+    found = unchecked(values(), STEPS, CLOSURE, level, *ANCHOR)
+    assert found.keys() == {""}
+    assert found[""].numbers["count"] == N + 2
+
+
 def test_a_lone_fix_is_believed_and_two_fixes_check_each_other() -> None:
     fix = Position(x[3], [3.0, 0.0], Diagonal([1.0, 1.0]), components=("x", "y"))
     found = unchecked(values(), STEPS, CLOSURE, DEPTHS, fix, ANCHOR[1])
