@@ -212,13 +212,13 @@ def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> 
         total += len(batch)
         if len(alone := np.flatnonzero((test.m == 0) & (test.rows > 0))):
             groups.setdefault(_checked_by(batch, alone, label), []).append((k, alone))
-    found = [group for several in groups.values() for group in several]
-    if found and sum(len(alone) for _, alone in found) == total:
-        groups = {tuple(dict.fromkeys(cure for cures in groups for cure in cures)): found}
+    every = [group for several in groups.values() for group in several]
+    if every and sum(len(alone) for _, alone in every) == total:
+        groups = {tuple(dict.fromkeys(cure for cures in groups for cure in cures)): every}
     factors, out = [batch.model.factor for batch in pattern.batches], []
-    for advice, found in groups.items():
-        count = sum(len(alone) for _, alone in found)
-        places = tuple((k, i) for k, alone in found for i in alone[:SOME].tolist())
+    for advice, members in groups.items():
+        count = sum(len(alone) for _, alone in members)
+        places = tuple((k, i) for k, alone in members for i in alone[:SOME].tolist())
         numbers = {"count": count, "of": total, "factors": _names(factors, places), "believed": not advice}
         out.append(Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, advice, places))
     return out
