@@ -200,6 +200,8 @@ def _anchor(
         factors, held = factors[:1], "x and y"
     report.sources += [Source(report.path, np.zeros(1, dtype=np.intp))] * len(factors)
     report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
+    if report.plane is not None and compass is None and where == "0":
+        report.warn(f"nothing says where {anchor} is on the Earth, nor its heading; write both to anchor.csv")
     return factors, (anchor, z)
 
 
