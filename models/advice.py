@@ -44,6 +44,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "factors": "add the factors that are missing",
     "drop": "leave {0} out of the values",
     "close": "add a loop closure, or another measurement of the same",
+    "second sensor": "measure the same with a second sensor",
     # measurements
     "odometry": "join the sessions by odometry",
     "robust": ("use a robust kernel", "graph.robust({0}({1}))", "--robust {2}:{1}"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import Cauchy, Huber
+from factors import Cauchy, Huber, Prior
 from factors.base import Factor
 from models.advice import Advice
 from models.listing import SOME
@@ -16,13 +16,15 @@ from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
 from nls.explanation.applicability import certifies, graduates
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
+from nls.gauge import component_labels
 from nls.posegraph import closures
 
 if TYPE_CHECKING:
     from factors.keys import Keys
+    from models.algebra import Index
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
-    from nls.sparse.pattern import Pattern
+    from nls.sparse.pattern import Batch, Pattern
     from nls.values import Values
 
 __all__ = ["of_suspects"]
@@ -198,22 +200,44 @@ def turns(graph: FactorGraph, values: Values) -> list[Finding]:
 
 
 def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> list[Finding]:
-    """Measurements that nothing else checks, without factors that are assumed."""
-    places: list[tuple[int, int]] = []
-    count = total = 0
-    for k, test in enumerate(tests):
-        factor = pattern.batches[k].model.factor
-        if factor.limit_only or k in assumed:
+    """Measurements that nothing else checks, without factors that are assumed, by what would check them.
+
+    Where that is all measurements, it is one finding.
+    """
+    groups: dict[tuple[Advice, ...], list[tuple[int, Index]]] = {}
+    total, label = 0, component_labels(pattern)
+    for k, (test, batch) in enumerate(zip(tests, pattern.batches, strict=False)):
+        if batch.model.factor.limit_only or k in assumed:
             continue
-        total += len(factor)
-        alone = np.flatnonzero((test.m == 0) & (test.rows > 0))
-        count += len(alone)
-        places += [(k, i) for i in alone[:SOME].tolist()]
-    if not count:
-        return []
-    factors = [batch.model.factor for batch in pattern.batches]
-    numbers = {"count": count, "of": total, "factors": _names(factors, places)}
-    return [Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, (Advice("close"),), tuple(places))]
+        total += len(batch)
+        if len(alone := np.flatnonzero((test.m == 0) & (test.rows > 0))):
+            groups.setdefault(_checked_by(batch, alone, label), []).append((k, alone))
+    every = [group for several in groups.values() for group in several]
+    if every and sum(len(alone) for _, alone in every) == total:
+        groups = {tuple(dict.fromkeys(cure for cures in groups for cure in cures)): every}
+    factors, out = [batch.model.factor for batch in pattern.batches], []
+    for advice, members in groups.items():
+        count = sum(len(alone) for _, alone in members)
+        places = tuple((k, i) for k, alone in members for i in alone[:SOME].tolist())
+        numbers = {"count": count, "of": total, "factors": _names(factors, places), "believed": not advice}
+        out.append(Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, advice, places))
+    return out
+
+
+def _checked_by(batch: Batch, alone: Index, label: Index) -> tuple[Advice, ...]:
+    """What would check some unchecked measurements of a factor; nothing for a belief.
+
+    A belief is a prior, or the one such measurement in its part of the graph, as an anchor is: the part lies where it
+    says.
+    """
+    factor, manifolds = batch.model.factor, batch.model.manifolds
+    placed = [slot for slot in range(len(manifolds)) if slot not in factor.unmoved]
+    if len(placed) < 2:
+        parts = label[batch.variables[0][alone]]
+        believed = isinstance(factor, Prior) or len(np.unique(parts)) == len(parts)
+        return () if believed else (Advice("second sensor"),)
+    of_point = manifolds[placed[0]].body_axes and not manifolds[placed[-1]].body_axes
+    return (Advice("view", ("the same point",)) if of_point else Advice("close"),)
 
 
 def unverified(graph: FactorGraph, values: Values) -> list[Finding]:

@@ -26,7 +26,7 @@ Numbers = dict[str, Any]
 
 def sentence(finding: Finding) -> str:
     """A finding in words, without what helps."""
-    lines = f" [{some(finding.places, FEW)}]" if finding.places else ""
+    lines = f" [{some(list(dict.fromkeys(finding.places)), FEW)}]" if finding.places else ""
     return SENTENCES[finding.kind](finding) + lines
 
 
@@ -253,6 +253,8 @@ def _unchecked(f: Finding) -> str:
         return "no measurement is checked by another: each fits whatever its number, and chi2 shows no error"
     few = n["count"] <= len(n["factors"])
     names = some(n["factors"]) if few else f"{n['count']} measurements, such as {', '.join(n['factors'][:FEW])}"
+    if n["believed"]:
+        return f"{names}: believed as stated, no other measurement checks {'it' if n['count'] == 1 else 'them'}"
     return f"no other measurement checks {names}: an error there cannot be seen"
 
 

@@ -171,9 +171,9 @@ def _anchor(
 ) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose, and its
-    heading only where no compass measures it; with a compass it is the first pose that this one sees. Where the mission
-    need not be anchored, nothing holds it.
+    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose: at the
+    truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
+    compass it is the first pose that this one sees. Where the mission need not be anchored, nothing holds it.
     """
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
@@ -184,6 +184,8 @@ def _anchor(
     if report.world:
         return [], None
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
+    if "path" in tables:
+        z, where = tables["path"].attitude(*LEVEL)[0], "the first row of path.csv"
     if compass is not None:
         poses, yaw = compass
         first = int(np.argmin(poses.numbers))
@@ -198,6 +200,8 @@ def _anchor(
         factors, held = factors[:1], "x and y"
     report.sources += [Source(report.path, np.zeros(1, dtype=np.intp))] * len(factors)
     report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
+    if report.plane is not None and compass is None and where == "0":
+        report.warn(f"nothing says where {anchor} is on the Earth, nor its heading; write both to anchor.csv")
     return factors, (anchor, z)
 
 

@@ -51,7 +51,7 @@ def test_there_and_back_is_a_millimeter(shell: Shell, lat: float, lon: float) ->
     files = {
         name: "\n".join([TINY[name].splitlines()[0], *rows]) for name, rows in (("odometry", odometry), ("zpr", zpr))
     }
-    folder(shell / "m", files, origin=ORIGIN.format(lat, lon))
+    folder(shell / "m", files, origin=ORIGIN.format(lat, lon), anchor=TINY["anchor"])
     out = shell("solve m -o out")
     assert "origin.csv" not in out
     features = json.loads((shell / "out/track.geojson").read_text())["features"]

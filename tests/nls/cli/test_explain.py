@@ -95,10 +95,13 @@ def test_a_mission(shell: Shell) -> None:
     assert shell("explain m --elevation free")
 
 
-def test_an_anchor_that_no_file_has_needs_no_check(shell: Shell) -> None:
-    """What holds the mission where it begins was not measured; of `anchor.csv` it was."""
+def test_an_anchor_is_believed_in_one_line_and_none_where_no_file_has_it(shell: Shell) -> None:
     folder(shell / "m")
-    assert "no other measurement checks Position(x0), Heading(x0)" in shell("explain m")
+    out = shell("explain m")
+    line = "1. Position(x0), Heading(x0): believed as stated, no other measurement checks them [m/anchor.csv:2].\n\n"
+    assert line in out
+    assert out.count("anchor.csv:2") == 1
+    assert "->" not in out
     (shell / "m" / "anchor.csv").unlink()
     assert "no other measurement checks" not in shell("explain m")
     folder(shell / "n")

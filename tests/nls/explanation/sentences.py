@@ -62,8 +62,9 @@ FINDINGS = (
     Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED),
     Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED | {"meters": float("inf"), "sigmas": float("inf")}),
     Finding(Kind.REPEATED, (x[0], x[4]), {"count": 1, "factors": ("Between(x0, x4)",)}),
-    Finding(Kind.UNCHECKED, (x[0],), {"count": 1, "of": 9, "factors": ("Prior(x0)",)}),
-    Finding(Kind.UNCHECKED, (x[0],), {"count": 9, "of": 9, "factors": ("Prior(x0)",)}),
+    Finding(Kind.UNCHECKED, (x[0],), {"count": 1, "of": 9, "factors": ("Prior(x0)",), "believed": True}),
+    Finding(Kind.UNCHECKED, (x[3],), {"count": 1, "of": 9, "factors": ("ZPR(x3)",), "believed": False}),
+    Finding(Kind.UNCHECKED, (x[0],), {"count": 9, "of": 9, "factors": ("Prior(x0)",), "believed": False}),
 )
 
 

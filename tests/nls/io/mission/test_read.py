@@ -190,6 +190,18 @@ def test_without_an_anchor_and_times_of_poses(tmp_path: Path) -> None:
     assert graph.optimize(values).converged
 
 
+def test_a_track_on_the_earth_whose_heading_nothing_measured_is_a_warning(tmp_path: Path) -> None:
+    origin = "lat_deg,lon_deg\n54.0,10.0\n"
+    here = folder(tmp_path / "m", anchor=None, truth=None, origin=origin)
+    with pytest.warns(
+        GraphWarning, match="nothing says where x0 is on the Earth, nor its heading; write both to anchor"
+    ):
+        nls.load(here)
+    _, _, report = nls.load(folder(tmp_path / "n", truth=None, origin=origin))  # the cure
+    assert not report.warnings
+    assert not nls.load(folder(tmp_path / "log", raw() | {"origin": origin}))[2].warnings  # its heading was measured
+
+
 def test_a_raw_log_is_integrated(tmp_path: Path) -> None:
     graph, values, report = nls.load(folder(tmp_path / "m", raw()))
     assert [type(f) for f in graph.factors] == [XYH, ZPR, Heading, Position]
