@@ -65,8 +65,12 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         A column that is not there or not in the log, a cell that is no number, times that do not rise; a unit that
         cannot be. The error has the line in the log or in the mapping.
     """
-    rows = Rows(section, log)
     _refuse_missing(section, log)
+    if (between := section.options.get("rows")) is not None and log is not None:
+        log = log.part(slice(between[0], *between[1:] or [None]))
+        if not len(log):
+            raise section.error("rows", f"rows = {between} leaves no row")
+    rows = Rows(section, log)
     count = 1 if log is None else len(log)
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
@@ -80,10 +84,6 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         _rotate(section, log, rows, count)
     rows.rows = np.arange(count)
     _keep(rows, *_complete(rows, count))
-    if (between := section.options.get("rows")) is not None:
-        _take(rows, np.arange(len(rows.rows))[slice(*between)])
-        if not len(rows.rows):
-            raise section.error("rows", f"rows = {between} leaves no row")
     if "time_s" in rows.times:
         _order(rows)
     for column, cell in section.cells.items():
@@ -123,7 +123,7 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
 def _words(section: Section, column: str, cell: Cell, log: Log | None, count: int) -> list[str]:
     if cell.columns:
         assert log is not None
-        return log.words(_known(section, column, cell, log).columns[0])
+        return log.words(_known(section, column, cell, log).columns[0], cell.missing)
     return [str(cell.constant)] * count
 
 
@@ -146,9 +146,7 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
     (name,) = _known(section, column, cell, log).columns
     if column == "valid" or cell.equals is not None or cell.above is not None:
         return _flags(section, column, cell, log)
-    numbers = log.numbers(name).copy()
-    if cell.missing is not None:
-        numbers[numbers == cell.missing] = np.nan
+    numbers = log.numbers(name, cell.missing)
     numbers[~np.isfinite(numbers)] = np.nan
     if column == "z_m" and cell.up is None and not cell.scaled and cell.scale > 0:
         _refuse_unsaid_height(section, name)
@@ -203,14 +201,14 @@ def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
     """1 where a flag is true, 0 where it is not, nan where its cell is empty."""
     (name,) = cell.columns
     if cell.above is not None:
-        numbers = log.numbers(name)
+        numbers = log.numbers(name, cell.missing)
         return np.where(np.isnan(numbers), np.nan, (numbers > cell.above).astype(float))
-    words = log.words(name)
+    words = log.words(name, cell.missing)
     if cell.equals is not None:
         target = str(cell.equals).lower() if isinstance(cell.equals, bool) else cell.equals
         if isinstance(target, str):
             return np.array([float(word.lower() == target.lower()) for word in words])
-        return np.asarray((log.numbers(name) == target).astype(float))
+        return np.asarray((log.numbers(name, cell.missing) == target).astype(float))
     kinds = {word: _flag(word) for word in set(words)}
     if strange := next((word for word, flag in kinds.items() if flag is None), None):
         write = f'{column} = {{ column = "{name}", equals = "{strange}" }}, or above = NUMBER'
@@ -241,7 +239,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
     if isinstance(names[0], str):
         assert log is not None
         _known(section, kind, Cell(names), log)
-        parts = np.column_stack([log.numbers(name) for name in names])
+        parts = np.column_stack([log.numbers(name, section.missing.get(kind, ())) for name in names])
     else:
         parts = np.tile(np.array(names, dtype=float), (count, 1))
     rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)

@@ -55,18 +55,16 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
         A cell that is no time.
     """
     if len(cell.columns) > 1:
-        parts = [log.words(name) for name in cell.columns]
+        parts = [log.words(name, cell.missing) for name in cell.columns]
         return _iso(log, [" ".join(words) for words in zip(*parts, strict=True)], cell, notes)
     (name,) = cell.columns
-    words = log.words(name) if not log.units.get(name) else []
+    words = log.words(name, cell.missing) if not log.units.get(name) else []
     first = next((word for word in words if word.lower() not in MISSING), "")
     if ISO.fullmatch(first) or ":" in first:
         return _iso(log, words, cell, notes)
     whole = log.whole(name)
-    numbers = log.numbers(name) if whole is None else whole.astype(float)
+    numbers = log.numbers(name, cell.missing)
     present = np.isfinite(numbers)
-    if cell.missing is not None:
-        present &= numbers != cell.missing
     unit, scale = _unit(log, cell, column, numbers[present], notes)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         step = round(NANOSECONDS * factor(unit, "time_s"))
