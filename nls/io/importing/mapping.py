@@ -64,7 +64,7 @@ class Cell:
 
     Attributes
     ----------
-    columns : of the log; two are joined, as a date and a time are; none for a constant.
+    columns : of the log; two are a date and a time, or a number and its hemisphere; none for a constant.
     constant : a number, a word or True or False.
     unit : of the log, empty where its header says it.
     scale, offset : what a number is multiplied with and what is added then, in the unit of the mission.
@@ -290,8 +290,10 @@ class Mapping(TomlFile):
         names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
         if not names or not all(isinstance(name, str) for name in names):
             raise refuse("no column of the log; expected { column = ... }")
-        if len(names) > 1 and not column.startswith("time_"):
-            raise refuse("several columns; only a date and a time are joined")
+        if len(names) > 1 and not (column.startswith("time_") or (column in PLACES_ON_EARTH and len(names) == 2)):
+            raise refuse(
+                "several columns; only a date and a time are joined, and a latitude or longitude with its side"
+            )
         sign = -1.0 if value.get("up") else float(value.get("sign", 1))
         return Cell(
             names,

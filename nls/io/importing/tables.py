@@ -12,10 +12,11 @@ from models.listing import several
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.times import Stamps, stamps
-from nls.io.importing.units import dimension, factor, header_unit, mission_unit
+from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import ANGLES
 
 __all__ = ["Rows", "rows_of"]
@@ -25,7 +26,6 @@ WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
 FLAGS = {"1": True, "0": False, "true": True, "false": False}
-FULL_TURN = 2 * np.pi
 
 
 @dataclass
@@ -143,18 +143,16 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
             )
         return np.full(count, float(cell.constant))
     assert log is not None
-    (name,) = _known(section, column, cell, log).columns
+    name = _known(section, column, cell, log).columns[0]
     if column == "valid" or cell.equals is not None or cell.above is not None:
         return _flags(section, column, cell, log)
     numbers = log.numbers(name, cell.missing)
     numbers[~np.isfinite(numbers)] = np.nan
-    if column == "z_m" and cell.up is None and not cell.scaled and cell.scale > 0:
-        _refuse_unsaid_height(section, name)
-    scale = 1.0 if cell.scaled else _factor(section, column, cell, log, numbers, notes)
-    factor_of = scale * cell.scale
-    if factor_of != 1.0:
-        numbers = numbers * factor_of
-    numbers = numbers + cell.offset
+    if not cell.scaled:
+        numbers = convert_column(section, column, cell, log, numbers, notes)
+        if column == "z_m" and cell.up is None and cell.scale > 0:
+            _refuse_unsaid_height(section, name)
+    numbers = hemispheres(section, column, cell, log, numbers * cell.scale + cell.offset)
     if mission_unit(column)[0] == "angle" and column not in ("lat_deg", "lon_deg"):
         half = 180.0 if column.endswith("_deg") else np.pi
         far = np.abs(numbers) > half
@@ -168,33 +166,6 @@ def _refuse_unsaid_height(section: Section, name: str) -> None:
     if world == "NED" and any(word in plain(name).split() for word in ("altitude", "height", "alt", "up")):
         write = f'z_m = {{ column = "{name}", up = true }}'
         raise section.error("z_m", f"z_m is down, and {name!r} sounds like up; write {write}, or up = false")
-
-
-def _factor(section: Section, column: str, cell: Cell, log: Log, numbers: Array, notes: list[str]) -> float:
-    """What one of a column's unit is in the unit of the mission."""
-    kind, own = mission_unit(column)
-    (name,) = cell.columns
-    named, bracket = header_unit(name)
-    unit = cell.unit or log.units.get(name, "")
-    if cell.unit and dimension(named) == kind and kind and factor(named, column) != factor(cell.unit, column):
-        notes.append(f"{log.title}: {name!r} is taken to be {cell.unit}, as the mapping says")
-    if not kind:
-        return 1.0
-    if not unit and dimension(named) == kind:
-        unit = named
-    if not unit and bracket and (dimension(named) or len(named) < 8):
-        known = dimension(named) or "an unknown unit"
-        write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
-        cure = "scale and offset turn a pressure into a depth" if known == "pressure" else f"write {write} if it is"
-        raise section.error(column, f"{name!r} is in {named}, {known}; {column} is a {kind}, {own}; {cure}")
-    if not unit:
-        largest = float(np.nanmax(np.abs(numbers), initial=0.0))
-        if own == "rad" and largest > FULL_TURN:
-            write = f'{column} = {{ column = "{name}", unit = "deg" }}'
-            raise section.error(column, f"{name!r} names no unit and is up to {largest:.6g}, no radians; write {write}")
-        notes.append(f"{log.title}: {name!r} names no unit; it is taken to be {own}")
-        unit = own
-    return factor(unit, column)
 
 
 def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:

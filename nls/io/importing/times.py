@@ -94,10 +94,13 @@ def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -
     if cell.scaled:
         return "", 1.0
     (name,) = cell.columns
-    named, bracket = header_unit(name)
-    unit = cell.unit or log.units.get(name) or (named if dimension(named) == "time" else "")
-    if not unit and bracket and dimension(named):
-        raise log.error(0, f"{name!r} is in {named}, which is no unit of time")
+    named = header_unit(name)[0]
+    unit = cell.unit or next((u for u in (log.units.get(name), named) if dimension(u or "") == "time"), "")
+    header = log.units.get(name) or named
+    if not unit and dimension(header) not in ("", "fraction"):
+        write = f'{column} = {{ column = "{name}", unit = "s" }}'
+        kind = dimension(header)
+        raise log.error(0, f"{name!r} is in {header}, {kind}; {column} is a time, s; write {write} if it is")
     if not unit:
         largest = np.abs(numbers).max(initial=0)
         unit = next((unit for limit, unit in BY_SIZE if largest >= limit), "s")
