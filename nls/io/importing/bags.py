@@ -11,13 +11,13 @@ import os
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from models.algebra import Array, Index
 from models.errors import GraphFileError
-from nls.io.importing.text_log import Log
+from nls.io.importing.text_log import Log, Missing, blanked
 from nls.io.unreadable import refuse_absent
 
 __all__ = ["Bag", "BagLog", "is_bag", "refuse_no_log"]
@@ -68,16 +68,24 @@ class BagLog(Log):
         self.columns = columns
         self.units = {name: "ns" for name in columns if name == RECORDED or name.split(".")[-1] == "stamp"}
 
-    def words(self, name: str) -> list[str]:
+    def part(self, rows: slice) -> Self:
         """See `Log`."""
-        return [
-            str(value).lower() if isinstance(value, bool | np.bool_) else str(value) for value in self.columns[name]
-        ]
+        part = super().part(rows)
+        part.columns = {name: values[rows] for name, values in self.columns.items()}
+        return part
 
-    def numbers(self, name: str) -> Array:
+    def words(self, name: str, missing: Missing = ()) -> list[str]:
         """See `Log`."""
+        values = self.columns[name]
+        return blanked([str(v).lower() if isinstance(v, bool | np.bool_) else str(v) for v in values], missing)
+
+    def numbers(self, name: str, missing: Missing = ()) -> Array:
+        """See `Log`."""
+        values = self.columns[self.column(name)]
         try:
-            return np.array(self.columns[self.column(name)], dtype=float)
+            if missing:
+                values = [v if word else np.nan for v, word in zip(values, self.words(name, missing), strict=True)]
+            return np.array(values, dtype=float)
         except ValueError as error:
             raise GraphFileError(f"{self.title}: {name} is no number: {error}", self.path) from error
 
@@ -90,11 +98,11 @@ class BagLog(Log):
 
     def error(self, row: int, message: str) -> GraphFileError:
         """See `Log`."""
-        return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {row + 1}: {message}", self.path)
+        return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {self.first + row + 1}: {message}", self.path)
 
     def place(self, row: int) -> str:
         """See `Log`."""
-        return f"{self.title}, message {row + 1}"
+        return f"{self.title}, message {self.first + row + 1}"
 
 
 class Bag:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping as Mappings
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from models.options import did_you_mean, is_number, is_whole
 from nls.io.importing.examples import example
 from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.sigmas import sigma_words, sigmas_out
-from nls.io.importing.text_log import SEPARATORS
+from nls.io.importing.text_log import SEPARATORS, Missing
 from nls.io.importing.units import dimension, known_units, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
 from nls.io.toml_file import TomlFile
@@ -48,7 +49,8 @@ OPTIONS = {  # of a section, with what they may be
     "skip": "a whole number of lines",
     "where": "{ column = ..., equals = ... }",
     "join": "a whole number of lines that are one row",
-    "rows": "[first, last]: rows from one to before another, counted from 0; -1 is the last",
+    "rows": "[first], or [first, last]: rows from one to before another, counted from 0; -1 is the last",
+    "missing": "numbers and words that stand for none: one, a list, or a table of them by column",
 }
 ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
 CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
@@ -62,12 +64,12 @@ class Cell:
 
     Attributes
     ----------
-    columns : of the log; two are joined, as a date and a time are; none for a constant.
+    columns : of the log; two are a date and a time, or a number and its hemisphere; none for a constant.
     constant : a number, a word or True or False.
     unit : of the log, empty where its header says it.
     scale, offset : what a number is multiplied with and what is added then, in the unit of the mission.
     scaled : whether a scale is given, which stands in the place of a unit.
-    missing : the number that stands for none.
+    missing : numbers and words of the log that stand for none.
     up : whether the axis points up, of a depth; None where it is not said.
     equals, above : of a flag, when it is true.
     row : the number of the first row, for a column that numbers them.
@@ -79,7 +81,7 @@ class Cell:
     scale: float = 1.0
     offset: float = 0.0
     scaled: bool = False
-    missing: float | None = None
+    missing: Missing = ()
     up: bool | None = None
     equals: Any = None
     above: float | None = None
@@ -97,6 +99,7 @@ class Section:
     options : see `OPTIONS`.
     rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
     groups : the name of the group that a column stands in.
+    missing : numbers and words that stand for none, by column, group or rotation.
     mapping : that it stands in, for messages.
     part : which of the sections of its table it is.
     """
@@ -106,6 +109,7 @@ class Section:
     options: dict[str, Any]
     rotation: tuple[str, tuple[Any, ...]] | None
     groups: dict[str, str]
+    missing: dict[str, Missing]
     mapping: Mapping = field(repr=False)
     part: int = 0
 
@@ -196,7 +200,24 @@ class Mapping(TomlFile):
                 raise self._refused(
                     table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}"
                 )
-        return Section(table, cells, options, rotation, groups, self, self._part)
+        missing = self._missing(table, options.get("missing", ()), [*cells, *groups.values(), *(rotation or ())[:1]])
+        for column, cell in cells.items():
+            if cell.columns and not cell.missing:
+                of_group = missing.get(groups.get(column, ""), ())
+                cells[column] = replace(cell, missing=missing.get(column, of_group))
+        return Section(table, cells, options, rotation, groups, missing, self, self._part)
+
+    def _missing(self, table: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
+        """What stands for none, by the keys of a section."""
+        if not isinstance(value, dict):
+            return dict.fromkeys(keys, _several(value))
+        for key in value:
+            if key not in keys:
+                near = did_you_mean(key, keys) or ";"
+                raise self._refused(
+                    table, "missing", f"missing: {key!r} is not mapped here{near} it has {', '.join(keys)}"
+                )
+        return {key: _several(part) for key, part in value.items()}
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
@@ -238,12 +259,14 @@ class Mapping(TomlFile):
                 raise refuse(
                     f"{key!r} is no key of a column{did_you_mean(key, CELL) or ';'} expected {', '.join(CELL)}"
                 )
-        numbers = {key: value[key] for key in ("sign", "scale", "offset", "missing", "above") if key in value}
+        numbers = {key: value[key] for key in ("sign", "scale", "offset", "above") if key in value}
         for key, number in numbers.items():
             expected = {"sign": "1 or -1", "scale": "a finite number other than 0"}.get(key, "a finite number")
             numeric = is_number(number) and abs(number) < FINITE
             if not numeric or (key == "sign" and number not in (-1, 1)) or (key == "scale" and number == 0):
                 raise refuse(f"{key} is {number!r:.30}; expected {expected}")
+        if "missing" in value and not _stand_for_none(value["missing"]):
+            raise refuse(f"missing is {value['missing']!r}; expected a number, a word or a list of them")
         if not isinstance(value.get("equals", ""), str | bool | int | float):
             raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
         unit = value.get("unit", "")
@@ -267,8 +290,10 @@ class Mapping(TomlFile):
         names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
         if not names or not all(isinstance(name, str) for name in names):
             raise refuse("no column of the log; expected { column = ... }")
-        if len(names) > 1 and not column.startswith("time_"):
-            raise refuse("several columns; only a date and a time are joined")
+        if len(names) > 1 and not (column.startswith("time_") or (column in PLACES_ON_EARTH and len(names) == 2)):
+            raise refuse(
+                "several columns; only a date and a time are joined, and a latitude or longitude with its side"
+            )
         sign = -1.0 if value.get("up") else float(value.get("sign", 1))
         return Cell(
             names,
@@ -276,7 +301,7 @@ class Mapping(TomlFile):
             scale=sign * float(value.get("scale", 1)),
             offset=float(value.get("offset", 0)),
             scaled="scale" in value,
-            missing=value.get("missing"),
+            missing=_several(value.get("missing", ())),
             up=value.get("up"),
             equals=value.get("equals"),
             above=value.get("above"),
@@ -293,7 +318,8 @@ class Mapping(TomlFile):
             "frame": _is_frame(value),
             "separator": isinstance(value, str) and (value in SEPARATORS or (len(value) == 1 and value not in '"\n\r')),
             "join": isinstance(value, int) and value > 1,
-            "rows": isinstance(value, list) and [type(part) for part in value] == [int, int],
+            "rows": isinstance(value, list) and [type(part) for part in value] in ([int], [int, int]),
+            "missing": all(map(_stand_for_none, value.values() if isinstance(value, dict) else [value])),
             "where": isinstance(value, dict) and set(value) == {"column", "equals"},
         }.get(name, isinstance(value, str) and bool(value))
         if not good:
@@ -328,6 +354,17 @@ def _is_frame(value: Any) -> bool:
         return isinstance(value, str) and all(part in FRAMES for part in value.split("/")) and bool(axes(value))
     except OptionError:
         return False
+
+
+def _several(value: Any) -> Missing:
+    """A list as it stands, one value as the only one."""
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def _stand_for_none(value: Any) -> bool:
+    """Whether it is a number, a word or a list of them."""
+    parts = _several(value)
+    return bool(parts) and all(isinstance(v, str) or (is_number(v) and abs(v) < FINITE) for v in parts)
 
 
 def _is_section(value: Any) -> bool:

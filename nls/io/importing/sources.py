@@ -58,6 +58,14 @@ class Logs:
             No such log, several that have these columns; a log that cannot be read.
         """
         if not section.used:
+            for option in ("file", "topic", "where", "rows"):
+                given = section.options.get(option)
+                if given is not None and given != section.mapping.tree.get(option):
+                    log = given if option == "file" else "a log"
+                    raise section.error(
+                        option,
+                        f"[{section.table}] uses no column of {log}; name one of its columns, or leave {option} out",
+                    )
             return None
         named = section.options.get("file")
         if named is not None:

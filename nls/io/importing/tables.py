@@ -12,10 +12,11 @@ from models.listing import several
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.times import Stamps, stamps
-from nls.io.importing.units import dimension, factor, header_unit, mission_unit
+from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import ANGLES
 
 __all__ = ["Rows", "rows_of"]
@@ -25,7 +26,6 @@ WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
 FLAGS = {"1": True, "0": False, "true": True, "false": False}
-FULL_TURN = 2 * np.pi
 
 
 @dataclass
@@ -65,8 +65,12 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         A column that is not there or not in the log, a cell that is no number, times that do not rise; a unit that
         cannot be. The error has the line in the log or in the mapping.
     """
-    rows = Rows(section, log)
     _refuse_missing(section, log)
+    if (between := section.options.get("rows")) is not None and log is not None:
+        log = log.part(slice(between[0], *between[1:] or [None]))
+        if not len(log):
+            raise section.error("rows", f"rows = {between} leaves no row")
+    rows = Rows(section, log)
     count = 1 if log is None else len(log)
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
@@ -80,10 +84,6 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         _rotate(section, log, rows, count)
     rows.rows = np.arange(count)
     _keep(rows, *_complete(rows, count))
-    if (between := section.options.get("rows")) is not None:
-        _take(rows, np.arange(len(rows.rows))[slice(*between)])
-        if not len(rows.rows):
-            raise section.error("rows", f"rows = {between} leaves no row")
     if "time_s" in rows.times:
         _order(rows)
     for column, cell in section.cells.items():
@@ -123,7 +123,7 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
 def _words(section: Section, column: str, cell: Cell, log: Log | None, count: int) -> list[str]:
     if cell.columns:
         assert log is not None
-        return log.words(_known(section, column, cell, log).columns[0])
+        return log.words(_known(section, column, cell, log).columns[0], cell.missing)
     return [str(cell.constant)] * count
 
 
@@ -143,20 +143,16 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
             )
         return np.full(count, float(cell.constant))
     assert log is not None
-    (name,) = _known(section, column, cell, log).columns
+    name = _known(section, column, cell, log).columns[0]
     if column == "valid" or cell.equals is not None or cell.above is not None:
         return _flags(section, column, cell, log)
-    numbers = log.numbers(name).copy()
-    if cell.missing is not None:
-        numbers[numbers == cell.missing] = np.nan
+    numbers = log.numbers(name, cell.missing)
     numbers[~np.isfinite(numbers)] = np.nan
-    if column == "z_m" and cell.up is None and not cell.scaled and cell.scale > 0:
-        _refuse_unsaid_height(section, name)
-    scale = 1.0 if cell.scaled else _factor(section, column, cell, log, numbers, notes)
-    factor_of = scale * cell.scale
-    if factor_of != 1.0:
-        numbers = numbers * factor_of
-    numbers = numbers + cell.offset
+    if not cell.scaled:
+        numbers = convert_column(section, column, cell, log, numbers, notes)
+        if column == "z_m" and cell.up is None and cell.scale > 0:
+            _refuse_unsaid_height(section, name)
+    numbers = hemispheres(section, column, cell, log, numbers * cell.scale + cell.offset)
     if mission_unit(column)[0] == "angle" and column not in ("lat_deg", "lon_deg"):
         half = 180.0 if column.endswith("_deg") else np.pi
         far = np.abs(numbers) > half
@@ -172,45 +168,18 @@ def _refuse_unsaid_height(section: Section, name: str) -> None:
         raise section.error("z_m", f"z_m is down, and {name!r} sounds like up; write {write}, or up = false")
 
 
-def _factor(section: Section, column: str, cell: Cell, log: Log, numbers: Array, notes: list[str]) -> float:
-    """What one of a column's unit is in the unit of the mission."""
-    kind, own = mission_unit(column)
-    (name,) = cell.columns
-    named, bracket = header_unit(name)
-    unit = cell.unit or log.units.get(name, "")
-    if cell.unit and dimension(named) == kind and kind and factor(named, column) != factor(cell.unit, column):
-        notes.append(f"{log.title}: {name!r} is taken to be {cell.unit}, as the mapping says")
-    if not kind:
-        return 1.0
-    if not unit and dimension(named) == kind:
-        unit = named
-    if not unit and bracket and (dimension(named) or len(named) < 8):
-        known = dimension(named) or "an unknown unit"
-        write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
-        cure = "scale and offset turn a pressure into a depth" if known == "pressure" else f"write {write} if it is"
-        raise section.error(column, f"{name!r} is in {named}, {known}; {column} is a {kind}, {own}; {cure}")
-    if not unit:
-        largest = float(np.nanmax(np.abs(numbers), initial=0.0))
-        if own == "rad" and largest > FULL_TURN:
-            write = f'{column} = {{ column = "{name}", unit = "deg" }}'
-            raise section.error(column, f"{name!r} names no unit and is up to {largest:.6g}, no radians; write {write}")
-        notes.append(f"{log.title}: {name!r} names no unit; it is taken to be {own}")
-        unit = own
-    return factor(unit, column)
-
-
 def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
     """1 where a flag is true, 0 where it is not, nan where its cell is empty."""
     (name,) = cell.columns
     if cell.above is not None:
-        numbers = log.numbers(name)
+        numbers = log.numbers(name, cell.missing)
         return np.where(np.isnan(numbers), np.nan, (numbers > cell.above).astype(float))
-    words = log.words(name)
+    words = log.words(name, cell.missing)
     if cell.equals is not None:
         target = str(cell.equals).lower() if isinstance(cell.equals, bool) else cell.equals
         if isinstance(target, str):
             return np.array([float(word.lower() == target.lower()) for word in words])
-        return np.asarray((log.numbers(name) == target).astype(float))
+        return np.asarray((log.numbers(name, cell.missing) == target).astype(float))
     kinds = {word: _flag(word) for word in set(words)}
     if strange := next((word for word, flag in kinds.items() if flag is None), None):
         write = f'{column} = {{ column = "{name}", equals = "{strange}" }}, or above = NUMBER'
@@ -241,7 +210,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
     if isinstance(names[0], str):
         assert log is not None
         _known(section, kind, Cell(names), log)
-        parts = np.column_stack([log.numbers(name) for name in names])
+        parts = np.column_stack([log.numbers(name, section.missing.get(kind, ())) for name in names])
     else:
         parts = np.tile(np.array(names, dtype=float), (count, 1))
     rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)

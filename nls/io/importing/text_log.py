@@ -6,11 +6,12 @@ the last such line before the rows where these begin with a number and have as m
 
 from __future__ import annotations
 
+import copy
 import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -18,14 +19,18 @@ from models.algebra import Array, Index
 from models.errors import GraphFileError
 from models.options import did_you_mean
 from nls.io.files import read_bytes
+from nls.io.importing.units import dimension
 from nls.io.text import NUMBER
 
-__all__ = ["MISSING", "Log", "TextLog"]
+__all__ = ["MISSING", "Log", "Missing", "TextLog", "blanked"]
+
+Missing = tuple[str | float, ...]  # words and numbers of cells that stand for none
 
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "nat"))  # words of an empty cell, lower case
 COMMENTS = ("#", "%")
 LARGEST = (19, "9223372036854775807")  # whole number that an array holds, and its length
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
+BRACKETS = "[](){}<> "  # around a unit
 DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?\s*")
 
 
@@ -42,6 +47,7 @@ class Log:
 
     def __init__(self, path: str, title: str, names: Sequence[str], rows: int) -> None:
         self.path, self.title, self.names, self.rows = path, title, list(names), rows
+        self.first = 0  # row of the file that is row 0 here
         self.notes: list[str] = []
         self.units: dict[str, str] = {}  # of columns whose header does not say it
 
@@ -49,12 +55,18 @@ class Log:
         """Rows."""
         return self.rows
 
-    def words(self, name: str) -> list[str]:
-        """Cells (n,) of a column as text, trimmed; True and False are ``true`` and ``false``."""
+    def part(self, rows: slice) -> Self:
+        """Some rows of the log as a log."""
+        part, chosen = copy.copy(self), range(self.rows)[rows]
+        part.first, part.rows = self.first + chosen.start, len(chosen)
+        return part
+
+    def words(self, name: str, missing: Missing = ()) -> list[str]:
+        """Cells (n,) of a column as text, trimmed; True and False are ``true`` and ``false``, missing ones empty."""
         raise NotImplementedError
 
-    def numbers(self, name: str) -> Array:
-        """Numbers (n,) of a column; nan where its cell is empty or says that it is no number.
+    def numbers(self, name: str, missing: Missing = ()) -> Array:
+        """Numbers (n,) of a column; nan where its cell is empty or missing, or says that it is no number.
 
         Raises
         ------
@@ -147,6 +159,9 @@ class TextLog(Log):
         sign = _separator(head or self._text[kept[0]], separator)
         names = [name.strip() for name in next(_cells([head], sign))] if head else []
         cells = self._split(kept, sign)
+        units = dict(zip(names, (cell.strip(BRACKETS) for cell in cells[0]), strict=False)) if cells else {}
+        if line := kept[0] + 1 if _names_units(cells) else 0:
+            kept, cells = kept[1:], cells[1:]
         if join > 1:
             if len(cells) % join:
                 raise GraphFileError(f"{len(cells)} lines are no multiple of {join}, which are one row", self.path)
@@ -171,6 +186,9 @@ class TextLog(Log):
             raise GraphFileError("has names and no row below them", self.path, kept[0] + 1 if kept else 1)
         self.lines = np.array(kept, dtype=np.intp)
         super().__init__(self.path, self._name(), names, len(cells))
+        if line:
+            self.units = {name: unit for name, unit in units.items() if dimension(unit)}
+            self.notes.append(f"{self.title}:{line} is taken for a row of units")
         self._rows = cells
         self._refuse_counts(head)
         self.decimal = decimal or self._decimal(sign)
@@ -235,14 +253,20 @@ class TextLog(Log):
     def _comma(self) -> str:
         return next(cell.strip() for row in self._rows for cell in row if DECIMAL_COMMA.fullmatch(cell))
 
-    def words(self, name: str) -> list[str]:
+    def part(self, rows: slice) -> Self:
+        """See `Log`."""
+        part = super().part(rows)
+        part._rows, part.lines = self._rows[rows], self.lines[rows]
+        return part
+
+    def words(self, name: str, missing: Missing = ()) -> list[str]:
         """See `Log`."""
         place = self.names.index(self.column(name))
-        return [row[place].strip() for row in self._rows]
+        return blanked([row[place].strip() for row in self._rows], missing)
 
-    def numbers(self, name: str) -> Array:
+    def numbers(self, name: str, missing: Missing = ()) -> Array:
         """See `Log`."""
-        words = self.words(name)
+        words = self.words(name, missing)
         if self.decimal == ",":
             words = [word.replace(",", ".") for word in words]
         if not any("_" in word for word in words):  # which float() takes
@@ -253,7 +277,12 @@ class TextLog(Log):
         k = next(
             k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
         )
-        raise self.error(k, f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column")
+        cure = ", or rows = [1] for a row of units" if k == self.first == 0 else ""
+        raise self.error(
+            k,
+            f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; in the mapping write "
+            f"missing = {words[k][:40]!r} where it stands for none{cure}",
+        )
 
     def whole(self, name: str) -> Index | None:
         """See `Log`."""
@@ -270,6 +299,42 @@ class TextLog(Log):
     def place(self, row: int) -> str:
         """See `Log`."""
         return f"{self.title}:{self.lines[row] + 1}"
+
+
+def blanked(words: list[str], missing: Missing) -> list[str]:
+    """Words, empty in the place of those that are missing: words in any case, numbers by value, of 32 bits too.
+
+    Examples
+    --------
+    >>> blanked(["-9999.0", "na", "5"], (-9999, "NA"))
+    ['', '', '5']
+    """
+    if not missing:
+        return words
+    texts = {str(value).lower() for value in missing}
+    numbers = {f(value) for value in missing if not isinstance(value, str) for f in (float, _rounded)}
+    none = {
+        word
+        for word in set(words)
+        if word.lower() in texts or (_number(word) and float(word.replace(",", ".")) in numbers)
+    }
+    return ["" if word in none else word for word in words]
+
+
+def _rounded(value: float) -> float:
+    """The number of 32 bits next to it."""
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))
+
+
+def _names_units(cells: Sequence[Sequence[str]]) -> bool:
+    """Whether the first row has units above numbers, and no number itself."""
+    if len(cells) < 2 or any(_number(cell.strip()) for cell in cells[0]):
+        return False
+    return any(
+        dimension(unit.strip(BRACKETS)) and _number(cell.strip())
+        for unit, cell in zip(cells[0], cells[1], strict=False)
+    )
 
 
 def _counts(line: str) -> bool:

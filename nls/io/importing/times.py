@@ -55,18 +55,16 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
         A cell that is no time.
     """
     if len(cell.columns) > 1:
-        parts = [log.words(name) for name in cell.columns]
+        parts = [log.words(name, cell.missing) for name in cell.columns]
         return _iso(log, [" ".join(words) for words in zip(*parts, strict=True)], cell, notes)
     (name,) = cell.columns
-    words = log.words(name) if not log.units.get(name) else []
+    words = log.words(name, cell.missing) if not log.units.get(name) else []
     first = next((word for word in words if word.lower() not in MISSING), "")
     if ISO.fullmatch(first) or ":" in first:
         return _iso(log, words, cell, notes)
     whole = log.whole(name)
-    numbers = log.numbers(name) if whole is None else whole.astype(float)
+    numbers = log.numbers(name, cell.missing)
     present = np.isfinite(numbers)
-    if cell.missing is not None:
-        present &= numbers != cell.missing
     unit, scale = _unit(log, cell, column, numbers[present], notes)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         step = round(NANOSECONDS * factor(unit, "time_s"))
@@ -96,10 +94,13 @@ def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -
     if cell.scaled:
         return "", 1.0
     (name,) = cell.columns
-    named, bracket = header_unit(name)
-    unit = cell.unit or log.units.get(name) or (named if dimension(named) == "time" else "")
-    if not unit and bracket and dimension(named):
-        raise log.error(0, f"{name!r} is in {named}, which is no unit of time")
+    named = header_unit(name)[0]
+    unit = cell.unit or next((u for u in (log.units.get(name), named) if dimension(u or "") == "time"), "")
+    header = log.units.get(name) or named
+    if not unit and dimension(header) not in ("", "fraction"):
+        write = f'{column} = {{ column = "{name}", unit = "s" }}'
+        kind = dimension(header)
+        raise log.error(0, f"{name!r} is in {header}, {kind}; {column} is a time, s; write {write} if it is")
     if not unit:
         largest = np.abs(numbers).max(initial=0)
         unit = next((unit for limit, unit in BY_SIZE if largest >= limit), "s")

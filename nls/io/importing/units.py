@@ -9,15 +9,22 @@ from __future__ import annotations
 import math
 import re
 
-__all__ = ["dimension", "factor", "header_unit", "known_units", "mission_unit"]
+import numpy as np
+
+from models.algebra import Array
+
+__all__ = ["convert", "dimension", "factor", "header_unit", "known_units", "mission_unit"]
 
 FOOT, KNOT = 0.3048, 1852 / 3600  # m, m/s
 UNITS: dict[str, dict[str, float]] = {  # by dimension, in SI units
     "velocity": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": KNOT, "ft/s": FOOT},
     "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": FOOT, "fathom": 6 * FOOT, "nmi": 1852.0},
-    "angle": {"rad": 1, "deg": math.pi / 180, "mrad": 1e-3, "gon": math.pi / 200},
+    "angle": {
+        **{"rad": 1, "deg": math.pi / 180, "mrad": 1e-3, "gon": math.pi / 200},
+        **{"cdeg": math.pi / 180e2, "degE7": math.pi / 180e7, "ddmm": math.pi / 180},
+    },
     "rate": {"rad/s": 1, "deg/s": math.pi / 180, "mrad/s": 1e-3},
-    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
+    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600, "day": 86400},
     "pressure": {"Pa": 1, "hPa": 100, "mbar": 100, "kPa": 1e3, "dbar": 1e4, "bar": 1e5, "psi": 6894.757293168},
     "fraction": {"1": 1, "%": 1e-2, "ppm": 1e-6},
 }
@@ -27,7 +34,10 @@ ALIASES = {
     **dict.fromkeys(("kmh", "kph", "km/hr"), "km/h"),
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("feet", "foot"), "ft"),
-    **dict.fromkeys(("degree", "degrees", "°", "degs"), "deg"),
+    **dict.fromkeys(("degree", "degrees", "°", "degs", "degrees_north", "degrees_east"), "deg"),
+    **dict.fromkeys(("centidegree", "centidegrees", "deg*100"), "cdeg"),
+    **dict.fromkeys(("deg*1e7", "1e-7deg", "1e-7 deg"), "degE7"),
+    "days": "day",
     **dict.fromkeys(("radian", "radians", "rads"), "rad"),
     **dict.fromkeys(("dps", "°/s", "deg/sec"), "deg/s"),
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
@@ -51,6 +61,7 @@ OF_COLUMNS = (  # the end of the name of a mission column, its dimension and its
     ("_m", "length", "m"),
     ("_s", "time", "s"),
 )
+MINUTES = re.compile(r"d{2,3}mm(\.m+)?", re.I)
 BRACKET = re.compile(r"[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]\s*$")
 
 
@@ -95,6 +106,31 @@ def factor(unit: str, column: str) -> float:
     return 1.0 if name == own else UNITS[kind][name] / UNITS[kind][own]
 
 
+def convert(numbers: Array, unit: str, column: str) -> Array:
+    """Numbers (n,) of a unit in that of a mission column; ``ddmm`` are degrees times 100 plus minutes, as of NMEA.
+
+    Raises
+    ------
+    ValueError
+        A number (row, sentence) that has 60 minutes or more.
+
+    Examples
+    --------
+    >>> convert(np.array([4736.6, -12221.0]), "ddmm.mmmm", "lat_deg").round(9).tolist()
+    [47.61, -122.35]
+    """
+    if _plain(unit) == "ddmm":
+        minutes = np.fmod(numbers, 100)
+        if (bad := np.abs(minutes) >= 60).any():
+            k = int(np.argmax(bad))
+            raise ValueError(
+                k, f"{numbers[k]:.10g} has {abs(minutes[k]):.6g} minutes, expected less than 60 (ddmm.mmmm)"
+            )
+        numbers = np.trunc(numbers / 100) + minutes / 60
+    size = factor(unit, column)
+    return numbers if size == 1.0 else numbers * size
+
+
 def header_unit(header: str) -> tuple[str, bool]:
     """The unit that a header names and whether it stands in brackets; empty where it names none.
 
@@ -115,5 +151,5 @@ def header_unit(header: str) -> tuple[str, bool]:
 
 def _plain(unit: str) -> str:
     """The name that `UNITS` has for a unit."""
-    text = unit.strip()
+    text = "ddmm" if MINUTES.fullmatch(unit.strip()) else unit.strip()
     return text if any(text in units for units in UNITS.values()) else ALIASES.get(text.lower(), text)

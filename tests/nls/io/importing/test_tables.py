@@ -119,10 +119,13 @@ def test_order_of_time(tmp_path: Path) -> None:
             "has no row; expected a line of names and rows of values; correct skip",
         ),
         ('time_s = "t"\nz_m = "depth"\nwhere = { column = "x", equals = 1 }', "mapping.toml:4: "),
-        ('time_s = "t"\nz_m = "word"', "'deep' is not a number; correct it, or name another column [0,5,deep"),
+        (
+            'time_s = "t"\nz_m = "word"',
+            "'deep' is not a number; correct it, or name another column; in the mapping write missing = 'deep' where",
+        ),
         ('time_s = "word"\nz_m = "depth"', "log.csv:2: word: 'deep' is not a number"),
         ('time_s = 3\nz_m = "depth"', "time_s is a constant, and times rise"),
-        ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, which is no unit of time"),
+        ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, length; time_s is a time, s"),
         ('time_s = { column = "t", scale = 1e10 }\nz_m = "depth"', "log.csv:3: t: 1e+10 s is no time"),
     ]
 )

@@ -1,0 +1,135 @@
+"""Units, and what a refusal of one says to write: latitudes of every form, headings, names with another unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nls import GraphFileError
+from tests.combinations import for_all
+from tests.nls.io.importing.logs import imported, table
+
+FIXES = 'origin = {{ lat_deg = 47, lon_deg = -122 }}\n[fixes]\ntime_s = "t"\nlat_deg = {lat}\nlon_deg = {lon}\n'
+SIGMAS = "sigma_x_m = 1\nsigma_y_m = 1\n"
+PLACES = np.array([[47.61, -122.35], [47.6105, -122.3501]])
+
+
+def places(folder: Path, lat: str, lon: str, log: str) -> np.ndarray:
+    """Latitudes and longitudes (n, 2) of an import, degrees."""
+    rows = table(imported(folder, FIXES.format(lat=lat, lon=lon) + SIGMAS, log=log), "fixes")
+    return np.column_stack([rows["lat_deg"], rows["lon_deg"]])
+
+
+@for_all(
+    case=[
+        ('{ column = "lat", unit = "degE7" }', '{ column = "lon", unit = "degE7" }', "t,lat,lon", "{a7},{b7}"),
+        ('"lat_degE7"', '"lon [1e-7 deg]"', "t,lat_degE7,lon [1e-7 deg]", "{a7},{b7}"),
+        ('{ column = "lat", unit = "ddmm" }', '{ column = "lon", unit = "ddmm" }', "t,lat,lon", "{am},-{bm}"),
+        ('{ column = ["a [ddmm.mmmm]", "NS"] }', '{ column = ["b_ddmm", "EW"] }',
+         "t,a [ddmm.mmmm],NS,b_ddmm,EW", "{am},N,{bm},w"),
+        ('{ column = ["lat", "NS"] }', '{ column = ["lon", "EW"] }', "t,lat,lon,NS,EW", "{a},{c},North,West"),
+        ('"lat"', '{ column = "lon", sign = -1 }', "t,lat,lon,NS,EW", "{a},{c},N,W"),
+        ('"lat"', '"lon"', "t,lat,lon,NS,EW", "{a},-{c},N,W"),
+        ('"lat"', '"lon"', "t,lat,lon\nUTC,degrees_north,degrees_east", "{a},-{c}"),
+    ]
+)  # fmt: skip
+def test_latitudes_and_longitudes(case: tuple[str, str, str, str], tmp_path: Path) -> None:
+    lat, lon, head, row = case
+    log = head + "\n"
+    for k, (a, b) in enumerate(PLACES.tolist()):
+        minutes = {"am": f"47{(a - 47) * 60:07.4f}", "bm": f"122{(-b - 122) * 60:07.4f}"}
+        log += f"{k}," + row.format(a=a, c=-b, a7=round(a * 1e7), b7=round(b * 1e7), **minutes) + "\n"
+    assert places(tmp_path, lat, lon, log) == pytest.approx(PLACES, abs=1e-9)
+
+
+@for_all(
+    case=[  # key, its cell, head, first rows; what is written then, and what it makes
+        ("lon_deg", '"lon"', "lat,lon,EW", "47,122.35,W", -122.35),
+        ("lon_deg", '"lon"', "lat,lon", "47,12221.0", 122.35),
+        ("lon_deg", '"lon [deg]"', "lat,lon [deg]", "47,-12221.0", -122.35),
+        ("lon_deg", '"lon"', "lat,lon", "47,-1223500000", -122.35),
+        ("lon_deg", '{ column = ["lon", "EW"] }', "lat,lon,EW", "47,-122.35,W", -122.35),
+        ("lon_deg", '"lon_m"', "lat,lon_m", "47,-122.35", -122.35),
+    ]
+)
+def test_a_refused_place_is_cured_by_the_line_that_is_printed(
+    case: tuple[str, str, str, str, float], tmp_path: Path
+) -> None:
+    key, cell, head, row, expected = case
+    log = f"t,{head}\n0,{row}\n1,{row}\n"
+    with pytest.raises(GraphFileError, match=f"write {key} = ") as error:
+        places(tmp_path, '"lat"', cell, log)
+    line = str(error.value).split(f"write {key} = ")[1]
+    cure = line[: line.index("}") + 1] if line.startswith("{") else line.split(",")[0]
+    assert places(tmp_path, '"lat"', cure, log)[:, 1] == pytest.approx([expected, expected], abs=1e-9)
+
+
+@for_all(
+    case=[
+        ('{ column = ["lat", "NS"] }', "4,X", r"log\.csv:2: NS: 'x' is no side; expected n, north, s, south"),
+        ('{ column = "lat", unit = "ddmm" }', "4760.5,N", r"log\.csv:2: lat: 4760.5 has 60.5 minutes"),
+        ('{ column = ["lat", "NS", "t"] }', "4,N", "several columns; only"),
+    ]
+)
+def test_cells_that_are_no_place(case: tuple[str, str, str], tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=case[2]):
+        places(tmp_path, case[0], "-122", f"t,lat,NS\n0,{case[1]}\n1,4,N\n")
+
+
+@for_all(
+    case=[
+        ("yaw [cdeg]", '"yaw [cdeg]"', ("9000", "35900"), None, (90, -1)),
+        ("yaw", '"yaw"', ("9000", "35900"), "cdeg", (90, -1)),
+        ("yaw [deg]", '"yaw [deg]"', ("9000", "9100"), "cdeg", (90, 91)),
+        ("yaw [deg]", '"yaw [deg]"', ("10", "35990"), "cdeg", (0.1, -0.1)),
+        ("yaw", '"yaw"', ("90", "270"), "deg", (90, -90)),
+        ("yaw [deg]", '"yaw [deg]"', ("350", "710"), None, (-10, -10)),
+    ]
+)
+def test_headings_in_hundredths_of_a_degree(
+    case: tuple[str, str, tuple[str, str], str | None, tuple[float, float]], tmp_path: Path
+) -> None:
+    head, cell, words, unit, expected = case
+    mapping = 'ahrs = {{ time_s = "t", roll_rad = 0, pitch_rad = 0, yaw_rad = {} }}'
+    log = f"t,{head}\n0,{words[0]}\n1,{words[1]}\n"
+    if unit is not None:
+        cell = f'{{ column = "{head}", unit = "{unit}" }}'
+        with pytest.raises(GraphFileError) as error:
+            imported(tmp_path, mapping.format(f'"{head}"'), log=log)
+        assert f"write yaw_rad = {cell}" in str(error.value)
+    yaw = table(imported(tmp_path, mapping.format(cell), log=log), "ahrs")["yaw_rad"]
+    assert np.degrees(yaw) == pytest.approx(expected)
+
+
+@for_all(
+    case=[
+        ("z_m", "height_deg", "'height_deg' is in deg, angle; z_m is a length, m; write z_m = "),
+        ("z_m", "depth_m_s", "'depth_m_s' is in m/s, velocity; z_m is a length"),
+        ("z_m", "depth\nrad", "'depth' is in rad, angle; z_m is a length"),
+        ("time_s", "depth_mm", "'depth_mm' is in mm, length; time_s is a time, s; write time_s = "),
+    ]
+)
+def test_a_name_with_another_unit_is_refused(case: tuple[str, str, str], tmp_path: Path) -> None:
+    key, name, problem = case
+    name, _, unit = name.partition("\n")
+    log = f"{name}\n{unit}\n1\n2\n".replace("\n\n", "\n")
+    other = "z_m = 1" if key == "time_s" else "time_s = { row = 0 }"
+    with pytest.raises(GraphFileError) as error:
+        imported(tmp_path, f'[depth]\n{key} = "{name}"\n{other}\n', log=log)
+    assert problem in str(error.value)
+    if name != "height_deg" and f"write {key}" in str(error.value):  # whose sign is asked for next
+        line = str(error.value).split("write ")[1].split(" if it is")[0]
+        assert table(imported(tmp_path, f"[depth]\n{line}\n{other}\n", log=log), "depth")[key].tolist() == [1, 2]
+
+
+def test_names_that_end_like_a_unit_and_are_none(tmp_path: Path) -> None:
+    mapping = 'ranges = { time_s = "t", beacon = 1, range_m = "range_1", sigma_range_m = 1 }'
+    assert table(imported(tmp_path, mapping, log="t,range_1\n0,5\n1,6\n"), "ranges")["range_m"].tolist() == [5, 6]
+
+
+@for_all(mapping=['sonar.file = "log.csv"', 'depth = { time_s = 0, z_m = 1, file = "log.csv" }'])
+def test_a_mapping_that_uses_no_column_of_its_file_is_refused(mapping: str, tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"mapping\.toml:1: .*uses no column of log\.csv; .* leave file out"):
+        imported(tmp_path, mapping, log="t,z\n0,1\n")
