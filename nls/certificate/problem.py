@@ -152,13 +152,16 @@ def _refuse_others(graph: FactorGraph) -> None:
     for factor in graph.factors:
         if not len(factor) or isinstance(factor, Prior):
             continue
-        says = "is no measured difference of two poses; expected Between factors alone"
-        if isinstance(factor, Between):
-            if factor.kernel is None:
-                continue
-            says = f"has the robust kernel {factor.kernel!r}; certify the graph without kernels, and without the "
-            says += "measurements that they would turn off"
-        raise GraphError(f"certify: {factor!r:.80} {says}", factor.keys, factor.name)
+        if not isinstance(factor, Between):
+            fault = "is no measured difference of two poses; expected Between factors alone"
+        elif factor.kernel is not None:
+            fault = (
+                f"has the robust kernel {factor.kernel!r}; certify the graph without kernels, and without the "
+                "measurements that they would turn off"
+            )
+        else:
+            continue
+        raise GraphError(f"certify: {factor!r:.80} {fault}", factor.keys, factor.name)
 
 
 def _weights(poses: PoseGraph) -> tuple[Array, Array]:

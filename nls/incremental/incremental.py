@@ -172,7 +172,7 @@ class Incremental:
         marks, numbers = [part.mark() for part in kept], (self.gap, self._undecided)
         try:
             yield
-        except BaseException:
+        except BaseException:  # also where the user interrupts; it is raised again
             for part, mark in zip(kept, marks, strict=True):
                 part.back_to(mark)
             self.gap, self._undecided = numbers
@@ -321,10 +321,10 @@ class Incremental:
 
     def _begin_anew(self) -> None:
         """Go to the optimum that a start from the measurements alone leads to, where that is lower."""
-        nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in self.values.stacks.items()}
+        graph, values = self.graph, self.values
+        nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in values.stacks.items()}
         with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
-            start = odometry(self.graph, self.values.replaced(nothing))
-            result = self.graph.optimize(start, LevenbergMarquardt(LIMIT))
+            result = graph.optimize(odometry(graph, values.replaced(nothing)), LevenbergMarquardt(LIMIT))
             if result.chi2_final < self.chi2:
                 self._system.put(result.values)
         self._solve_batch()

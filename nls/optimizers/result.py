@@ -134,9 +134,8 @@ class Result:
         """Sentences on how the methods went: which one failed and which continued, what was reused."""
         remarks = []
         for attempt in self.attempts:
-            how = ": ".join(
-                dict.fromkeys([f"after {attempt.iterations} iterations", attempt.reason])
-            )  # a limit is both
+            parts = [f"after {attempt.iterations} iterations", attempt.reason]
+            how = ": ".join(dict.fromkeys(parts))  # a limit is both
             went_on = f"{self.method.rpartition('then ')[2]} continued from the lowest point"
             remarks.append(f"{attempt.method} ended as {attempt.status.name} {how}; {went_on}")
         if self.reused:
