@@ -71,7 +71,7 @@ def _findings(report: LoadReport) -> dict[str, Any]:
     if report.format != "mission":
         return {}
     from nls.io.mission import MissionReport
-    from nls.io.mission.plausible.words import record
+    from nls.io.mission.checks.words import record
 
     assert isinstance(report, MissionReport)
     return {"findings": [record(finding) for finding in report.findings]}

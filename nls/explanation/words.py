@@ -31,8 +31,8 @@ def sentence(finding: Finding) -> str:
 
 
 def _implausible(f: Finding) -> str:
-    from nls.io.mission.plausible import Implausible, Reading
-    from nls.io.mission.plausible.words import sentence as of_table
+    from nls.io.mission.checks import Implausible, Reading
+    from nls.io.mission.checks.words import sentence as of_table
 
     readings = tuple(Reading(**reading) for reading in f.numbers["readings"])
     return of_table(Implausible(**{**f.numbers, "readings": readings}))

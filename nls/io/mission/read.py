@@ -108,8 +108,8 @@ def read_mission(
 
 def _doubt(tables: dict[str, Table], report: MissionReport) -> None:
     """Warn of what is implausible in the tables."""
-    from nls.io.mission.plausible import implausible
-    from nls.io.mission.plausible.words import sentence
+    from nls.io.mission.checks import implausible
+    from nls.io.mission.checks.words import sentence
 
     report.findings = implausible(tables, report.plane)
     for finding in report.findings:

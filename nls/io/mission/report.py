@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.plausible.findings import Implausible
+from nls.io.mission.checks.findings import Implausible
 from nls.io.report import LoadReport
 from nls.values import Values
 

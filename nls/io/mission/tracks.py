@@ -111,8 +111,8 @@ def _log(
     tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
 ) -> tuple[Numbers, list[Factor]]:
     """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
+    from nls.io.mission.checks.words import sentence
     from nls.io.mission.log import integrated
-    from nls.io.mission.plausible.words import sentence
 
     try:
         return integrated(tables, report, calibrations, times)

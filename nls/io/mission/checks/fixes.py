@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Mask
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.log import Fixes, Log, middle
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.log import Fixes, Log, middle
 
 __all__ = ["jumping", "of_fixes"]
 FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more

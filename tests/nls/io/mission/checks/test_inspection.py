@@ -11,11 +11,11 @@ import pytest
 
 from models import SE3
 from nls.io.logs import read_auv_dvl
-from nls.io.mission.plausible import Cause, Fixes, Log, Reading, of_log
-from nls.io.mission.plausible.words import sentence
+from nls.io.mission.checks import Cause, Fixes, Log, Reading, of_log
+from nls.io.mission.checks.words import sentence
 from tests.combinations import for_all
-from tests.nls.io.mission.plausible.spoils import SPOILS
-from tests.nls.io.mission.plausible.vehicle import SIGMAS, clean
+from tests.nls.io.mission.checks.spoils import SPOILS
+from tests.nls.io.mission.checks.vehicle import SIGMAS, clean
 
 
 def same(a: Reading, b: Reading) -> bool:

@@ -24,9 +24,9 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask
 from models.dead_reckoning.drop_outs import longest_step
-from nls.io.mission.plausible.findings import Cause, Reading
-from nls.io.mission.plausible.log import Log
-from nls.io.mission.plausible.readings import Alternative
+from nls.io.mission.checks.findings import Cause, Reading
+from nls.io.mission.checks.log import Log
+from nls.io.mission.checks.readings import Alternative
 
 __all__ = ["Comparison", "compared", "doubtful", "explained"]
 WINDOW = 10.0  # s, of the way down

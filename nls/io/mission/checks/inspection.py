@@ -8,14 +8,14 @@ import numpy as np
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.plausible.acoustics import of_ranges, sound_speeds
-from nls.io.mission.plausible.agreement import WRONG, compared, doubtful, explained
-from nls.io.mission.plausible.checks import ALONE
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.fixes import jumping, of_fixes
-from nls.io.mission.plausible.log import Log, read_log
-from nls.io.mission.plausible.readings import alternatives
-from nls.io.mission.plausible.track import of_track
+from nls.io.mission.checks.acoustics import of_ranges, sound_speeds
+from nls.io.mission.checks.agreement import WRONG, compared, doubtful, explained
+from nls.io.mission.checks.alone import ALONE
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.fixes import jumping, of_fixes
+from nls.io.mission.checks.log import Log, read_log
+from nls.io.mission.checks.readings import alternatives
+from nls.io.mission.checks.track import of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]

@@ -1,7 +1,7 @@
 """Are the tables of a mission plausible? Checks of its numbers, each with the unit, sign or frame that explains it."""
 
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.inspection import implausible, of_log
-from nls.io.mission.plausible.log import Fixes, Log
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.inspection import implausible, of_log
+from nls.io.mission.checks.log import Fixes, Log
 
 __all__ = ["Cause", "Fixes", "Implausible", "Log", "Reading", "implausible", "of_log"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.algebra import Array
-from nls.io.mission.plausible import Cause, Fixes, Log, Reading
+from nls.io.mission.checks import Cause, Fixes, Log, Reading
 
 __all__ = ["SPOILS"]
 V = "vx_m_s, vy_m_s, vz_m_s"

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.log import Log
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.log import Log
 from nls.io.mission.table import Table
 
 __all__ = ["of_ranges", "sound_speeds"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
 
 __all__ = ["record", "sentence"]
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large

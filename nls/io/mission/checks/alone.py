@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Array, Mask
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.log import Log, middle
-from nls.io.mission.plausible.readings import DEGREES, SPEED_UNITS
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.log import Log, middle
+from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
 
 __all__ = ["ALONE"]
 FASTEST = 10.0  # m/s, of a vehicle under water

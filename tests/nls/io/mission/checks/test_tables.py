@@ -11,14 +11,14 @@ import pytest
 import nls
 import sim
 from nls.cli import main
-from nls.io.mission.plausible import Log
-from nls.io.mission.plausible.words import sentence
+from nls.io.mission.checks import Log
+from nls.io.mission.checks.words import sentence
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import write_mission
 from tests.combinations import for_all
+from tests.nls.io.mission.checks.spoils import SPOILS
+from tests.nls.io.mission.checks.vehicle import clean
 from tests.nls.io.mission.mission_files import RAW, TINY, folder
-from tests.nls.io.mission.plausible.spoils import SPOILS
-from tests.nls.io.mission.plausible.vehicle import clean
 
 BEACONS = np.array([[200.0, -150.0, 60.0], [-300.0, 100.0, 55.0]])
 

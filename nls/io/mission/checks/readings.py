@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from nls.io.mission.plausible.findings import Cause, Reading
-from nls.io.mission.plausible.log import Log
+from nls.io.mission.checks.findings import Cause, Reading
+from nls.io.mission.checks.log import Log
 
 __all__ = ["SPEED_UNITS", "Alternative", "alternatives"]
 SPEED_UNITS = (1000.0, 100.0, 1.9438, 3.2808, 3.6)  # mm/s, cm/s, knots, ft/s and km/h in a m/s

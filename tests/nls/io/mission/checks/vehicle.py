@@ -8,7 +8,7 @@ from models import SE3
 from models.algebra import Array, apply
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
-from nls.io.mission.plausible import Fixes, Log
+from nls.io.mission.checks import Fixes, Log
 
 __all__ = ["clean"]
 SIGMAS = {

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nls.io.mission.plausible.checks import FASTEST, HIGHEST, LONG, STEEPEST
-from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.readings import DEGREES
+from nls.io.mission.checks.alone import FASTEST, HIGHEST, LONG, STEEPEST
+from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.readings import DEGREES
 from nls.io.mission.table import Table
 
 __all__ = ["of_track"]
