@@ -28,7 +28,7 @@ from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import SEPARATORS, Missing
 from nls.io.importing.units import dimension, known_units, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
+from nls.io.mission.columns import ANGLES, COLUMNS, PLACE, optional, suffixed
 from nls.io.toml_file import TomlFile
 
 __all__ = ["VELOCITY", "WHOLE", "Cell", "Mapping", "Section", "read_mapping", "required"]
@@ -390,6 +390,7 @@ def _toml(value: object) -> str:
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
-def required(table: str) -> list[str]:
+def required(section: Section) -> list[str]:
     """Columns of a table that must be mapped: not those that may be left out, nor the flag of a DVL."""
-    return [name for name in COLUMNS[table] if name not in (*OPTIONAL.get(table, ()), "valid")]
+    table, tables = section.table, [other.table for other in section.mapping.sections]
+    return [name for name in COLUMNS[table] if name not in (*optional(table, tables), "valid")]

@@ -20,7 +20,7 @@ from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
 from nls.io.importing.times import NANOSECONDS, iso, parse_zero
-from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
+from nls.io.mission.columns import COLUMNS, needed
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
 
@@ -222,10 +222,8 @@ def _cells(column: Array) -> npt.ArrayLike:
 
 def _missing(tables: set[str]) -> str:
     """The note on what a mission still needs."""
-    log_files = [name for name in LOG if name != "depth" or "pressure" not in tables]
-    needed = [] if tables & set(ALONE) else TRACK if tables & set(TRACK) else log_files
     of_sonar = ("contacts", "sonar") if tables & {"contacts", "sonar"} else ()
-    absent = [f"{name}.csv" for name in (*needed, *of_sonar) if name not in tables]
+    absent = [f"{name}.csv" for name in (*needed(tables), *of_sonar) if name not in tables]
     if not absent:
         return ""
     return f"nls solve needs {', '.join(absent)} besides: give the sections, or the files (nls new writes templates)"

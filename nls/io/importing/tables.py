@@ -101,7 +101,7 @@ def _refuse_missing(section: Section, log: Log | None) -> None:
     given = {*section.cells, *(ANGLES if section.rotation else ())}
     if {"lat_deg", "lon_deg"} & given:
         given |= {"x_m", "y_m"}
-    if absent := [name for name in required(section.table) if name not in given]:
+    if absent := [name for name in required(section) if name not in given]:
         names = log.names if log else []
         near = guess(absent[0], names)
         write = f'{absent[0]} = "{near}"' if near else f'{absent[0]} = "COLUMN OF THE LOG", or a number'

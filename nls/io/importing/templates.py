@@ -5,7 +5,7 @@ from __future__ import annotations
 from nls.io.importing.draft import NOISE
 from nls.io.importing.examples import example
 from nls.io.importing.units import mission_unit
-from nls.io.mission.columns import COLUMNS, LOG, OPTIONAL, TRACK
+from nls.io.mission.columns import COLUMNS, LOG, TRACK, optional
 
 __all__ = ["templates"]
 
@@ -98,8 +98,8 @@ def _template(table: str) -> str:
     about = ABOUT.get(table, "")
     lines = [f"# {table}.csv: {about}.{need}" if about else f"# {table}.csv{need}"]
     lines.append("# " + ", ".join(mission_unit(name)[1] or "-" for name in columns))
-    if optional := [name for name in columns if name in OPTIONAL.get(table, ())]:
-        lines.append(f"# may be left out: {', '.join(optional)}")
+    if left_out := [name for name in columns if name in optional(table, ())]:
+        lines.append(f"# may be left out: {', '.join(left_out)}")
     if others := ALTERNATIVES.get(table):
         lines.append(f"# other columns: {', '.join(others)}")
     return "\n".join([*lines, ",".join(columns), "# " + ",".join(example(table, column) for column in columns)]) + "\n"

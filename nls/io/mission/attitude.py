@@ -38,7 +38,17 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["BIAS", "Attitude", "attitude_of", "clocked", "gyro_biases", "headings", "turn_covariance", "turn_variance"]
+__all__ = [
+    "BIAS",
+    "Attitude",
+    "angles_of",
+    "attitude_of",
+    "clocked",
+    "gyro_biases",
+    "headings",
+    "turn_covariance",
+    "turn_variance",
+]
 
 SMOOTH = 1.0  # s before and after a pose, whose means say how fast the heading turns
 MINUTE = 60.0  # s that a gyro has the same bias
@@ -97,8 +107,7 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
             raise GraphFileError(
                 "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
             )
-        rpy, t_a = np.unwrap(ahrs.attitude(*ANGLES), axis=0), t_a - calibrations.value("ahrs_clock_s")
-        return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
+        return angles_of(ahrs, calibrations)
     if gyro is None:
         raise GraphFileError(
             "has no column 'yaw_rad', and there is no gyro.csv; one of the two says how the yaw goes", ahrs.path
@@ -109,6 +118,22 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     rate = (w[:, 1] * np.sin(roll) + w[:, 2] * np.cos(roll)) / np.cos(pitch)
     yaw = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
     return Attitude(ahrs, t_a, tilt, t, np.column_stack([roll, pitch, yaw]), gyro, rate)
+
+
+def angles_of(ahrs: Table, calibrations: Calibrations) -> Attitude:
+    """The attitude of ahrs.csv alone; an angle that it has not is 0.
+
+    Raises
+    ------
+    GraphFileError
+        Times that do not rise; angles that cannot be.
+    """
+    t = ahrs.rising("time_s") - calibrations.value("ahrs_clock_s")
+    rpy = np.zeros((len(ahrs), 3))
+    for k, name in enumerate(ANGLES):
+        if ahrs.has(name):
+            rpy[:, k] = np.unwrap(ahrs.attitude(name)[:, 0])
+    return Attitude(ahrs, t, rpy[:, :2], t, rpy)
 
 
 def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibrations: Calibrations) -> Factor:

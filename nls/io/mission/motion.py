@@ -1,0 +1,162 @@
+r"""motion.csv: a vehicle whose motion no sensor measures, such as an ROV with a compass, a depth sensor and USBL.
+
+Between the times of its positions the vehicle may be anywhere it can have gone. This is a random walk of density s,
+m/sqrt(s), along the axes of the world,
+
+    p_i+1 - p_i ~ N(0, s^2 (t_i+1 - t_i))    in x and y, and in z where no sensor measures the depth.
+
+`Heading` and `ZPR` have the angles of ahrs.csv and the depth, on the lines between their rows. Poses that are denser
+than the rows, and poses in a hole of a log, have larger sigmas, as those of a raw log have.
+
+A pose in space has six numbers. Those that nothing measures are held at 0, with `HELD`. This is a gauge and no
+measurement: nothing else depends on them, and their cells in the results are empty. So what is measured along the axes
+of the vehicle, as over a lever arm, is refused where an angle is not measured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import XYH, ZPR, Diagonal, Isotropic, Landmark, Prior, SqrtInformation
+from factors.base import Factor
+from factors.keys import kinds
+from models import SE3
+from models.algebra import Array, Numbers
+from models.dead_reckoning.drop_outs import longest_step
+from nls.io.mission.attitude import angles_of, clocked, headings
+from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import ANGLES, ARM, TILT
+from nls.io.mission.depth import depths_of
+from nls.io.mission.holes import holes_of
+from nls.io.mission.noise import noise_of
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
+
+__all__ = ["walking"]
+
+AXES = {  # tables of what is measured along the axes of the vehicle
+    "usbl": "is a direction from the vehicle;",
+    "contacts": "has directions from the vehicle;",
+    "closures": "has steps ahead and to starboard;",
+}
+HELD = 1e-3  # m and rad, of a number of a pose that nothing measures
+(x,) = kinds("x")
+
+
+def walking(
+    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
+) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses at the times of other files, rising; the walk between them, angles and depths at them.
+
+    Raises
+    ------
+    GraphFileError
+        A second row; fewer than two times; no sigma of a sensor; an angle that a measurement needs and none measures.
+    """
+    motion = tables["motion"]
+    if len(motion) > 1:
+        raise motion.at(1, "a second row; expected one")
+    density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
+    logs: dict[str, tuple[Table, Array, Array, tuple[str, ...]]] = {}  # times, numbers and columns
+    if (ahrs := tables.get("ahrs")) is not None:
+        attitude, names = angles_of(ahrs, calibrations), tuple(name for name in ANGLES if ahrs.has(name))
+        if not names:
+            raise ahrs.at_names(f"has times and no angle; expected one of {', '.join(ANGLES)}")
+        logs["ahrs"] = ahrs, attitude.t, attitude.rpy[:, [ANGLES.index(name) for name in names]], names
+    if cell := next((name for name in ("depth", "pressure") if name in tables), None):
+        logs[cell] = (*depths_of(tables, report), ("z_m",))
+    elif stray := [name for name in ("water", "tide") if name in tables]:
+        raise tables[stray[0]].at(0, "is for pressure.csv, which is not there; leave it out")
+    t = _times(motion, [t_log for _, t_log, _, _ in logs.values()], times, tables)
+    n, measured = len(t), dict[str, tuple[Array, Array]]()
+    for name, log in logs.items():
+        if "noise" not in tables:
+            columns = ", ".join(f"sigma_{column}" for column in log[3])
+            raise log[0].at_names(f"has no sigma; write noise.csv with one row of {columns}")
+        noise = noise_of(tables["noise"], {f"sigma_{column}": name for column in log[3]})
+        measured |= _at(t, *log, noise, report)
+    unknown = [name for name in ANGLES if name not in measured]
+    elsewhere = bool({"ranges", "usbl"} & tables.keys()) or ("fixes" in tables and tables["fixes"].has("z_m"))
+    absent = [*unknown, *(() if "z_m" in measured or elsewhere else ("z_m",))]
+    report.unmeasured = tuple(name.split("_")[0] for name in absent)
+    _refuse_axes(tables, unknown)
+
+    numbers, held = np.arange(n), (np.zeros(n), np.full(n, HELD))
+    i, j, way = x[numbers[:-1]], x[numbers[1:]], density * np.sqrt(np.diff(t))
+    z, sigmas = (np.column_stack([measured.get(name, held)[k] for name in TILT]) for k in (0, 1))
+    if "z_m" in measured:
+        W = np.diag([1.0, 1.0, 0.0]) / way[:, None, None]
+        walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(W))
+    else:
+        walk = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way))
+        sigmas[:, 0] = np.inf if elsewhere else HELD
+    zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
+    heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
+    if ahrs is not None:
+        zpr = clocked(zpr, np.column_stack([np.zeros(n), attitude.rates(t)[:, [1, 0]]]), calibrations)
+    if "yaw_rad" in measured:
+        heading = headings(attitude, x[numbers], t, measured["yaw_rad"][1], calibrations)
+    report.vertex_times["x"] = t
+    sources = [motion.source(np.zeros(n, dtype=np.intp))] * 2
+    for table, t_log, _, names in logs.values():
+        source = table.source(np.maximum(t_log.searchsorted(t, side="right") - 1, 0))
+        sources = [source if set(names) & own else s for s, own in zip(sources, ({*TILT}, {"yaw_rad"}), strict=True)]
+    report.sources += [motion.source(np.zeros(n - 1, dtype=np.intp)), *sources]
+    report.notes.append(
+        f"no sensor measures the motion: {n} poses at the times of the measurements, each within {density:g} m times "
+        "the root of the seconds since the one before"
+    )
+    if report.unmeasured:
+        report.notes.append(
+            f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv; 0 in trajectory.tum, "
+            "which has none"
+        )
+    return numbers, [walk, zpr, heading]
+
+
+def _times(motion: Table, logs: list[Array], times: Times, tables: dict[str, Table]) -> Array:
+    """Times (n,) of the poses, s: those of the rows of other files while all logs last."""
+    t = np.concatenate([np.zeros(0), *(rows.ravel() for rows in times.values())])
+    for t_log in logs:
+        t = t[(t >= t_log[0]) & (t <= t_log[-1])]
+    t = united(t.min(keepdims=True), float(t.max()), times, tables) if len(t) else t
+    if len(t) < 2:
+        while_all = " within the times of ahrs.csv and depth.csv" if logs else ""
+        raise motion.at(0, f"fewer than two times of fixes or ranges{while_all}; a track has at least two poses")
+    return t
+
+
+def _at(
+    t: Array,
+    table: Table,
+    t_log: Array,
+    y: Array,
+    names: tuple[str, ...],
+    noise: dict[str, float],
+    report: MissionReport,
+) -> dict[str, tuple[Array, Array]]:
+    """Numbers (n,) and their standard deviations (n,) by column, at times t (n,), of a log y (m, k) at times (m,)."""
+    own = np.array([noise[f"sigma_{name}"] for name in names])
+    sigmas = own * poses_of_rows(t_log, t)[:, None]
+    after = np.clip(t_log.searchsorted(t), 1, len(t_log) - 1)
+    hollow = t_log[after] - t_log[after - 1] > longest_step(t_log)
+    hollow &= np.minimum(t_log[after] - t, t - t_log[after - 1]) >= SAME
+    if hollow.any():
+        hole = holes_of(table, t_log, y, t[hollow], "lie on the line over it, with larger sigmas", report)
+        sigmas[hollow] = np.hypot(own, hole.sigma)
+    return {name: (np.interp(t, t_log, y[:, k]), sigmas[:, k]) for k, name in enumerate(names)}
+
+
+def _refuse_axes(tables: dict[str, Table], unknown: list[str]) -> None:
+    """Refuse what is measured along the axes of the vehicle where one of its angles is not measured."""
+    for name, table in tables.items() if unknown else ():
+        problem = AXES.get(name, "") if name != "usbl" or table.has("beacon") else ""
+        if table.has(*ARM) and table.measured(*ARM).any():
+            problem = "has a lever arm; leave the arm out, or"
+        if problem:
+            raise table.at(
+                0,
+                f"{problem} write {' and '.join(unknown)} to ahrs.csv, which nothing measures beside motion.csv: of a "
+                "vehicle that is level, 0 with its sigma in noise.csv",
+            )
