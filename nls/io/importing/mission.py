@@ -226,7 +226,9 @@ def _missing(tables: set[str]) -> str:
     absent = [f"{name}.csv" for name in (*needed(tables), *of_sonar) if name not in tables]
     if not absent:
         return ""
-    return f"nls solve needs {', '.join(absent)} besides: give the sections, or the files (nls new writes templates)"
+    walk = "; without a DVL write [motion]" if "dvl.csv" in absent else ""
+    needs = f"nls solve needs {', '.join(absent)} besides"
+    return f"{needs}: give the sections, or the files (nls new writes templates){walk}"
 
 
 def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequence[str]) -> bytes:

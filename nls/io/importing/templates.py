@@ -83,7 +83,7 @@ def templates(mapping: bool = False) -> dict[str, bytes]:
     """
     files = {
         "mapping.toml": (
-            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "fixes", "contacts", "sonar"))) + "\n" + NOISE
+            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "motion", "fixes", "contacts", "sonar"))) + "\n" + NOISE
         ).encode()
     }
     if not mapping:

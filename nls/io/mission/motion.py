@@ -85,12 +85,9 @@ def walking(
     numbers, held = np.arange(n), (np.zeros(n), np.full(n, HELD))
     i, j, way = x[numbers[:-1]], x[numbers[1:]], density * np.sqrt(np.diff(t))
     z, sigmas = (np.column_stack([measured.get(name, held)[k] for name in TILT]) for k in (0, 1))
-    if "z_m" in measured:
-        W = np.diag([1.0, 1.0, 0.0]) / way[:, None, None]
-        walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(W))
-    else:
-        walk = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way))
-        sigmas[:, 0] = np.inf if elsewhere else HELD
+    walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
+    if elsewhere and "z_m" not in measured:
+        walk, sigmas[:, 0] = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way)), np.inf
     zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
     heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
     if ahrs is not None:

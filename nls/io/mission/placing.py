@@ -73,20 +73,19 @@ def along_measurements(graph: FactorGraph, start: Values, places: Array, compass
 
     Parameters are those of `turn_to_measurements`; a compass says the yaw of its poses.
     """
+    X = euler.from_se3(start[x])
+    if compass is not None:
+        X[start.stack(x).index(compass[0]), 2] = compass[1]
+    start[x] = euler.to_se3(X)
     numbers, away = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
     for factor, u, v in [*_positions(graph, start), *_directions(graph, start, places)]:
         numbers.append(factor.keys[factor.keys[0].kind == s.name].numbers)
         away.append(u - v)
     k, p = np.concatenate(numbers), np.concatenate(away)
-    X = np.array(start[x])
     if len(k):
         order = np.argsort(k, kind="stable")
-        X[:, :3] += np.column_stack([np.interp(start.stack(x).numbers, k[order], c) for c in p[order].T])
-    if compass is not None:
-        state = euler.from_se3(X)
-        state[start.stack(x).index(compass[0]), 2] = compass[1]
-        X = euler.to_se3(state)
-    start[x] = X
+        X[:, 3:] += np.column_stack([np.interp(start.stack(x).numbers, k[order], c) for c in p[order].T])
+        start[x] = euler.to_se3(X)
 
 
 def _motion(u: Array, v: Array, w: Array, compass: bool) -> Array:
