@@ -52,10 +52,6 @@ sigma_pitch_rad = 0.005
 sigma_yaw_rad = 0.02
 sigma_z_m = 0.05
 """
-MOTION = """\
-[motion]   # no columns look like [dvl]: a random walk
-sigma_walk_m_sqrt_s = 0.3   # how far the vehicle may go in a second, a guess
-"""
 MESSAGES = {  # sections by type of message; {topic} is filled in
     "Imu": ["[ahrs]", 'quaternion = "orientation"', 'frame = "ENU"   # as of ROS; "NED" where the driver says so'],
     "TwistStamped": ["[dvl]", *(f'v{a}_m_s = "twist.linear.{a}"' for a in "xyz"), 'frame = "FLU"'],
@@ -118,11 +114,6 @@ def draft(paths: Sequence[str | Path]) -> str:
         lines += _of_bag(log, tables) if isinstance(log, Bag) else _of_text(log, len(logs) > 1, tables, tilted)
     if "path" in tables:  # which needs no log of sensors
         return "\n".join(lines)
-    if "dvl" not in tables and {"fixes", "ranges"} & set(tables):
-        lines = [line for line in lines if not line.endswith(LEVEL)]  # a tilt that is not measured is left out
-        sigmas = [f"sigma_{name}" for name in (*ANGLES, "z_m") if any(line.startswith(f"{name} =") for line in lines)]
-        noise = [line for line in NOISE.splitlines() if line.startswith(("[noise]", *sigmas))]
-        return "\n".join([*lines, MOTION, *(noise if sigmas else ()), ""])
     for table in ("dvl", "ahrs", "depth"):
         if table not in tables:
             lines += [f"# [{table}]   # no columns look like it; nls solve needs it, or [path]", ""]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-import nls
-from nls.io.importing import Mapping, draft, import_logs, write_imported
+from nls.io.importing import Mapping, draft, import_logs
 from nls.io.importing.templates import templates
 
 ODOMETRY = "time,x_odo [m],y_odo [m],depth [m],heading [deg]\n0,0,0,4,0\n2,1,0,4,9\n"
@@ -46,27 +45,6 @@ def test_a_heading_alone_is_the_attitude_of_a_level_vehicle(tmp_path: Path) -> N
     imported = import_logs([compass], Mapping(draft([compass]), "mapping.toml"))
     assert imported.files["ahrs.csv"].decode().splitlines()[1] == f"0.0,0.0,0.0,{np.pi / 2!r}"
     assert tomllib.loads(draft([compass, ahrs]))["ahrs"]["file"] == "ahrs.csv"
-
-
-def test_a_log_of_an_rov_is_a_mission_as_it_is_drafted(tmp_path: Path) -> None:
-    """Its motion is a random walk; sigmas are asked for what it measures, and nothing is made up for its tilt."""
-    log = tmp_path / "rov.csv"
-    unmeasured = ("roll", "pitch", "yaw", "z")
-    for header, tables, count in (
-        ("time [s],lat [deg],lon [deg],depth [m],heading [deg]", {"ahrs", "depth", "noise"}, 2),
-        ("time [s],lat [deg],lon [deg],depth [m]", {"depth", "noise"}, 3),
-        ("time [s],lat [deg],lon [deg]", set[str](), 4),
-    ):
-        rows = [[k, 48 + k * 1e-5, -123, 10 + k, 90 - k][: header.count(",") + 1] for k in range(4)]
-        log.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
-        imported = import_logs([log], Mapping(draft([log]), "mapping.toml"))
-        assert set(imported.rows) == {"fixes", "origin", "motion", *tables}
-        assert not any("nls solve needs" in note for note in imported.notes)
-        mission = tmp_path / f"m{len(tables)}"
-        write_imported(mission, imported, [])
-        graph, values, report = nls.load(mission)
-        assert graph.optimize(values).converged
-        assert report.unmeasured == unmeasured[:count]
 
 
 def test_velocities_along_the_axes_of_the_vehicle_have_their_signs(tmp_path: Path) -> None:
