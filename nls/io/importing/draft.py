@@ -120,6 +120,7 @@ def draft(paths: Sequence[str | Path]) -> str:
         return "\n".join(lines)
     walks = "dvl" not in tables and bool({"fixes", "ranges"} & {*tables})
     if walks:
+        lines = [line for line in lines if not line.endswith(LEVEL)]  # a tilt that nothing measures stays open
         lines += ["[motion]   # no columns look like a DVL: between two fixes the vehicle may go anywhere", WALK, ""]
     for table in ("dvl", "ahrs", "depth"):
         if table not in tables and not walks:

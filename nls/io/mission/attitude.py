@@ -38,17 +38,7 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = [
-    "BIAS",
-    "Attitude",
-    "angles_of",
-    "attitude_of",
-    "clocked",
-    "gyro_biases",
-    "headings",
-    "turn_covariance",
-    "turn_variance",
-]
+__all__ = ["BIAS", "Attitude", "attitude_of", "clocked", "gyro_biases", "headings", "turn_covariance", "turn_variance"]
 
 SMOOTH = 1.0  # s before and after a pose, whose means say how fast the heading turns
 MINUTE = 60.0  # s that a gyro has the same bias
@@ -93,7 +83,7 @@ class Attitude:
 
 
 def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitude:
-    """The attitude of ahrs.csv, or of ahrs.csv without a yaw and gyro.csv.
+    """The attitude of ahrs.csv, or of ahrs.csv without a yaw and gyro.csv; beside motion.csv what is not there is 0.
 
     Raises
     ------
@@ -102,12 +92,14 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     """
     ahrs, gyro = tables["ahrs"], tables.get("gyro")
     t_a = ahrs.rising("time_s")
-    if ahrs.has("yaw_rad"):
+    if ahrs.has("yaw_rad") or "motion" in tables:
         if gyro is not None:
             raise GraphFileError(
                 "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
             )
-        return angles_of(ahrs, calibrations)
+        angles = [ahrs.attitude(name) if ahrs.has(name) else np.zeros((len(ahrs), 1)) for name in ANGLES]
+        rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value("ahrs_clock_s")
+        return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
         raise GraphFileError(
             "has no column 'yaw_rad', and there is no gyro.csv; one of the two says how the yaw goes", ahrs.path
@@ -118,22 +110,6 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     rate = (w[:, 1] * np.sin(roll) + w[:, 2] * np.cos(roll)) / np.cos(pitch)
     yaw = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
     return Attitude(ahrs, t_a, tilt, t, np.column_stack([roll, pitch, yaw]), gyro, rate)
-
-
-def angles_of(ahrs: Table, calibrations: Calibrations) -> Attitude:
-    """The attitude of ahrs.csv alone; an angle that it has not is 0.
-
-    Raises
-    ------
-    GraphFileError
-        Times that do not rise; angles that cannot be.
-    """
-    t = ahrs.rising("time_s") - calibrations.value("ahrs_clock_s")
-    rpy = np.zeros((len(ahrs), 3))
-    for k, name in enumerate(ANGLES):
-        if ahrs.has(name):
-            rpy[:, k] = np.unwrap(ahrs.attitude(name)[:, 0])
-    return Attitude(ahrs, t, rpy[:, :2], t, rpy)
 
 
 def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibrations: Calibrations) -> Factor:

@@ -23,7 +23,7 @@ from factors.keys import kinds
 from models import SE3
 from models.algebra import Array, Numbers
 from models.dead_reckoning.drop_outs import longest_step
-from nls.io.mission.attitude import angles_of, clocked, headings
+from nls.io.mission.attitude import attitude_of, clocked, headings
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
@@ -41,6 +41,7 @@ AXES = {  # tables of what is measured along the axes of the vehicle
     "closures": "has steps ahead and to starboard;",
 }
 HELD = 1e-3  # m and rad, of a number of a pose that nothing measures
+Log = tuple[Table, Array, Array, tuple[str, ...]]  # its times (m,), numbers (m, k) and columns
 (x,) = kinds("x")
 
 
@@ -58,12 +59,13 @@ def walking(
     if len(motion) > 1:
         raise motion.at(1, "a second row; expected one")
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
-    logs: dict[str, tuple[Table, Array, Array, tuple[str, ...]]] = {}  # times, numbers and columns
-    if (ahrs := tables.get("ahrs")) is not None:
-        attitude, names = angles_of(ahrs, calibrations), tuple(name for name in ANGLES if ahrs.has(name))
+    logs: dict[str, Log] = {}
+    if "ahrs" in tables:
+        attitude = attitude_of(tables, calibrations)
+        names = tuple(name for name in ANGLES if attitude.ahrs.has(name))
         if not names:
-            raise ahrs.at_names(f"has times and no angle; expected one of {', '.join(ANGLES)}")
-        logs["ahrs"] = ahrs, attitude.t, attitude.rpy[:, [ANGLES.index(name) for name in names]], names
+            raise attitude.ahrs.at_names(f"has times and no angle; expected one of {', '.join(ANGLES)}")
+        logs["ahrs"] = attitude.ahrs, attitude.t, attitude.rpy[:, [ANGLES.index(name) for name in names]], names
     if cell := next((name for name in ("depth", "pressure") if name in tables), None):
         logs[cell] = (*depths_of(tables, report), ("z_m",))
     elif stray := [name for name in ("water", "tide") if name in tables]:
@@ -71,44 +73,38 @@ def walking(
     t = _times(motion, [t_log for _, t_log, _, _ in logs.values()], times, tables)
     n, measured = len(t), dict[str, tuple[Array, Array]]()
     for name, log in logs.items():
-        if "noise" not in tables:
-            columns = ", ".join(f"sigma_{column}" for column in log[3])
-            raise log[0].at_names(f"has no sigma; write noise.csv with one row of {columns}")
-        noise = noise_of(tables["noise"], {f"sigma_{column}": name for column in log[3]})
-        measured |= _at(t, *log, noise, report)
+        measured |= _interpolated(t, name, log, tables.get("noise"), report)
     unknown = [name for name in ANGLES if name not in measured]
-    elsewhere = bool({"ranges", "usbl"} & tables.keys()) or ("fixes" in tables and tables["fixes"].has("z_m"))
-    absent = [*unknown, *(() if "z_m" in measured or elsewhere else ("z_m",))]
-    report.unmeasured = tuple(name.split("_")[0] for name in absent)
+    z_elsewhere = bool({"ranges", "usbl"} & tables.keys()) or ("fixes" in tables and tables["fixes"].has("z_m"))
     _refuse_axes(tables, unknown)
+    held = "z_m" not in measured and not z_elsewhere
+    report.unmeasured = tuple(name.split("_")[0] for name in [*unknown, *["z_m"] * held])
 
-    numbers, held = np.arange(n), (np.zeros(n), np.full(n, HELD))
+    numbers, zero = np.arange(n), (np.zeros(n), np.full(n, HELD))
     i, j, way = x[numbers[:-1]], x[numbers[1:]], density * np.sqrt(np.diff(t))
-    z, sigmas = (np.column_stack([measured.get(name, held)[k] for name in TILT]) for k in (0, 1))
+    z, sigmas = (np.column_stack([measured.get(name, zero)[k] for name in TILT]) for k in (0, 1))
     walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
-    if elsewhere and "z_m" not in measured:
+    if z_elsewhere and "z_m" not in measured:
         walk, sigmas[:, 0] = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way)), np.inf
     zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
     heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
-    if ahrs is not None:
+    if "ahrs" in logs:
         zpr = clocked(zpr, np.column_stack([np.zeros(n), attitude.rates(t)[:, [1, 0]]]), calibrations)
     if "yaw_rad" in measured:
         heading = headings(attitude, x[numbers], t, measured["yaw_rad"][1], calibrations)
     report.vertex_times["x"] = t
     sources = [motion.source(np.zeros(n, dtype=np.intp))] * 2
     for table, t_log, _, names in logs.values():
-        source = table.source(np.maximum(t_log.searchsorted(t, side="right") - 1, 0))
+        source = table.source(t_log.searchsorted(t, side="right") - 1)
         sources = [source if set(names) & own else s for s, own in zip(sources, ({*TILT}, {"yaw_rad"}), strict=True)]
     report.sources += [motion.source(np.zeros(n - 1, dtype=np.intp)), *sources]
-    report.notes.append(
-        f"no sensor measures the motion: {n} poses at the times of the measurements, each within {density:g} m times "
-        "the root of the seconds since the one before"
+    note = (
+        "no sensor measures the motion: {} poses at the times of the measurements, each within {:g} m times the root of"
     )
+    report.notes.append(note.format(n, density) + " the seconds since the one before")
     if report.unmeasured:
-        report.notes.append(
-            f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv; 0 in trajectory.tum, "
-            "which has none"
-        )
+        note = "nothing measures {}: empty cells in trajectory.csv; 0 in trajectory.tum, which has none"
+        report.notes.append(note.format(", ".join(report.unmeasured)))
     return numbers, [walk, zpr, heading]
 
 
@@ -119,30 +115,28 @@ def _times(motion: Table, logs: list[Array], times: Times, tables: dict[str, Tab
         t = t[(t >= t_log[0]) & (t <= t_log[-1])]
     t = united(t.min(keepdims=True), float(t.max()), times, tables) if len(t) else t
     if len(t) < 2:
-        while_all = " within the times of ahrs.csv and depth.csv" if logs else ""
+        while_all = f" while all {len(logs)} logs of sensors last" if logs else ""
         raise motion.at(0, f"fewer than two times of fixes or ranges{while_all}; a track has at least two poses")
     return t
 
 
-def _at(
-    t: Array,
-    table: Table,
-    t_log: Array,
-    y: Array,
-    names: tuple[str, ...],
-    noise: dict[str, float],
-    report: MissionReport,
+def _interpolated(
+    t: Array, name: str, log: Log, noise: Table | None, report: MissionReport
 ) -> dict[str, tuple[Array, Array]]:
-    """Numbers (n,) and their standard deviations (n,) by column, at times t (n,), of a log y (m, k) at times (m,)."""
-    own = np.array([noise[f"sigma_{name}"] for name in names])
-    sigmas = own * poses_of_rows(t_log, t)[:, None]
+    """Numbers (n,) and standard deviations (n,) by column, at times t (n,), of a log."""
+    table, t_log, y, names = log
+    stated = {f"sigma_{column}": name for column in names}
+    if noise is None:
+        raise table.at_names(f"has no sigma; write noise.csv with one row of {', '.join(stated)}")
+    sigma = np.array([noise_of(noise, stated)[column] for column in stated])
+    sigmas = sigma * poses_of_rows(t_log, t)[:, None]
     after = np.clip(t_log.searchsorted(t), 1, len(t_log) - 1)
-    hollow = t_log[after] - t_log[after - 1] > longest_step(t_log)
-    hollow &= np.minimum(t_log[after] - t, t - t_log[after - 1]) >= SAME
+    hollow = np.minimum(t_log[after] - t, t - t_log[after - 1]) >= SAME
+    hollow &= np.diff(t_log)[after - 1] > longest_step(t_log)
     if hollow.any():
         hole = holes_of(table, t_log, y, t[hollow], "lie on the line over it, with larger sigmas", report)
-        sigmas[hollow] = np.hypot(own, hole.sigma)
-    return {name: (np.interp(t, t_log, y[:, k]), sigmas[:, k]) for k, name in enumerate(names)}
+        sigmas[hollow] = np.hypot(sigma, hole.sigma)
+    return {column: (np.interp(t, t_log, y[:, k]), sigmas[:, k]) for k, column in enumerate(names)}
 
 
 def _refuse_axes(tables: dict[str, Table], unknown: list[str]) -> None:
@@ -152,8 +146,5 @@ def _refuse_axes(tables: dict[str, Table], unknown: list[str]) -> None:
         if table.has(*ARM) and table.measured(*ARM).any():
             problem = "has a lever arm; leave the arm out, or"
         if problem:
-            raise table.at(
-                0,
-                f"{problem} write {' and '.join(unknown)} to ahrs.csv, which nothing measures beside motion.csv: of a "
-                "vehicle that is level, 0 with its sigma in noise.csv",
-            )
+            cure = f"{problem} write {' and '.join(unknown)} to ahrs.csv, which nothing measures beside motion.csv"
+            raise table.at(0, f"{cure}: of a vehicle that is level, 0 with its sigma in noise.csv")
