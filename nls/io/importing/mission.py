@@ -226,7 +226,8 @@ def _missing(tables: set[str]) -> str:
     absent = [f"{name}.csv" for name in (*needed(tables), *of_sonar) if name not in tables]
     if not absent:
         return ""
-    walk = "; without a DVL write [motion]" if "dvl.csv" in absent else ""
+    walk = "write `sigma_walk_m_sqrt_s = 0.5` in [motion] of the mapping: meters that the vehicle may go in a second"
+    walk = f"; without a DVL {walk}" if "dvl.csv" in absent else ""
     needs = f"nls solve needs {', '.join(absent)} besides"
     return f"{needs}: give the sections, or the files (nls new writes templates){walk}"
 

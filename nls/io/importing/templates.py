@@ -98,7 +98,7 @@ def _template(table: str) -> str:
     about = ABOUT.get(table, "")
     lines = [f"# {table}.csv: {about}.{need}" if about else f"# {table}.csv{need}"]
     lines.append("# " + ", ".join(mission_unit(name)[1] or "-" for name in columns))
-    if left_out := [name for name in columns if name in optional(table, ())]:
+    if left_out := [name for name in columns if name in optional(table, LOG)]:
         lines.append(f"# may be left out: {', '.join(left_out)}")
     if others := ALTERNATIVES.get(table):
         lines.append(f"# other columns: {', '.join(others)}")

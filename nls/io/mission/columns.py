@@ -100,9 +100,9 @@ BESIDE = ("dvl_mount", "gyro", "pressure", "water", "tide")  # files that are of
 def optional(table: str, tables: Collection[str]) -> tuple[str, ...]:
     """Columns of a table that may be left out in a mission with some tables.
 
-    Beside motion.csv a compass may be alone, and noise.csv has what the tables need: the reader says which it is.
+    Without a DVL a compass may be alone, and noise.csv has what the tables need: the reader says which it is.
     """
-    if "motion" in tables and table in ("ahrs", "noise"):
+    if table in ("ahrs", "noise") and not {"dvl", *TRACK} & set(tables):
         return tuple(name for name in COLUMNS[table] if name != "time_s")
     return OPTIONAL.get(table, ())
 

@@ -177,7 +177,10 @@ def test_the_track_lasts_as_long_as_all_logs(tmp_path: Path) -> None:
         ),
         ({"dvl": "time_s\n0\n"}, r"has motion\.csv and dvl\.csv, the same way twice"),
         ({"gyro": "time_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0,0,0\n"}, r"has motion\.csv and gyro\.csv"),
-        ({"fixes": FIXES.replace("\n0,", "\n90,").replace("\n3,", "\n93,")}, r"two times of fixes or ranges while all 2 logs of sensors last"),
+        (
+            {"fixes": FIXES.replace("\n0,", "\n90,").replace("\n3,", "\n93,")},
+            r"two times of fixes or ranges while all 2 logs of sensors last",
+        ),
         ({"motion": "sigma_walk_m_sqrt_s\n0\n"}, r"sigma_walk_m_sqrt_s is 0\.0"),
         ({"motion": "sigma_walk_m_sqrt_s\n1\n2\n"}, r"motion\.csv:3: a second row"),
         ({"fixes": None}, r"motion\.csv:2: fewer than two times"),
