@@ -98,7 +98,7 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     if {"depth", "pressure"} <= files:
         raise GraphFileError("has depth.csv and pressure.csv, the depth twice; leave one of them", folder)
     for name, beside in ALONE.items():
-        if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE} - {name, *beside})):
+        if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE, "poses"} - {name, *beside})):
             raise GraphFileError(
                 f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; leave one of them", folder
             )

@@ -4,7 +4,7 @@ r"""The track of a mission: its poses and the factors between and at them, and w
 
     XYH = h(X_i, X_i+1),    ZPR = (z, pitch, roll),
 
-with the standard deviations of a step in the row it leads to. Columns that are not there are 0 and known: a vehicle on
+with the standard deviations of a step in the row it leads to. Columns that are not there are held at 0: a vehicle on
 the surface, or at a depth that does not matter.
 """
 
@@ -136,7 +136,8 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
         raise path.at(0, "one pose; a track has at least two")
     absent = [name for name in UPRIGHT if not path.has(name)]
     if absent:
-        report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0, within 1 mm and 1 mrad")
+        report.unmeasured = tuple(name.split("_")[0] for name in absent)
+        report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0 and empty in the results")
     t = united(t_p, float(t_p[-1]), times, tables)
     numbers = np.arange(len(t))
     row = np.searchsorted(t_p, t)  # the first one that is not before
