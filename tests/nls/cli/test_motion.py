@@ -100,3 +100,12 @@ def test_a_mapping_without_a_dvl_is_told_of_the_walk_and_its_sigmas(log: Shell) 
     assert "nls solve needs noise.csv besides" in log("import log.csv --map map.toml -o n")
     _, error = log.both("solve n", 2)
     assert "write noise.csv with one row of sigma_yaw_rad" in error
+
+
+def test_each_of_several_dives_has_its_own_empty_cells(log: Shell) -> None:
+    for name, mapping in (("a", PLACES), ("b", PLACES + COMPASS)):
+        (log / "map.toml").write_text(mapping + "[origin]\nlat_deg = 48.0\nlon_deg = -123.0\n")
+        log(f"import log.csv --map map.toml -o {name}")
+    log("solve a b -o s")
+    assert _filled(log, "s/a/trajectory.csv") == PLACED
+    assert _filled(log, "s/b/trajectory.csv") == PLACED | {"z_m", "yaw_rad", "sigma_z_m", "sigma_yaw_rad"}

@@ -194,3 +194,10 @@ def test_refusals(tmp_path: Path, changed: dict[str, str | None], message: str) 
 def test_a_cure_for_a_lever_arm_works(tmp_path: Path) -> None:
     level = csv("time_s,roll_rad,pitch_rad,yaw_rad", ROWS, np.zeros((len(ROWS), 3)))
     assert nls.load(folder(tmp_path / "m", logs(ahrs=level, fixes=fixes(ARM))))[2].unmeasured == ()
+
+
+def test_poses_denser_than_the_rows_say_no_more_than_these(tmp_path: Path) -> None:
+    graph, _, _ = nls.load(folder(tmp_path / "m", logs(np.arange(0.0, 61.0, 6.0), fixes=fixes(0 * ARM))))
+    (heading,) = (factor for factor in graph.factors if isinstance(factor, Heading))
+    assert isinstance(heading.noise, Isotropic)
+    assert np.median(heading.noise.sigma) == pytest.approx(0.03 * np.sqrt(3), rel=0.05)
