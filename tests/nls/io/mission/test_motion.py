@@ -73,7 +73,7 @@ def test_compass_depth_and_places_are_a_mission(places: dict[str, str], tmp_path
     assert report.vertex_times["x"] == pytest.approx(T)
     assert report.unmeasured == ()
     assert not report.warnings
-    assert np.abs(SE3.position(np.asarray(start[x])) - state(T)[:, 3:]).max() < 1.5  # and not all at one place
+    assert np.abs(SE3.position(np.asarray(start[x])) - state(T)[:, 3:]).max() < 0.05  # and not all at one place
     result = graph.optimize(start)
     assert result.converged
     found = euler.from_se3(result.values[x])
@@ -134,6 +134,11 @@ def test_declination_and_clock_of_a_compass_are_calibrations(tmp_path: Path) -> 
     )
     values = graph.optimize(start).values
     assert values[nls.Keys("declination_rad", 0)] == pytest.approx(6.2 - 2 * np.pi, abs=0.01)
+    calibration = "name,value,sigma\nahrs_clock_s,0.2,1.0\n"
+    ahrs = csv("time_s,roll_rad,pitch_rad,yaw_rad", ROWS + 0.4, rows[:, :3] - [0, 0, 2 * np.pi])
+    noise = NOISE.replace("0.01,0.02,0.03", "0.0001,0.0001,0.01")  # whose tilt tells the clock
+    graph, start, _ = nls.load(folder(tmp_path / "c", logs(ahrs=ahrs, calibration=calibration, noise=noise, **OWN)))
+    assert graph.optimize(start).values[nls.Keys("ahrs_clock_s", 0)] == pytest.approx(0.4, abs=0.05)
 
 
 def test_rows_of_a_compass_at_the_times_of_the_fixes_may_be_uneven(tmp_path: Path) -> None:
