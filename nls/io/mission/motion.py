@@ -9,8 +9,8 @@ m/sqrt(s), along the axes of the world,
 than the rows, and poses in a hole of a log, have larger sigmas, as those of a raw log have.
 
 A pose in space has six numbers. Those that nothing measures are held at 0, with `HELD`. This is a gauge and no
-measurement: nothing else depends on them, and their cells in the results are empty. So what is measured along the axes
-of the vehicle, as over a lever arm, is refused where an angle is not measured.
+measurement: nothing else depends on them, and their cells in the results are empty. A measurement along the axes of the
+vehicle, as over a lever arm, needs all three angles, else it is refused.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from nls.io.mission.noise import noise_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
+from nls.io.report import Source
 
 __all__ = ["walking"]
 
@@ -41,6 +42,7 @@ AXES = {  # tables of what is measured along the axes of the vehicle
     "closures": "has steps ahead and to starboard;",
 }
 HELD = 1e-3  # m and rad, of a number of a pose that nothing measures
+Column = tuple[Array, Array, Source]  # numbers (n,) and standard deviations (n,) at the poses, and their lines
 Log = tuple[Table, Array, Array, tuple[str, ...]]  # its times (m,), numbers (m, k) and columns
 (x,) = kinds("x")
 
@@ -71,7 +73,7 @@ def walking(
     elif stray := [name for name in ("water", "tide") if name in tables]:
         raise tables[stray[0]].at(0, "is for pressure.csv, which is not there; leave it out")
     t = _times(motion, [t_log for _, t_log, _, _ in logs.values()], times, tables)
-    n, measured = len(t), dict[str, tuple[Array, Array]]()
+    n, measured = len(t), dict[str, Column]()
     for name, log in logs.items():
         measured |= _interpolated(t, name, log, tables.get("noise"), report)
     unknown = [name for name in ANGLES if name not in measured]
@@ -80,9 +82,10 @@ def walking(
     held = "z_m" not in measured and not z_elsewhere
     report.unmeasured = tuple(name.split("_")[0] for name in [*unknown, *["z_m"] * held])
 
-    numbers, zero = np.arange(n), (np.zeros(n), np.full(n, HELD))
+    numbers, zero = np.arange(n), (np.zeros(n), np.full(n, HELD), motion.source(np.zeros(n, dtype=np.intp)))
     i, j, way = x[numbers[:-1]], x[numbers[1:]], density * np.sqrt(np.diff(t))
-    z, sigmas = (np.column_stack([measured.get(name, zero)[k] for name in TILT]) for k in (0, 1))
+    columns = [measured.get(name, zero) for name in TILT]
+    z, sigmas = np.column_stack([c[0] for c in columns]), np.column_stack([c[1] for c in columns])
     walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
     if z_elsewhere and "z_m" not in measured:
         walk, sigmas[:, 0] = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way)), np.inf
@@ -93,18 +96,13 @@ def walking(
     if "yaw_rad" in measured:
         heading = headings(attitude, x[numbers], t, measured["yaw_rad"][1], calibrations)
     report.vertex_times["x"] = t
-    sources = [motion.source(np.zeros(n, dtype=np.intp))] * 2
-    for table, t_log, _, names in logs.values():
-        source = table.source(t_log.searchsorted(t, side="right") - 1)
-        sources = [source if set(names) & own else s for s, own in zip(sources, ({*TILT}, {"yaw_rad"}), strict=True)]
-    report.sources += [motion.source(np.zeros(n - 1, dtype=np.intp)), *sources]
-    note = (
-        "no sensor measures the motion: {} poses at the times of the measurements, each within {:g} m times the root of"
-    )
-    report.notes.append(note.format(n, density) + " the seconds since the one before")
+    tilt = next((measured[name] for name in TILT if name in measured), zero)
+    report.sources += [motion.source(np.zeros(n - 1, dtype=np.intp)), tilt[2], measured.get("yaw_rad", zero)[2]]
+    note = f"no sensor measures the motion: a random walk of {density:g} m in the first second, and by the root of more"
+    report.notes.append(f"{note}, joins {n} poses at the times of the measurements")
     if report.unmeasured:
-        note = "nothing measures {}: empty cells in trajectory.csv; 0 in trajectory.tum, which has none"
-        report.notes.append(note.format(", ".join(report.unmeasured)))
+        note = f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv"
+        report.notes.append(f"{note}; 0 in trajectory.tum, which has none")
     return numbers, [walk, zpr, heading]
 
 
@@ -120,10 +118,8 @@ def _times(motion: Table, logs: list[Array], times: Times, tables: dict[str, Tab
     return t
 
 
-def _interpolated(
-    t: Array, name: str, log: Log, noise: Table | None, report: MissionReport
-) -> dict[str, tuple[Array, Array]]:
-    """Numbers (n,) and standard deviations (n,) by column, at times t (n,), of a log."""
+def _interpolated(t: Array, name: str, log: Log, noise: Table | None, report: MissionReport) -> dict[str, Column]:
+    """The columns of a log at times t (n,)."""
     table, t_log, y, names = log
     stated = {f"sigma_{column}": name for column in names}
     if noise is None:
@@ -136,7 +132,8 @@ def _interpolated(
     if hollow.any():
         hole = holes_of(table, t_log, y, t[hollow], "lie on the line over it, with larger sigmas", report)
         sigmas[hollow] = np.hypot(sigma, hole.sigma)
-    return {column: (np.interp(t, t_log, y[:, k]), sigmas[:, k]) for k, column in enumerate(names)}
+    source = table.source(t_log.searchsorted(t, side="right") - 1)
+    return {column: (np.interp(t, t_log, y[:, k]), sigmas[:, k], source) for k, column in enumerate(names)}
 
 
 def _refuse_axes(tables: dict[str, Table], unknown: list[str]) -> None:

@@ -79,6 +79,7 @@ def test_compass_depth_and_places_are_a_mission(places: dict[str, str], tmp_path
     found = euler.from_se3(result.values[x])
     assert found[:, 3:5] == pytest.approx(state(T)[:, 3:5], abs=0.05)
     assert found[:, 5] == pytest.approx(state(T)[:, 5], abs=0.02)
+    assert [report.place(k, 3).split("/")[-1] for k in range(3)] == ["motion.csv:2", "depth.csv:16", "ahrs.csv:16"]
     assert np.cos(found[:, :3] - state(T)[:, :3]) == pytest.approx(1.0, abs=2e-4)
     Sigma = Marginals(graph, result.values).covariance(x[result.values.stack(x).numbers], view="euler")
     assert (np.sqrt(Sigma[:, [0, 1, 2], [0, 1, 2]]).max(axis=0) < np.array([0.01, 0.02, 0.03]) * 1.000001).all()
