@@ -67,7 +67,7 @@ def _dives(report: LoadReport) -> list[str] | None:
 
 
 def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
-    """With what is implausible in the tables of a mission, first."""
+    """With what is implausible in the tables of a mission, first; without sigmas of what nothing measures."""
     if report.format != "mission":
         return explanation
     from nls.explanation.findings import Finding, FindingKind
@@ -75,7 +75,8 @@ def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
 
     assert isinstance(report, MissionReport)
     findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in report.findings]
-    return replace(explanation, findings=(*findings, *explanation.findings))
+    weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in report.unmeasured)
+    return replace(explanation, findings=(*findings, *explanation.findings), weakest=weakest)
 
 
 def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:

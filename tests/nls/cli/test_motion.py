@@ -63,6 +63,8 @@ def test_a_log_of_latitudes_alone_is_a_map_with_empty_cells(log: Shell) -> None:
     assert np.shape(track["geometry"]["coordinates"]) == (5, 2)
     assert track["properties"]["sigma_depth_m"] == [None] * 5
     assert None not in track["properties"]["sigma_north_m"]
+    weakest = log("explain m").split("least certain")[1].split("note")[0]
+    assert [line.split()[1] for line in weakest.splitlines()[1:] if line] == ["x", "y"]
     assert not read_poses(log / "s" / "trajectory.csv").oriented
     assert read_poses(log / "s" / "trajectory.tum").X[:, 2:] == pytest.approx(np.tile([0, 0, 0, 0, 1], (5, 1)))
 
@@ -106,6 +108,7 @@ def test_each_of_several_dives_has_its_own_empty_cells(log: Shell) -> None:
     for name, mapping in (("a", PLACES), ("b", PLACES + COMPASS)):
         (log / "map.toml").write_text(mapping + "[origin]\nlat_deg = 48.0\nlon_deg = -123.0\n")
         log(f"import log.csv --map map.toml -o {name}")
-    log("solve a b -o s")
+    log("solve a b -o s --covariance c.csv")
+    assert not {"world_z_z", "world_yaw_yaw"} & _filled(log, "c.csv")  # of none, as one dive has none
     assert _filled(log, "s/a/trajectory.csv") == PLACED
     assert _filled(log, "s/b/trajectory.csv") == PLACED | {"z_m", "yaw_rad", "sigma_z_m", "sigma_yaw_rad"}
