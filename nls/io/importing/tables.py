@@ -9,13 +9,15 @@ import numpy as np
 from models.algebra import Array, Index, Mask, wrap
 from models.errors import GraphFileError, OptionError
 from models.listing import several
+from nls.io.importing.cell import Cell
+from nls.io.importing.dates import EXAMPLE, NANOSECONDS
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
-from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.mapping import VELOCITY, Section, required
 from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
-from nls.io.importing.text_log import MISSING, Log
-from nls.io.importing.times import Stamps, stamps
+from nls.io.importing.text_log import MISSING, Log, blanked
+from nls.io.importing.times import DAY, WEEK, Stamps, stamps
 from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import ANGLES
 
@@ -24,6 +26,7 @@ __all__ = ["Rows", "rows_of"]
 TIMES = ("time_s", "time_i_s", "time_j_s")
 WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
+FEW, NEARLY = 5, 0.9  # rows of which each is named; the part of a period by which a clock falls that begins anew
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
 FLAGS = {"1": True, "0": False, "true": True, "false": False}
 
@@ -39,6 +42,8 @@ class Rows:
     numbers : (n,) by column, with units and axes of the mission.
     words : (n,) by column.
     times : (n,) by column.
+    none : (n,) rows in which `Section.together` says that there is none.
+    rows : (n,) of the log.
     notes : what was assumed and left out.
     """
 
@@ -47,6 +52,7 @@ class Rows:
     numbers: dict[str, Array] = field(default_factory=dict)
     words: dict[str, list[str]] = field(default_factory=dict)
     times: dict[str, Stamps] = field(default_factory=dict)
+    none: Mask = field(default_factory=lambda: np.zeros(1, dtype=bool))
     rows: Index = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
     notes: list[str] = field(default_factory=list)
 
@@ -75,11 +81,16 @@ def rows_of(section: Section, log: Log | None) -> Rows:
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
             assert log is not None
-            rows.times[column] = stamps(log, _known(section, column, cell, log), column, rows.notes)
+            _known(section, column, cell, log)
+            rows.times[column] = stamps(section, log, column, rows.notes)
         elif column in WORDS:
             rows.words[column] = _words(section, column, cell, log, count)
         else:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
+    rows.none = np.full(count, bool(section.together))
+    for source, values in section.together:
+        cells = log.words(source) if log is not None and isinstance(source, str) else [str(source)]
+        rows.none &= [not word for word in blanked(cells, values)]
     if section.rotation is not None:
         _rotate(section, log, rows, count)
     rows.rows = np.arange(count)
@@ -149,7 +160,7 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
     numbers = log.numbers(name, cell.missing)
     numbers[~np.isfinite(numbers)] = np.nan
     if not cell.scaled:
-        numbers = convert_column(section, column, cell, log, numbers, notes)
+        numbers = convert_column(section, column, log, numbers, notes)
         if column == "z_m" and cell.up is None and cell.scale > 0:
             _refuse_unsaid_height(section, name)
     numbers = hemispheres(section, column, cell, log, numbers * cell.scale + cell.offset)
@@ -213,7 +224,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
         parts = np.column_stack([log.numbers(name, section.missing.get(kind, ())) for name in names])
     else:
         parts = np.tile(np.array(names, dtype=float), (count, 1))
-    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)
+    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1) & ~rows.none
     try:
         rpy[present] = angles_of(kind, parts[present])
     except ValueError as error:
@@ -227,7 +238,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
 
 def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
     """Rows (n,) whose times are there, and rows of which nothing else is missing; makes the flag of a DVL."""
-    timed, whole = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
+    timed, whole = np.ones(count, dtype=bool), ~rows.none
     for stamp in rows.times.values():
         timed &= stamp.present
     flag = rows.numbers.pop("valid", None) if rows.section.table == "dvl" else None
@@ -310,11 +321,9 @@ def _order(rows: Rows) -> None:
     late = t[1:] < t[:-1]
     if late.any():
         k = int(np.argmax(late)) + 1
-        raise log.error(
-            int(rows.rows[k]),
-            f"the time falls from the row before; write sort = true in [{section.table}] of the mapping if the "
-            "rows are of one clock",
-        )
+        seconds = t if stamp.nanoseconds is None else (t - t[0]) / NANOSECONDS
+        cure = _cure_of_fall(rows, np.asarray(seconds), k, stamp.nanoseconds is None)
+        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {cure}")
     if section.table not in STRICT:
         return
     again = np.append(False, t[1:] == t[:-1])
@@ -331,6 +340,22 @@ def _order(rows: Rows) -> None:
             f'the time is that of the row before; write duplicates = "first" in [{section.table}] of the mapping to '
             "leave such rows out",
         )
+
+
+def _cure_of_fall(rows: Rows, t: Array, k: int, own: bool) -> str:
+    """What to do about times (n,), s, that fall at row k, perhaps with a zero of their `own`."""
+    section, log = rows.section, rows.log
+    assert log is not None
+    where = f"in [{section.table}] of the mapping"
+    for period, what, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
+        if own and t.min() >= 0 and t.max() <= period and t[k - 1] - t[k] > NEARLY * period:
+            return f'at {what}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
+    below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
+    off = min(below, above, key=np.count_nonzero)
+    if off.sum() <= FEW and 2 * off.sum() < len(t) and t[k - 1] - t[k] > np.ptp(t[~off]):
+        lines = ", ".join(str(log.number(row)) for row in rows.rows[off])
+        return f"of a clock of its own: leave out {log.noun}s {lines} of {log.title}"
+    return f"write sort = true {where} if the rows are of one clock"
 
 
 def _turned(rows: Rows) -> None:
