@@ -11,18 +11,15 @@ import numpy as np
 
 from models.algebra import Index
 
-__all__ = ["EXAMPLE", "NANOSECONDS", "format_problem", "formats", "is_date", "iso", "parse_zero", "since_1970"]
+__all__ = ["EXAMPLE", "NANOSECONDS", "check_format", "formats", "is_date", "iso", "parse_zero", "since_1970"]
 
-ISO = re.compile(
-    r"((?:19|20|21)\d\d-\d\d-\d\d)[T ]+(\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I
-)
+CLOCK_TIME = r"(?:[01]\d|2[0-3]):[0-5]\d(?::[0-5]\d(?:[.,]\d{1,9})?)?"
+ISO = re.compile(rf"(\d{{4}}-\d\d-\d\d)[T ]+({CLOCK_TIME}) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I)
 NANOSECONDS = 1_000_000_000
 LONG = re.compile(r"([.,]\d{6})\d{1,3}(?!\d)")  # a fraction that `datetime` does not take
 EXAMPLE = "2022-08-14"  # a Sunday, with which a week of GPS begins
 YEARS = range(1970, 2191)  # of a log
-PROBE = datetime(
-    2022, 8, 25, 13, 59, 38, tzinfo=UTC
-)  # has another year, month, day and hour than a format that omits it
+PROBE = datetime(2022, 8, 25, 13, 59, 38, tzinfo=UTC)  # a format that omits one of its first four parts reads another
 CLOCK = (  # text of a time of the day, its directives
     (r"(:\d\d(?:[.,]\d+)?)( ?)[+-]\d\d:?\d\d$", r"\1\2%z"),
     (r"(?<!\d)\d{1,2}:\d\d:\d\d", "%H:%M:%S"),
@@ -53,30 +50,34 @@ def is_date(value: object) -> bool:
         return False
 
 
-def format_problem(form: str, dated: bool) -> str:
-    """Why a format cannot be that of times, of one `dated` day or of any; empty where it can.
+def check_format(form: str, dated: bool) -> None:
+    """Refuse a format that cannot be that of times, of one `dated` day or of any.
+
+    Raises
+    ------
+    ValueError
+        What is wrong with it.
 
     Examples
     --------
-    >>> format_problem("%d.%m.%Y %H:%M", dated=False), format_problem("%H:%M", dated=True)
-    ('', '')
-    >>> format_problem("%d.%m. %H:%M", dated=False)
-    'names no year; expected %Y or %y, or write date = "2022-08-14" beside it'
+    >>> check_format("%d.%m.%Y %H:%M", dated=False)
+    >>> check_format("%d.%m. %H:%M", dated=False)
+    Traceback (most recent call last):
+    ValueError: names no year; expected %Y or %y, or write `date = "2022-08-14"` beside it
     """
     if dated and re.search(r"%[YymdjbBcxG]", form):
-        return "has a date and so has date; leave date out"
+        raise ValueError("has a date and so has date; leave date out")
     if not dated and not re.search(r"%[YyGcx]", form):
-        return f'names no year; expected %Y or %y, or write date = "{EXAMPLE}" beside it'
+        raise ValueError(f'names no year; expected %Y or %y, or write `date = "{EXAMPLE}"` beside it')
     if "%Z" in form:
-        return "has %Z, which has no size; write %z for +02:00, or UTC as it stands"
+        raise ValueError("has %Z, which has no size; write %z for +02:00, or UTC as it stands")
     form = f"%Y-%m-%d {form}" if dated else form
     try:
         read = datetime.strptime(PROBE.strftime(form), form)
-    except (ValueError, re.error) as error:
-        return f"cannot be read: {error}"
-    if (read.date(), read.hour) == (PROBE.date(), PROBE.hour):
-        return ""
-    return f"reads {PROBE:%Y-%m-%d %H:%M} as {read:%Y-%m-%d %H:%M}; expected month and day, and %H, or %I and %p"
+    except re.error as error:
+        raise ValueError("has a directive twice") from error
+    if (read.date(), read.hour) != (PROBE.date(), PROBE.hour):
+        raise ValueError(f"reads {PROBE:%Y-%m-%d %H:%M} as {read:%Y-%m-%d %H:%M}; expected all of it, as %H or %I %p")
 
 
 def since_1970(words: Sequence[str], form: str = "", day: str = "") -> tuple[Index, bool]:
@@ -103,19 +104,12 @@ def since_1970(words: Sequence[str], form: str = "", day: str = "") -> tuple[Ind
         return _of_format(texts, f"%Y-%m-%d {form}" if day else form), bool(re.search(r"%z|UTC|GMT|Z$", form))
     matches = []
     for k, text in enumerate(texts):
-        if (match := ISO.fullmatch(text)) is None:
+        match = ISO.fullmatch(text)
+        if match is None or not is_date(match[1]):
             raise ValueError(k, "is no time of ISO 8601")
         matches.append(match)
     texts = [f"{match[1]}T{match[2].replace(',', '.')}" for match in matches]
-    try:
-        since = np.array(texts, dtype="datetime64[ns]").astype(np.int64)
-    except ValueError:
-        for k, text in enumerate(texts):
-            with suppress(ValueError):
-                np.datetime64(text)
-                continue
-            raise ValueError(k, "is no date of the calendar") from None
-        raise
+    since = np.array(texts, dtype="datetime64[ns]").astype(np.int64)
     zones = {zone: _zone(zone) for zone in {match[3] for match in matches}}
     ahead = np.array([zones[match[3]] for match in matches], dtype=np.int64)
     return np.asarray(since - ahead * NANOSECONDS), None not in zones
@@ -128,10 +122,9 @@ def _of_format(texts: Sequence[str], form: str) -> Index:
         if text not in read:
             try:
                 when = datetime.strptime(LONG.sub(r"\1", text) if "%f" in form else text, form)
-            except ValueError:
-                raise ValueError(k, f"does not fit {form}") from None
-            if when.year not in YEARS:
-                raise ValueError(k, f"is of the year {when.year} by {form}; expected {YEARS[0]} to {YEARS[-1]}")
+                YEARS.index(when.year)
+            except ValueError as error:
+                raise ValueError(k, f"does not fit {form}, of a year in {YEARS[0]} to {YEARS[-1]}") from error
             read[text] = when.replace(tzinfo=None) - (when.utcoffset() or timedelta(0))
     return np.array([read[text] for text in texts], dtype="datetime64[us]").astype("datetime64[ns]").astype(np.int64)
 
@@ -144,7 +137,13 @@ def formats(words: Sequence[str], day: str = "") -> list[str]:
     >>> formats(["8/5/2022 9:59:38"]), formats(["8/5/2022 9:59", "8/15/2022 9:59"]), formats(["20220815T095938Z"])
     (['%m/%d/%Y %H:%M:%S', '%d/%m/%Y %H:%M:%S'], ['%m/%d/%Y %H:%M'], ['%Y%m%dT%H%M%S%z'])
     """
-    return [form for form in dict.fromkeys(_candidates(words[0])) if _fits(words, form, day)]
+    fitting = []
+    for form in _candidates(words[0]):
+        with suppress(ValueError):
+            check_format(form, bool(day))
+            since_1970(words, form, day)
+            fitting.append(form)
+    return list(dict.fromkeys(fitting))
 
 
 def _candidates(text: str) -> Iterator[str]:
@@ -157,22 +156,9 @@ def _candidates(text: str) -> Iterator[str]:
         if len(parts) == 3:
             slots = ["".join(slots)]
         if len(slots) == len(parts) // 2:
-            long = [
-                "%" + slot[1].upper() if len(part) > 3 and slot in ("%a", "%b") else slot
-                for slot, part in zip(slots, parts[1::2], strict=False)
-            ]
-            yield "".join(between + slot for between, slot in zip(parts[::2], [*long, ""], strict=True))
-
-
-def _fits(words: Sequence[str], form: str, day: str) -> bool:
-    """Whether a format is that of all texts."""
-    if format_problem(form, bool(day)):
-        return False
-    try:
-        since_1970(words, form, day)
-    except ValueError:
-        return False
-    return True
+            pairs = zip(slots, parts[1::2], strict=False)
+            slots = [slot.swapcase() if len(part) > 3 and slot in ("%a", "%b") else slot for slot, part in pairs]
+            yield "".join(between + slot for between, slot in zip(parts[::2], [*slots, ""], strict=True))
 
 
 def _zone(zone: str | None) -> int:

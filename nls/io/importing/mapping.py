@@ -24,7 +24,7 @@ from typing import Any
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
 from nls.io.importing.cell import PLACES_ON_EARTH, Cell, none_words, read_cell, stand_for_none
-from nls.io.importing.dates import format_problem, is_date
+from nls.io.importing.dates import check_format, is_date
 from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.text_log import SEPARATORS, Missing
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
@@ -212,8 +212,11 @@ class Mapping(TomlFile):
         for name in ("date", "time_format"):
             if name in options and not timed and options[name] != self.tree.get(name):
                 raise self._refused(table, name, f"[{table}] has no column of times; leave {name} out")
-        if (form := options.get("time_format")) and (problem := format_problem(form, "date" in options)):
-            raise self._refused(table, "time_format", f"time_format = {form!r} {problem}")
+        if (form := options.get("time_format")) is not None:
+            try:
+                check_format(form, "date" in options)
+            except ValueError as error:
+                raise self._refused(table, "time_format", f"time_format = {form!r} {error}") from error
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""

@@ -145,11 +145,8 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
         zero = first // NANOSECONDS * NANOSECONDS
     else:
         return 0
-    notes.append(
-        f"time_zero {iso(zero)}: {zero / NANOSECONDS:.9g} s since 1970 are subtracted from all times"
-        if zero % NANOSECONDS
-        else f"time_zero {iso(zero)}: {zero // NANOSECONDS} s since 1970 are subtracted from all times"
-    )
+    seconds = f"{zero / NANOSECONDS:.9g}" if zero % NANOSECONDS else f"{zero // NANOSECONDS}"
+    notes.append(f"time_zero {iso(zero)}: {seconds} s since 1970 are subtracted from all times")
     return zero
 
 

@@ -73,7 +73,7 @@ def stamps(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
         stamp = Stamps(present, None, _of_texts(section, log, column, words, present, notes))
     else:
         stamp = _of_numbers(section, log, column, notes)
-    return _on_day(section, log, column, stamp, notes) if "date" in section.options else stamp
+    return _on_day(section, log, stamp, notes) if "date" in section.options else stamp
 
 
 def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
@@ -159,27 +159,19 @@ def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
     )
 
 
-def _on_day(section: Section, log: Log, column: str, stamp: Stamps, notes: list[str]) -> Stamps:
+def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stamps:
     """Times of the day, or of the week of GPS, on their date; where they fall by as much the next has begun."""
-    there = stamp.present
-    if stamp.nanoseconds is not None:
-        of_day = stamp.nanoseconds[there]
-    else:
-        assert stamp.seconds is not None
-        of_day = np.rint(stamp.seconds[there] * NANOSECONDS).astype(np.int64)
-    if (late := np.abs(of_day) > WEEK * NANOSECONDS).any():
+    rows = np.flatnonzero(stamp.present)
+    seconds = stamp.relative(0)[rows]
+    period = DAY if seconds.max(initial=0) <= DAY else WEEK
+    if (late := np.abs(seconds) > period).any():
         k = int(np.argmax(late))
-        raise log.error(
-            int(np.flatnonzero(there)[k]),
-            f"{of_day[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; leave date out of "
-            f"[{section.table}] of the mapping",
-        )
-    period = (DAY if of_day.max(initial=0) <= DAY * NANOSECONDS else WEEK) * NANOSECONDS
-    if (falls := np.diff(of_day) < -period // 2).any():
-        row = int(np.flatnonzero(there)[1:][np.argmax(falls)])
-        notes.append(f"{section.table}: the times begin anew at {log.place(row)}, {period // NANOSECONDS} s later")
-        of_day = np.asarray(np.unwrap(of_day, period=period), dtype=np.int64)
-    zero = np.datetime64(str(section.options["date"]), "ns").astype(np.int64)
-    since = np.zeros(len(there), dtype=np.int64)
-    since[there] = of_day + zero
-    return Stamps(there, None, since)
+        cure = f"leave date out of [{section.table}] of the mapping"
+        raise log.error(int(rows[k]), f"{seconds[k]:.10g} s is later than a day or a week of GPS; {cure}")
+    if (falls := np.diff(seconds) < -period / 2).any():
+        place = log.place(int(rows[1:][np.argmax(falls)]))
+        notes.append(f"{section.table}: the times begin anew at {place}, {period} s after {section.options['date']}")
+        seconds = np.unwrap(seconds, period=period)
+    since = np.zeros(len(stamp.present), dtype=np.int64)
+    since[rows] = np.rint(seconds * NANOSECONDS)
+    return Stamps(stamp.present, None, since + np.datetime64(str(section.options["date"]), "ns").astype(np.int64))
