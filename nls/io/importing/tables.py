@@ -347,9 +347,9 @@ def _cure_of_fall(rows: Rows, t: Array, k: int, own: bool) -> str:
     section, log = rows.section, rows.log
     assert log is not None
     where = f"in [{section.table}] of the mapping"
-    for period, what, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
+    for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
         if own and t.min() >= 0 and t.max() <= period and t[k - 1] - t[k] > NEARLY * period:
-            return f'at {what}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
+            return f'at {event}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
     below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
     off = min(below, above, key=np.count_nonzero)
     if off.sum() <= FEW and 2 * off.sum() < len(t) and t[k - 1] - t[k] > np.ptp(t[~off]):

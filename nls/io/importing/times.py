@@ -110,13 +110,13 @@ def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[s
     if unit in ("", "day") and not cell.offset and len(numbers):
         steps = np.diff(numbers)
         step = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
-        for low, high, what, keys in CLOCKS:
+        for low, high, count, keys in CLOCKS:
             fast = unit == "day" or low > LATEST or step < SHORT_STEP
             if low <= numbers[0] < high and fast and not (unit and keys == 'unit = "day"'):
                 write = f'`{column} = {{ column = "{name}", {keys} }}`'
                 raise section.error(
                     column,
-                    f"{name!r} begins with {numbers[0]:.10g}, in steps of {step:.3g}: {what}; write {write} in "
+                    f"{name!r} begins with {numbers[0]:.10g}, in steps of {step:.3g}: {count}; write {write} in "
                     f"[{section.table}] of the mapping",
                 )
     if not unit:
