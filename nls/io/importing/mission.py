@@ -120,9 +120,9 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
 
 def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
     """What is subtracted from times since 1970, ns: as the mapping says, else the whole second before the first one."""
-    since = {part.section.table: s for part in parts for s in part.times.values() if s.nanoseconds is not None}
-    own = [part.section for part in parts for s in part.times.values() if s.seconds is not None]
-    first = min((int(s.nanoseconds[s.present].min()) for s in since.values() if s.nanoseconds is not None), default=0)
+    since = {part.section.table: s for part in parts for s in part.times.values() if s.since_1970}
+    own = [part.section for part in parts for s in part.times.values() if not s.since_1970]
+    first = min((int(s.ns[s.present].min()) for s in since.values()), default=0)
     if since and own:
         raise own[0].error(
             "time_s",

@@ -10,7 +10,7 @@ from models.algebra import Array, Index, Mask, wrap
 from models.errors import GraphFileError, OptionError
 from models.listing import several
 from nls.io.importing.cell import Cell
-from nls.io.importing.dates import EXAMPLE, NANOSECONDS
+from nls.io.importing.dates import EXAMPLE
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import VELOCITY, Section, required
@@ -276,14 +276,7 @@ def _take(rows: Rows, index: Index) -> None:
     rows.rows = rows.rows[index]
     rows.numbers = {name: numbers[index] for name, numbers in rows.numbers.items()}
     rows.words = {name: [words[k] for k in index] for name, words in rows.words.items()}
-    rows.times = {
-        name: Stamps(
-            stamp.present[index],
-            None if stamp.seconds is None else stamp.seconds[index],
-            None if stamp.nanoseconds is None else stamp.nanoseconds[index],
-        )
-        for name, stamp in rows.times.items()
-    }
+    rows.times = {name: stamp.take(index) for name, stamp in rows.times.items()}
 
 
 def _refuse_sigmas(rows: Rows) -> None:
@@ -309,9 +302,7 @@ def _order(rows: Rows) -> None:
     """Rows in the order of time: refused where they are not, unless the mapping says what to do."""
     section, log = rows.section, rows.log
     assert log is not None
-    stamp = rows.times["time_s"]
-    t = stamp.seconds if stamp.nanoseconds is None else stamp.nanoseconds
-    assert t is not None
+    t = rows.times["time_s"].ns
     if section.options.get("sort") and (t[1:] < t[:-1]).any():
         back = int((t[1:] < t[:-1]).sum())
         rows.notes.append(f"{section.table}: sorted by time; {several(back, 'row')} came before the one above")
@@ -321,9 +312,7 @@ def _order(rows: Rows) -> None:
     late = t[1:] < t[:-1]
     if late.any():
         k = int(np.argmax(late)) + 1
-        seconds = t if stamp.nanoseconds is None else (t - t[0]) / NANOSECONDS
-        cure = _cure_of_fall(rows, np.asarray(seconds), k, stamp.nanoseconds is None)
-        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {cure}")
+        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {_cure_of_fall(rows, t, k)}")
     if section.table not in STRICT:
         return
     again = np.append(False, t[1:] == t[:-1])
@@ -342,13 +331,18 @@ def _order(rows: Rows) -> None:
         )
 
 
-def _cure_of_fall(rows: Rows, t: Array, k: int, own: bool) -> str:
-    """What to do about times (n,), s, that fall at row k, perhaps with a zero of their `own`."""
+def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
+    """What to do about times (n,), ns, that fall at row k."""
     section, log = rows.section, rows.log
     assert log is not None
     where = f"in [{section.table}] of the mapping"
     for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
-        if own and t.min() >= 0 and t.max() <= period and t[k - 1] - t[k] > NEARLY * period:
+        if (
+            not rows.times["time_s"].since_1970
+            and t.min() >= 0
+            and t.max() <= period
+            and t[k - 1] - t[k] > NEARLY * period
+        ):
             return f'at {event}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
     below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
     off = min(below, above, key=np.count_nonzero)

@@ -19,7 +19,7 @@ __all__ = ["DAY", "WEEK", "Stamps", "stamps"]
 LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
-DAY, WEEK = 86400, 604800  # s
+DAY, WEEK = 86_400 * NANOSECONDS, 604_800 * NANOSECONDS
 SHORT_STEP = 5e-4  # s, between two rows: no table is as fast, and as many days are 43 s
 ONE_DAY = "1970-01-01"  # that times of the day are of until their date is added
 CLOCKS = (  # numbers from 2000 to 2050, what they count, and the keys that make them seconds since 1970
@@ -40,20 +40,21 @@ class Stamps:
     Attributes
     ----------
     present : (n,) where there is one.
-    seconds : (n,) of times with a zero of their own; None of times since 1970.
-    nanoseconds : (n,) since 1970, or None.
+    ns : (n,) nanoseconds, 0 where there is none.
+    since_1970 : whether they are; others have a zero of their own.
     """
 
     present: Mask
-    seconds: Array | None
-    nanoseconds: Index | None
+    ns: Index
+    since_1970: bool
 
     def relative(self, zero: int) -> Array:
         """Seconds since a zero, ns since 1970; as they stand where they have a zero of their own."""
-        if self.nanoseconds is None:
-            assert self.seconds is not None
-            return self.seconds
-        return np.asarray((self.nanoseconds - zero) / NANOSECONDS)
+        return np.asarray((self.ns - zero if self.since_1970 else self.ns) / NANOSECONDS)
+
+    def take(self, index: Index) -> Stamps:
+        """Some of the times."""
+        return Stamps(self.present[index], self.ns[index], self.since_1970)
 
 
 def stamps(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
@@ -70,7 +71,7 @@ def stamps(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
     words = [" ".join(words) for words in zip(*parts, strict=True)]
     first = words[int(np.argmax(present))] if present.any() else "0"
     if len(parts) > 1 or "time_format" in section.options or (not is_number(first) and any(map(str.isdigit, first))):
-        stamp = Stamps(present, None, _of_texts(section, log, column, words, present, notes))
+        stamp = Stamps(present, _of_texts(section, log, column, words, present, notes), True)
     else:
         stamp = _of_numbers(section, log, column, notes)
     return _on_day(section, log, stamp, notes) if "date" in section.options else stamp
@@ -92,12 +93,11 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
             f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit of {column} in "
             f"[{section.table}] of the mapping",
         )
-    if np.abs(seconds).max(initial=0.0) < EPOCH:
-        return Stamps(present, np.where(present, seconds, np.nan), None)
-    if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
-        return Stamps(present, None, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS))
     days = np.floor(seconds)
-    return Stamps(present, None, days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64))
+    ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
+    if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
+        ns = np.where(present, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS), 0)
+    return Stamps(present, ns, bool(np.abs(seconds).max(initial=0.0) >= EPOCH))
 
 
 def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
@@ -162,16 +162,16 @@ def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
 def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stamps:
     """Times of the day, or of the week of GPS, on their date; where they fall by as much the next has begun."""
     rows = np.flatnonzero(stamp.present)
-    seconds = stamp.relative(0)[rows]
-    period = DAY if seconds.max(initial=0) <= DAY else WEEK
-    if (late := np.abs(seconds) > period).any():
+    ns = stamp.ns[rows]
+    period = DAY if ns.max(initial=0) <= DAY else WEEK
+    if (late := np.abs(ns) > period).any():
         k = int(np.argmax(late))
         cure = f"leave date out of [{section.table}] of the mapping"
-        raise log.error(int(rows[k]), f"{seconds[k]:.10g} s is later than a day or a week of GPS; {cure}")
-    if (falls := np.diff(seconds) < -period / 2).any():
+        raise log.error(int(rows[k]), f"{ns[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; {cure}")
+    if (falls := np.diff(ns) < -period // 2).any():
         place = log.place(int(rows[1:][np.argmax(falls)]))
-        notes.append(f"{section.table}: the times begin anew at {place}, {period} s after {section.options['date']}")
-        seconds = np.unwrap(seconds, period=period)
+        notes.append(f"{section.table}: the times begin anew at {place}, {period // NANOSECONDS} s later")
+        ns = np.unwrap(ns, period=period).astype(np.int64)
     since = np.zeros(len(stamp.present), dtype=np.int64)
-    since[rows] = np.rint(seconds * NANOSECONDS)
-    return Stamps(stamp.present, None, since + np.datetime64(str(section.options["date"]), "ns").astype(np.int64))
+    since[rows] = ns + np.datetime64(str(section.options["date"]), "ns").astype(np.int64)
+    return Stamps(stamp.present, since, True)
