@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.algebra import Array, Index, Mask, wrap
-from models.errors import GraphFileError, OptionError
+from models.errors import OptionError
 from models.listing import several
 from nls.io.importing.cell import Cell
 from nls.io.importing.dates import EXAMPLE
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
-from nls.io.importing.mapping import VELOCITY, Section, required
+from nls.io.importing.mapping import Section, required
 from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log, blanked
@@ -229,7 +229,8 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
         rpy[present] = angles_of(kind, parts[present])
     except ValueError as error:
         k, sentence = error.args
-        problem = f"{sentence}; is the order of its numbers right?"
+        none = f"write `missing_together = {{ {kind} = 0 }}` in [{section.table}] of the mapping"
+        problem = f"{sentence}; {'is the order of its numbers right?' if parts[present][k].any() else none}"
         if log is None or not isinstance(names[0], str):
             raise section.error(kind, problem) from error
         raise log.error(int(np.flatnonzero(present)[k]), problem) from error
@@ -248,8 +249,7 @@ def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
         whole &= np.array([bool(word) for word in words])
     if rows.section.table == "dvl":
         rows.numbers["valid"] = (whole & (flag == 1 if flag is not None else True)).astype(float)
-        for name in VELOCITY:
-            rows.numbers[name] = np.where(np.isfinite(rows.numbers[name]), rows.numbers[name], 0.0)
+        rows.numbers = {name: np.where(np.isfinite(n), n, 0.0) for name, n in rows.numbers.items()}
         if flag is None:
             rows.notes.append("dvl: no column says valid: rows with a velocity are")
     return timed, whole
@@ -265,10 +265,16 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
                 raise rows.section.error("", f"[{name}] has an empty {problem}")
             first = log.place(int(np.argmax(bad)))
             count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
+            if name == "fixes" and np.isnan(rows.numbers.get("z_m", whole)[bad]).any():
+                effect += "; they stay where [fixes] has no z_m and no sigma_z_m"
             rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
-    _take(rows, np.flatnonzero(timed if name == "dvl" else timed & whole))
-    if not len(rows.rows) and log is not None:
-        raise GraphFileError(f"no row has all that [{name}] needs", log.path)
+    kept = timed if name == "dvl" else timed & whole
+    if not kept.any() and log is not None:
+        empty = [column for column, stamp in rows.times.items() if not stamp.present.any()]
+        empty += [column for column, numbers in rows.numbers.items() if np.isnan(numbers).all()]
+        cure = f": {empty[0]} has none; name another column, or a number" if empty else ""
+        raise rows.section.error((*empty, "")[0], f"no row of {log.title} has all that [{name}] needs{cure}")
+    _take(rows, np.flatnonzero(kept))
 
 
 def _take(rows: Rows, index: Index) -> None:
@@ -335,18 +341,13 @@ def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
     """What to do about times (n,), ns, that fall at row k."""
     section, log = rows.section, rows.log
     assert log is not None
-    where = f"in [{section.table}] of the mapping"
+    fall, own, where = t[k - 1] - t[k], not rows.times["time_s"].since_1970, f"in [{section.table}] of the mapping"
     for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
-        if (
-            not rows.times["time_s"].since_1970
-            and t.min() >= 0
-            and t.max() <= period
-            and t[k - 1] - t[k] > NEARLY * period
-        ):
+        if own and t.min() >= 0 and t.max() <= period and fall > NEARLY * period:
             return f'at {event}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
     below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
     off = min(below, above, key=np.count_nonzero)
-    if off.sum() <= FEW and 2 * off.sum() < len(t) and t[k - 1] - t[k] > np.ptp(t[~off]):
+    if off.sum() <= FEW and 2 * off.sum() < len(t) and fall > np.ptp(t[~off]):
         lines = ", ".join(str(log.number(row)) for row in rows.rows[off])
         return f"of a clock of its own: leave out {log.noun}s {lines} of {log.title}"
     return f"write sort = true {where} if the rows are of one clock"

@@ -105,7 +105,8 @@ class Log:
         if count == 1:
             return name
         if count > 1:
-            raise GraphFileError(f"{self.title} has {count} columns {name!r}; give them names of their own", self.path)
+            cure = "give them names of their own; header = false and skip = 1 of the mapping call them 1, 2, ..."
+            raise GraphFileError(f"{self.title} has {count} columns {name!r}; {cure}", self.path)
         listed = ", ".join(map(repr, self.names[:40])) + (", ..." if len(self.names) > 40 else "")
         near = did_you_mean(name, self.names)
         raise GraphFileError(f"{self.title} has no column {name!r}{near or ';'} it has {listed}", self.path)
@@ -196,7 +197,7 @@ class TextLog(Log):
             self.units = {name: unit for name, unit in units.items() if dimension(unit)}
             self.notes.append(f"{self.title}:{line} is taken for a row of units")
         self._rows = cells
-        self._refuse_counts(head)
+        self._refuse_counts()
         self.decimal = decimal or self._decimal(sign)
 
     def _name(self) -> str:
@@ -237,7 +238,7 @@ class TextLog(Log):
             raise GraphFileError("a quotation mark is not closed on its line", self.path, odd + 1)
         return cells
 
-    def _refuse_counts(self, head: str) -> None:
+    def _refuse_counts(self) -> None:
         """Refuse a row with another count of cells; one empty cell too many, behind a last separator, is none."""
         expected = len(self.names)
         for k, row in enumerate(self._rows):
@@ -246,8 +247,8 @@ class TextLog(Log):
             if len(row) == expected + 1 and not row[-1].strip():
                 row.pop()
                 continue
-            cure = "" if head else "; where = { column = ..., equals = ... } takes rows of one kind"
-            raise self.error(k, f"{len(row)} cells, expected {expected}: {', '.join(self.names[:12])}{cure}")
+            cure = "in the mapping where = { column = ..., equals = ... } takes rows of one kind"
+            raise self.error(k, f"{len(row)} cells, expected {expected}: {', '.join(self.names[:12])}; {cure}")
 
     def _decimal(self, sign: str) -> str:
         """A comma where numbers of the first rows have one and it separates nothing."""
