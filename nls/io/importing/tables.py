@@ -266,7 +266,7 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
             first = log.place(int(np.argmax(bad)))
             count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
             if name == "fixes" and np.isnan(rows.numbers.get("z_m", whole)[bad]).any():
-                effect += "; they stay where [fixes] has no z_m and no sigma_z_m"
+                effect += "; their places stay where z_m is in [depth], and not in [fixes]"
             rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
     kept = timed if name == "dvl" else timed & whole
     if not kept.any() and log is not None:
