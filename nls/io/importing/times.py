@@ -150,8 +150,9 @@ def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
         if fitting := formats(some, day):
             lines = [f'`time_format = "{form}"`' for form in fitting]
             return f"write {' or '.join(lines)} {where}"
-        if not day and formats(some, ONE_DAY):
-            return f'it has no date; write `date = "{EXAMPLE}"`, the day of the first row, {where}'
+        if formats(some, "" if day else ONE_DAY):
+            other = f'write `date = "{EXAMPLE}"`, the day of the first row, {where}'
+            return f"it has a date; leave date out of [{section.table}]" if day else f"it has no date; {other}"
     return (
         f'expected such as 2024-12-05T22:12:34.25Z, or as `time_format = "%d.%m.%Y %H:%M:%S"` {where} says; '
         f"`missing = {texts[k][:40]!r}` there where it stands for none; a date and a time of two columns are "

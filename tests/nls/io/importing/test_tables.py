@@ -191,7 +191,7 @@ def test_a_dvl_without_lock_may_have_empty_cells_everywhere(tmp_path: Path) -> N
 def test_fixes_without_a_depth_stay_where_no_depth_is_mapped(tmp_path: Path) -> None:
     mapping = 'fixes = {{ time_s = "t", x_m = 0, y_m = 0, sigma_x_m = 1, sigma_y_m = 1{} }}'
     result = imported(tmp_path, mapping.format(', z_m = "z", sigma_z_m = 1'), log="t,z\n0,\n1,5\n")
-    note = "fixes: 1 row of 2 without a number, log.csv:2 the first: left out; their places stay where z_m is in [depth]"
+    note = "fixes: 1 row of 2 without a number, log.csv:2 the first: left out; their places stay where z_m is in "
     assert any(line.startswith(note) for line in result.notes)
     assert len(table(imported(tmp_path, mapping.format(""), log="t,z\n0,\n1,5\n"), "fixes")["time_s"]) == 2
 

@@ -114,6 +114,13 @@ def test_options_of_times_that_are_refused(case: tuple[str, str], tmp_path: Path
     assert case[1] in str(error.value)
 
 
+def test_a_date_beside_times_that_have_one_is_refused(tmp_path: Path) -> None:
+    """Above all sections it is for all of them."""
+    for word in ("2022-08-15T09:59:38Z", "15.08.2022 09:59"):
+        with pytest.raises(GraphFileError, match=r"log\.csv:2: .*; it has a date; leave date out of \[depth\]"):
+            imported(tmp_path, 'date = "2022-08-15"\n' + DEPTH, log=log_of([word]))
+
+
 def test_zones_and_fractions_of_a_format(tmp_path: Path) -> None:
     """Two zones, nine digits and cells that are none."""
     words = ["15.08.2022 11:59:38.250000999 +0200", "--", "15.08.2022 09:59:39.5 Z", "null"]
@@ -181,6 +188,20 @@ def test_seconds_that_are_as_large_as_days_stay_seconds(first: float, tmp_path: 
     """Every 5 ms, as the fastest table."""
     rows = table(imported(tmp_path, DEPTH, log=log_of([f"{first + 0.005 * k:.3f}" for k in range(9)])), "depth")
     assert rows["time_s"][-1] == pytest.approx(first + 0.04)
+
+
+def test_days_of_a_slow_log_are_named_where_it_says_days(tmp_path: Path) -> None:
+    """Hours apart; a header with a word that is no unit is none."""
+    log = "t [days],Time [UTC],z [m]\n" + "".join(f"{44788 + k / 24},{k},{k}\n" for k in range(4))
+    result, _ = followed(tmp_path, DEPTH.replace('"t"', '"t [days]"'), log=log)
+    assert table(result, "depth")["time_s"] == pytest.approx(3600 * np.arange(4), abs=1e-3)
+    result = imported(tmp_path, DEPTH.replace('"t"', '"Time [UTC]"'), log=log)
+    assert table(result, "depth")["time_s"].tolist() == [0, 1, 2, 3]
+
+
+def test_a_clock_that_is_reset_is_not_taken_for_midnight(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"log\.csv:42: the time falls from the row before; write sort = true"):
+        imported(tmp_path, DEPTH, log=log_of([f"{s}" for s in (*range(0, 60000, 1500), *range(0, 60000, 1500))]))
 
 
 def test_clocks_with_and_without_a_date_are_cured_by_it(tmp_path: Path) -> None:
