@@ -20,6 +20,7 @@ from nls.io.importing.dates import NANOSECONDS, iso, parse_zero
 from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
+from nls.io.importing.times import DAY, WEEK
 from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
@@ -121,14 +122,21 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
 def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
     """What is subtracted from times since 1970, ns: as the mapping says, else the whole second before the first one."""
     since = {part.section.table: s for part in parts for s in part.times.values() if s.since_1970}
-    own = [part.section for part in parts for s in part.times.values() if not s.since_1970]
-    first = min((int(s.ns[s.present].min()) for s in since.values()), default=0)
+    own = [(part.section, s) for part in parts for s in part.times.values() if not s.since_1970]
+    known = [int(f(s.ns[s.present])) for s in since.values() for f in (np.min, np.max)] or [0]
+    first, last = min(known), max(known)
     if since and own:
-        raise own[0].error(
+        section, stamp = own[0]
+        days, of_day = first // DAY, stamp.ns.max() <= DAY
+        midnight = (days if of_day else days - (days + 4) % 7) * DAY  # of the day, or of the Sunday before
+        fits = stamp.ns.max() <= WEEK and midnight + stamp.ns[0] <= last and midnight + stamp.ns[-1] >= first
+        write = "time_s = { column = ..., offset = SECONDS }"
+        if fits:
+            write = f'`date = "{iso(midnight)[:10]}"`, as they are of the {"day" if of_day else "week of GPS"},'
+        raise section.error(
             "time_s",
-            f"the times of [{own[0].table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
-            "write time_s = { column = ..., offset = SECONDS } for one zero; of times of the day "
-            f'write `date = "{iso(first)[:10]}"` in [{own[0].table}] of the mapping',
+            f"the times of [{section.table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
+            f"write {write} in [{section.table}] of the mapping",
         )
     if mapping.time_zero is not None:
         zero = parse_zero(mapping.time_zero)

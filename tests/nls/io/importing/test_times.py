@@ -204,10 +204,15 @@ def test_a_clock_that_is_reset_is_not_taken_for_midnight(tmp_path: Path) -> None
         imported(tmp_path, DEPTH, log=log_of([f"{s}" for s in (*range(0, 60000, 1500), *range(0, 60000, 1500))]))
 
 
-def test_clocks_with_and_without_a_date_are_cured_by_it(tmp_path: Path) -> None:
+@for_all(zero=[0, 86400])
+def test_clocks_with_and_without_a_date_are_cured_by_it(zero: int, tmp_path: Path) -> None:
+    """A Monday: of the day, or of the week of GPS, which began on Sunday."""
     mapping = DEPTH + '[poses]\ni = "i"\ntime_s = "at"\n'
-    result, _ = followed(tmp_path, mapping, log=log_of(["35978", "35979"]), poses="at,i\n2022-08-15T09:59:38Z,1\n")
+    log = log_of([f"{zero + 35978}", f"{zero + 35979}"])
+    result, _ = followed(tmp_path, mapping, log=log, poses="at,i\n2022-08-15T09:59:38Z,1\n")
     assert (table(result, "depth")["time_s"].tolist(), table(result, "poses")["time_s"].tolist()) == ([0, 1], [0])
+    with pytest.raises(GraphFileError, match=r"write time_s = \{ column = \.\.\., offset = SECONDS \} in \[depth\]"):
+        imported(tmp_path, mapping, log=log_of(["0", "5"]), poses="at,i\n2022-08-15T09:59:38Z,1\n")
 
 
 def test_a_mapping_of_constants_alone_is_refused(tmp_path: Path) -> None:
