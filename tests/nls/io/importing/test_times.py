@@ -100,7 +100,7 @@ def test_formats_that_cannot_be(case: tuple[str, str], tmp_path: Path) -> None:
 @for_all(
     case=[
         ("time_format = 5", "mapping.toml:4: time_format is 5; expected how times are written, such as '%m/%d/%Y"),
-        ('date = "15.08.2022"', "mapping.toml:4: date is '15.08.2022'; expected the day"),
+        ('date = "15.08.2022"', "mapping.toml:4: date is '15.08.2022'; expected the day of the first row"),
         ('date = "2022-08-15"\ntime_format = "%d.%m.%Y %H:%M"', "has a date and so has date; leave date out"),
         ('[noise]\ntime_format = "%Y"', "mapping.toml:5: [noise] has no column of times; leave time_format out"),
         ('[poses]\ni = 0\ntime_s = 1\ndate = "2022-08-15"', "[poses] has no column of times; leave date out"),
