@@ -16,7 +16,7 @@ from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import Section, required
 from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
-from nls.io.importing.text_log import MISSING, Log, blanked
+from nls.io.importing.text_log import MISSING, Log, blanked, is_number
 from nls.io.importing.times import DAY, WEEK, Stamps, stamps
 from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import ANGLES
@@ -28,7 +28,7 @@ WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
 FEW, NEARLY = 5, 0.9  # rows of which each is named; the part of a period by which a clock falls that begins anew
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
-FLAGS = {"1": True, "0": False, "true": True, "false": False}
+FLAGS = {"true": 1.0, "false": 0.0}
 
 
 @dataclass
@@ -203,14 +203,10 @@ def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
 
 def _flag(word: str) -> float | None:
     """The value of a flag; nan of an empty cell, None where it is none."""
-    if word.lower() in MISSING:
+    low = word.lower()
+    if low in MISSING:
         return float("nan")
-    if word.lower() in FLAGS:
-        return float(FLAGS[word.lower()])
-    try:
-        number = float(word)
-    except ValueError:
-        return None
+    number = FLAGS.get(low, float(low.replace(",", ".")) if is_number(low) else None)
     return number if number in (0.0, 1.0) else None
 
 
