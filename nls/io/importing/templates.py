@@ -60,7 +60,7 @@ HEAD = """\
 # Several logs:       file = "dvl.csv" in the section, where several have the columns; of a bag topic = "/dvl"
 # Three at once:      velocity, attitude, position, sigma_attitude = ["...", "...", "..."]; quaternion = [x, y, z, w]
 # Axes:               frame = "ENU" (with FLU), "NWU" (with FLU), "FLU" (a body alone), "ENU/FRD"; NED/FRD without it
-# Order of time:      sort = true; duplicates = "first"
+# Times:              time_format = "%d.%m.%Y %H:%M:%S"; date = "2022-08-15", of times of the day; sort = true
 # Reading:            separator = "semicolon", decimal = ",", header = false, skip = 3, where = { column, equals }
 
 # time_s = "Time [s]"   # above all sections: for every table
