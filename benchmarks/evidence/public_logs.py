@@ -40,6 +40,7 @@ class Log:
     commit: str
     license: str
     files: dict[str, str]
+    first_edits: int
     minutes: float
     refused: int
     found: str
@@ -64,10 +65,32 @@ class Run:
     lines: list[str]
     seconds: float
 
-    def said(self, *kinds: str) -> list[str]:
-        """Its messages of these kinds, each line without the kind."""
-        found = [line.removeprefix("nls: ").replace("warning:", "warning", 1).split(maxsplit=1) for line in self.lines]
-        return [words[1] for words in found if len(words) == 2 and words[0] in kinds]
+    @property
+    def notes(self) -> list[str]:
+        """Its notes and warnings."""
+        return [text for line in self.lines for kind, text in [kind_of(line)] if kind in ("note", "warning")]
+
+    @property
+    def refusal(self) -> str:
+        """The line that ended it; empty where it ran through."""
+        return next((text for line in self.lines for kind, text in [kind_of(line)] if kind == "error"), "")
+
+    @property
+    def result(self) -> str:
+        """Whether it converged, and its doubt."""
+        text = next((text for line in self.lines for kind, text in [kind_of(line)] if kind == "result"), "")
+        verdict, but, doubt = text.partition("; but ")
+        return f"{verdict.partition(':')[0]}{but}{doubt}"
+
+
+def kind_of(line: str) -> tuple[str, str]:
+    """The kind of a line of output, such as ``note``, and its text."""
+    if line.startswith("nls: warning: "):
+        return "warning", line.removeprefix("nls: warning: ")
+    if line.startswith("nls: "):
+        return "error", line.removeprefix("nls: ")
+    kind, _, text = line.partition(" ")
+    return kind, text.strip()
 
 
 def nls(*words: str | Path) -> Run:
@@ -138,76 +161,57 @@ def count(file: Path) -> int:
 
 
 def imported(log: Log, logs: Path, folder: Path) -> tuple[list[str], list[str]]:
-    """The row of a log, and what the solution said of it."""
+    """The row of a log, and what was said of it: the refusal, or the result and the warnings."""
     paths, mission = [logs / name for name in log.files], folder / log.name
     draft = nls("import", *paths)
     text = "\n".join(line for line in draft.lines if not line.startswith("nls: ")) if draft.status == 0 else ""
     taken = nls("import", *paths, "--map", log.mapping, "-o", mission)
-    done = nls("solve", mission, "-o", mission / "solved") if taken.status == 0 else Run(taken.status, [], 0.0)
-    runs = (draft, taken, done)
-    span = off = ""
-    if (mission / "solved" / "trajectory.csv").exists():
-        span, off = (f"{number:.3g}" for number in against(mission, mission / "solved"))
-    said = [message for run in (taken, done) for message in run.said("warning", "implausible")]
-    kept = log.mapping.read_text(encoding="utf-8")
+    done = nls("solve", mission, "-o", mission / "solved") if taken.status == 0 else taken
+    solved = (mission / "solved" / "trajectory.csv").exists()
+    span, off = (f"{number:.3g}" for number in against(mission, mission / "solved")) if solved else ("", "")
     row = [
         log.name,
         str(sum(map(count, paths))),
-        str(edits(text, kept)) if text else f"no draft, {edits('', kept)}",
+        str(log.first_edits),
         str(log.refused),
         f"{log.minutes:g}",
-        str(len(taken.said("note"))),
-        str(len(done.said("note", "warning"))),
+        f"{'' if text else 'no draft, '}{edits(text, log.mapping.read_text(encoding='utf-8'))}",
+        f"{len(taken.notes)}, {len(done.notes)}",
         f"{taken.status}, {done.status}",
-        f"{sum(run.seconds for run in runs):.1f}",
+        f"{draft.seconds + taken.seconds + done.seconds:.1f}",
         span,
         off,
     ]
-    last = [line for run in runs[1:] for line in run.lines if run.status == 2] if done.status == 2 else []
-    result = [line.partition("result")[2].strip() for line in done.lines if line.startswith("result")]
-    return row, [*result, *said, *(line.removeprefix("nls: ") for line in last)]
+    said = [done.refusal] if done.refusal else [done.result, *(line for line in done.notes if "implausible" in line)]
+    return row, [line.replace(f"{folder}/", "").replace(f"{logs}/", "").replace(f"{FOLDER}/", "") for line in said]
+
+
+ORIGINS = ["log", "vehicle", "repository on github.com", "commit", "path", "license"]
+NUMBERS = ["log", "lines", "edits", "refused", "min", "edits now", "notes", "exit", "s", "span [m]", "off [m]"]
+LEGEND = """
+*Edits*, *refused* and *min* were noted by hand at the first import of each log, by one who knows the page on imports
+but not the log: lines of the mapping that differed from the draft, commands that refused, and minutes from the first
+look at the file to a chart that was believed. What follows is measured by this program. *Edits now* are those against
+its draft. *Notes* and *exit* are of `nls import` and of `nls solve`, with their warnings. *s* is the processor time
+of draft, import and solution. *Span* is the diagonal of the track. *Off* is the median distance from the log's own
+truth, or else from its own fixes.
+"""
 
 
 def report(all_logs: list[Log], logs: Path, folder: Path) -> list[str]:
-    """Three tables: origins, numbers, and what came out with what was said."""
+    """Origins, numbers, and what the charts showed."""
     rows, words = [], []
     for log in all_logs:
         row, said = imported(log, logs, folder)
         rows.append(row)
-        where = str(folder / log.name)
-        words.append(f"- **{log.name}.** {log.found[:1].upper()}{log.found[1:]}.")
-        words += [f"  - `{line.replace(where, log.name).replace(str(logs), '.')}`" for line in said]
+        words += [f"- **{log.name}**: {log.found}.", *(f"  `{line}`" for line in said)]
     origins = [
         [log.name, log.vehicle, log.repository, f"`{log.commit[:10]}`", ", ".join(log.files.values()), log.license]
         for log in all_logs
     ]
-    numbers = [
-        "log",
-        "lines",
-        "edits",
-        "refused",
-        "min",
-        "notes of import",
-        "of solve",
-        "exit",
-        "s",
-        "span [m]",
-        "off [m]",
-    ]
-    return [
-        *markdown(["log", "vehicle", "repository on github.com", "commit", "path", "license"], origins, 6),
-        "",
-        "*Edits* are lines of the mapping that differ from the draft. *Refused* is how often a command refused before",
-        "the chart was there, *min* the minutes until then; both are noted by hand. *Exit* is that of `nls import` and",
-        "of `nls solve`, *s* the processor time of draft, import and solution. *Span* is the diagonal of the track.",
-        "*Off* is the median distance from the log's own truth, or else from its own fixes.",
-        "",
-        *markdown(numbers, rows),
-        "",
-        "What the charts showed, the line of the result, and each warning:",
-        "",
-        *words,
-    ]
+    table, legend = markdown(NUMBERS, rows), LEGEND.splitlines()
+    heading = ["", "What the charts showed, and the result with its doubts:", ""]
+    return [*markdown(ORIGINS, origins, 6), *legend, "", *table, *heading, *words]
 
 
 def main() -> None:
