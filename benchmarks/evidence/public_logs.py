@@ -182,7 +182,8 @@ def imported(log: Log, logs: Path, folder: Path) -> tuple[list[str], list[str]]:
         span,
         off,
     ]
-    said = [done.refusal] if done.refusal else [done.result, *(line for line in done.notes if "implausible" in line)]
+    doubts = [line for line in done.notes if "implausible" in line]
+    said = [done.refusal] if done.status == 2 else [done.result, *doubts]
     return row, [line.replace(f"{folder}/", "").replace(f"{logs}/", "").replace(f"{FOLDER}/", "") for line in said]
 
 
