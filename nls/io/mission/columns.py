@@ -5,6 +5,7 @@ from __future__ import annotations
 __all__ = ["COLUMNS", "OPTIONAL"]
 
 PLACE = ("x_m", "y_m", "z_m")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
 UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
@@ -40,7 +41,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
     "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid", *LOCK, *WATER_TRACK),
+    "dvl": ("time_s", *VELOCITY, "valid", *LOCK, *WATER_TRACK),
     "ahrs": ("time_s", *ANGLES),
     "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),

@@ -29,13 +29,13 @@ from models.manifolds.so3 import rotation3
 from nls.io.mission.attitude import Attitude
 from nls.io.mission.bottom_lock import bottom_lock, locked_rows
 from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import VELOCITY
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
 __all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]
 
 NEIGHBOURS = 5  # rows whose median a velocity is compared with, itself among them
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 WATER = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s")
 
 

@@ -17,7 +17,7 @@ from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.bottom_lock import bottom_lock
-from nls.io.mission.columns import ANGLES, PLACE
+from nls.io.mission.columns import ANGLES, PLACE, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["Fixes", "Log", "read_log"]
@@ -121,7 +121,7 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     valid = bottom_lock(dvl, [])
     mount = tables["dvl_mount"].floats(*ANGLES, *PLACE)[0] if "dvl_mount" in tables else np.zeros(6)
     noise = tables["noise"]
-    v, rpy, z = dvl.floats("vx_m_s", "vy_m_s", "vz_m_s"), ahrs.floats(*ANGLES), depth.floats("z_m")
+    v, rpy, z = dvl.floats(*VELOCITY), ahrs.floats(*ANGLES), depth.floats("z_m")
     largest = max(float(np.abs(y).max()) for y in (v[valid], rpy, z, mount) if len(y)) if valid.any() else np.inf
     if min(len(t_v[valid]), len(t_a), len(t_z)) < FEWEST or not largest < LARGEST:
         return None
