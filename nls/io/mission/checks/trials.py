@@ -71,7 +71,8 @@ def explained(tables: Tables, chi2: float, dof: int, elevation: str = "hinge") -
         The tables as they are cannot be read.
     """
     graph, start, report = _graph(tables, elevation)
-    trials = [*_calibrations(tables, chi2, dof, elevation), *_readings(tables, graph.chi2(start), chi2, dof, elevation)]
+    begin = graph.chi2(start) * (1 + SETTLED)
+    trials = [*_calibrations(tables, begin, chi2, dof, elevation), *_readings(tables, begin, chi2, dof, elevation)]
     alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + dof) for t in trials])}  # of as many rows
     best = [t for t in sorted(trials, key=lambda t: t.chi2 - t.dof) if t.reading in alike]
     return Explained(chi2, dof, tuple(best or _kernels(graph, start, report)))
@@ -96,7 +97,7 @@ def _optimum(tables: Tables, elevation: str, limit: float = np.inf) -> Fit | Non
     return solved(graph, start, start=False, limit=limit)
 
 
-def _calibrations(tables: Tables, chi2: float, dof: int, elevation: str) -> Iterator[Trial]:
+def _calibrations(tables: Tables, begin: float, chi2: float, dof: int, elevation: str) -> Iterator[Trial]:
     given = tables["calibration"].text_of("name") if "calibration" in tables else []
     for name in NAMES:
         if name in given:
@@ -105,9 +106,9 @@ def _calibrations(tables: Tables, chi2: float, dof: int, elevation: str) -> Iter
         begins, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
 
         def at(value: float, name: str = name, wide: float = wide) -> Fit | None:
-            return _optimum(tables | {"calibration": _with_row(tables, name, value, wide)}, elevation)
+            return _optimum(tables | {"calibration": _with_row(tables, name, value, wide)}, elevation, begin)
 
-        fits = [(fit, begin) for begin in begins if (fit := at(begin)) is not None and fit.dof >= dof]
+        fits = [(fit, value) for value in begins if (fit := at(value)) is not None and fit.dof >= dof]
         fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
         if fit is None or fit.chi2 > HALF * chi2:
             continue
