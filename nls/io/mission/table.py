@@ -205,6 +205,13 @@ class Table(Text):
         other._other = self._other | dict(zip(names, numbers.T, strict=True))
         return other
 
+    def every(self, step: int) -> Table:
+        """The same table with the first row of every so many."""
+        other = copy(self)
+        other.lines = self.lines[::step]
+        other._other = {name: numbers[::step] for name, numbers in self._other.items()}
+        return other
+
     def measured(self, *names: str, rows: Mask | None = None) -> Array:
         """Numbers (n, k) of columns, each within what its unit allows, see `LIMITS`.
 

@@ -1,5 +1,6 @@
 r"""The velocities of dvl.csv: which rows count, how good each is, and what the track through the water adds.
 
+A row with `earth_axes` 1 has the velocity north, east and down. It is turned by the inverse of the attitude.
 A row counts that is marked valid, has three beams or more on the bottom, and an altitude above 0. It must lie within a
 gate of the median of five rows. All this as far as the file has these columns.
 
@@ -74,6 +75,9 @@ def velocities(
     """
     t, valid = dvl.rising("time_s"), bottom_lock(dvl, report.notes)
     v = np.where(valid[:, None], dvl.measured(*VELOCITY, rows=valid), 0.0)
+    if dvl.has("earth_axes"):
+        earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
+        v = np.where(earth[:, None], apply(orientation(t, attitude, mount).mT, v), v)
     if "gate_v_m_s" in noise:
         valid &= _within_gate(dvl, v, valid, noise["gate_v_m_s"], report)
     if (count := int(valid.sum())) < 2:

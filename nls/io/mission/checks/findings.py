@@ -18,6 +18,7 @@ class Cause(StrEnum):
     SIGN = "sign"
     SWAPPED = "swapped"  # two columns are exchanged
     AXES = "axes"  # x ahead, y to port, z up
+    EARTH = "earth"  # along north, east and down
     TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds

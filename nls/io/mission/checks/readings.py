@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, apply
 from nls.io.mission.checks.findings import Cause, Reading
-from nls.io.mission.checks.log import Log
+from nls.io.mission.checks.log import Log, read_log
 from nls.io.mission.columns import ANGLES, GEODETIC, TILT, VELOCITY
 from nls.io.mission.table import Table
 
@@ -61,6 +61,8 @@ class Alternative:
 
     def on_log(self, log: Log) -> Log:
         """The log that was meant."""
+        if self.reading.cause is Cause.EARTH:
+            return replace(log, v=apply(log.axes().mT, log.v))
         numbers, times, names = LOGGED[self.reading.file]
         held: Any = log.fixes if self.reading.file == "fixes.csv" else log
         if self.columns == ["time_s"]:
@@ -74,6 +76,9 @@ class Alternative:
 
     def on_tables(self, tables: dict[str, Table]) -> dict[str, Table]:
         """The tables that were meant; latitudes and longitudes are exchanged in all of them. Empty without the file."""
+        if self.reading.cause is Cause.EARTH:
+            log = read_log(tables, None) if "dvl" in tables else None
+            return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
         names = tables if self.columns == [*GEODETIC] else [self.reading.file.removesuffix(".csv")]
         tables_read = {name: tables[name] for name in names if name in tables and tables[name].has(*self.columns)}
         meant = {
@@ -125,6 +130,7 @@ def _of_velocities() -> list[Alternative]:
         *_units(file, VELOCITY, SPEED_UNITS),
         *_signs(file, VELOCITY),
         *_exchanged(file, (x, y), (x, z), (y, z)),
+        _read(Cause.EARTH, file, VELOCITY, np.eye(3)),
         _read(Cause.AXES, file, VELOCITY, np.diag([1.0, -1.0, -1.0])),
         *(
             _read(Cause.TURNED, file, (x, y), [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]], turn)

@@ -15,7 +15,7 @@ ignores few of them and noise explains all others.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +49,10 @@ BEGINS = {  # of a constant by the end of its name: where it begins, sigma of it
     "_s": ((0.0, 4.0, -4.0, 12.0, -12.0, 30.0, -30.0), 10.0),
     "_scale": ((0.0,), 0.3),
 }
-LATER = {  # causes of findings that are tried again by the solver
-    *(Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.SWAPPED, Cause.SIGN)
-}
+LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
+MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
+KERNEL = 30  # iterations under a kernel, from every start
+BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
 
@@ -70,57 +71,98 @@ def explained(tables: Tables, chi2: float, dof: int, elevation: str = "hinge") -
     GraphFileError
         The tables as they are cannot be read.
     """
-    graph, start, report = _graph(tables, elevation)
-    begin = graph.chi2(start) * (1 + SETTLED)
-    trials = [*_calibrations(tables, begin, chi2, dof, elevation), *_readings(tables, begin, chi2, dof, elevation)]
-    alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + dof) for t in trials])}  # of as many rows
-    best = [t for t in sorted(trials, key=lambda t: t.chi2 - t.dof) if t.reading in alike]
-    return Explained(chi2, dof, tuple(best or _kernels(graph, start, report)))
+    whole = _mission(tables, elevation, chi2, dof)
+    few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
+    thinned = any(len(table) < len(tables[name]) for name, table in few.items())
+    mission = _mission(few, elevation) if thinned else whole
+    trials = [] if expected(mission) else _best(mission, [*_calibrations(mission), *_readings(mission)])
+    if thinned:
+        trials = _best(whole, [trial for earlier in trials for trial in _again(whole, earlier)])
+    return Explained(chi2, dof, tuple(trials or _kernels(whole)))
 
 
 def worth_trying(findings: Sequence[Implausible]) -> bool:
     """Whether the solver may tell more than the findings of the tables: none is of special values or units."""
-    return all(reading.cause in LATER for finding in findings for reading in finding.readings)
+    return all(reading.cause in (*LATER, Cause.SIGN) for finding in findings for reading in finding.readings)
 
 
-def _graph(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionReport]:
+@dataclass(frozen=True)
+class Mission:
+    """Tables as they are, their graph and dead reckoning, and chi2 and dof of their optimum."""
+
+    tables: Tables
+    elevation: str
+    graph: FactorGraph
+    start: Values
+    report: MissionReport
+    chi2: float
+    dof: int
+
+    def optimum(self, tables: Tables) -> Fit | None:
+        """The optimum of other tables; None where dead reckoning fits worse than here, or fewer rows count."""
+        try:
+            graph, start, _ = _read(tables, self.elevation)
+        except GraphFileError:  # tables that the reader refuses are no answer
+            return None
+        limit = self.graph.chi2(self.start) * (1 + SETTLED)
+        fit = solved(graph, start, start=False, iterations=BRIEF, limit=limit)
+        return fit if fit is not None and fit.dof >= self.dof else None
+
+
+def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) -> Mission:
+    """A mission with chi2 and dof as given, or as solved."""
+    graph, start, report = _read(tables, elevation)
+    if not dof and (fit := solved(graph, start, start=False, iterations=BRIEF)) is not None:
+        chi2, dof = fit.chi2, fit.dof
+    return Mission(tables, elevation, graph, start, report, chi2, dof)
+
+
+def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionReport]:
     report = report_of(next(iter(tables.values())).path, tables)
     return (*graph_of(tables, report, elevation), report)
 
 
-def _optimum(tables: Tables, elevation: str, limit: float = np.inf) -> Fit | None:
-    """The optimum of other tables from dead reckoning; None where they cannot be read, or start above a limit."""
-    try:
-        graph, start, _ = _graph(tables, elevation)
-    except GraphFileError:  # tables that the reader refuses are no answer
-        return None
-    return solved(graph, start, start=False, limit=limit)
+def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
+    """Those of least chi2, of as many rows, which nothing tells apart."""
+    alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
+    return [t for t in sorted(trials, key=lambda t: t.chi2 - t.dof) if t.reading in alike]
 
 
-def _calibrations(tables: Tables, begin: float, chi2: float, dof: int, elevation: str) -> Iterator[Trial]:
-    given = tables["calibration"].text_of("name") if "calibration" in tables else []
+def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
+    """A trial of fewer rows with all of them."""
+    if trial.reading.cause is Cause.CALIBRATION:
+        yield from _calibration(mission, trial.reading.column, (trial.reading.factor,))
+    else:
+        yield from _readings(mission, trial.reading)
+
+
+def _calibrations(mission: Mission) -> Iterator[Trial]:
+    table = mission.tables.get("calibration")
     for name in NAMES:
-        if name in given:
-            continue
-        announce(f"trying {name}")
-        begins, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
+        if table is None or name not in table.text_of("name"):
+            yield from _calibration(mission, name)
 
-        def at(value: float, name: str = name, wide: float = wide) -> Fit | None:
-            return _optimum(tables | {"calibration": _with_row(tables, name, value, wide)}, elevation, begin)
 
-        fits = [(fit, value) for value in begins if (fit := at(value)) is not None and fit.dof >= dof]
-        fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
-        if fit is None or fit.chi2 > HALF * chi2:
-            continue
-        for _ in range(ROUNDS):
-            before, value = value, float(fit.values[Kind(name)[0]][0])
-            if abs(value - before) < SETTLED * wide or (fit := at(value)) is None:
-                break
-        if fit is None or fit.dof < dof or not explains(fit, chi2, dof):
-            continue
-        sigma = float(np.sqrt(Marginals(fit.graph, fit.values).covariance(Kind(name)[0])[0, 0]))
-        if sigma < LEFT * wide:  # else nothing measures it
-            yield Trial(Reading(Cause.CALIBRATION, "calibration.csv", name, value), sigma, fit.chi2, fit.dof)
+def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) -> Iterator[Trial]:
+    announce(f"trying {name}")
+    usual, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
+
+    def at(value: float) -> Fit | None:
+        return mission.optimum(mission.tables | {"calibration": _with_row(mission.tables, name, value, wide)})
+
+    fits = [(fit, value) for value in begins or usual if (fit := at(value)) is not None]
+    fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
+    if fit is None or fit.chi2 > HALF * mission.chi2:
+        return
+    for _ in range(ROUNDS):
+        before, value = value, float(fit.values[Kind(name)[0]][0])
+        if abs(value - before) < SETTLED * wide or (fit := at(value)) is None:
+            break
+    if fit is None or not explains(fit, mission.chi2, mission.dof):
+        return
+    sigma = float(np.sqrt(Marginals(fit.graph, fit.values).covariance(Kind(name)[0])[0, 0]))
+    if sigma < LEFT * wide:  # else nothing measures it
+        yield Trial(Reading(Cause.CALIBRATION, "calibration.csv", name, value), sigma, fit.chi2, fit.dof)
 
 
 def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
@@ -132,25 +174,25 @@ def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
     return Table("calibration.csv", COLUMNS["calibration"], data=data)
 
 
-def _readings(tables: Tables, begin: float, chi2: float, dof: int, elevation: str) -> Iterator[Trial]:
-    """Other readings whose dead reckoning fits better than that of the tables as they are, which has chi2 `begin`."""
+def _readings(mission: Mission, reading: Reading | None = None) -> Iterator[Trial]:
+    """Other readings, or one of them."""
     for alternative in readings():
-        if other := alternative.on_tables(tables):
+        if reading in (None, alternative.reading) and (other := alternative.on_tables(mission.tables)):
             announce(f"trying {alternative.reading.cause} of {alternative.reading.column}")
-            fit = _optimum(other, elevation, begin)
-            if fit is not None and fit.dof >= dof and explains(fit, chi2, dof):
+            if (fit := mission.optimum(other)) is not None and explains(fit, mission.chi2, mission.dof):
                 yield Trial(alternative.reading, 0.0, fit.chi2, fit.dof)
 
 
-def _kernels(graph: FactorGraph, start: Values, report: MissionReport) -> Iterator[Trial]:
+def _kernels(mission: Mission) -> Iterator[Trial]:
     """The tables of which a kernel ignores few rows, and noise explains the rest."""
+    graph, report = mission.graph, mission.report
     files = {f"{name}.csv" for name in TIMED if name != "contacts"}  # which are judged one by one
     files_of = [Path(source.path).name.removesuffix(".gz") for source in report.sources]
     types = {factor.name: file for factor, file in zip(graph.factors, files_of, strict=True) if file in files}
     for name, file in types.items():
         announce(f"trying a kernel for {file}")
         robust = [f.robust(Cauchy(1.0)) if f.name == name else f for f in graph.factors]
-        fit = solved(FactorGraph(robust, graph.fixed), start)
+        fit = solved(FactorGraph(robust, graph.fixed), mission.start, iterations=KERNEL)
         if fit is None:
             continue
         kept = [factor.weights(fit.values) > IGNORED for factor in robust]

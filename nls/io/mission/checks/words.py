@@ -38,6 +38,8 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "way between fixes": "fixes and DVL disagree about the way by {percent} of it; expected below {limit_percent}",
 }
 CAUSES = {
+    Cause.EARTH: "{column} of {file} look like velocities north, east and down: write `earth_axes = 1` in [dvl] of the "
+    "mapping, or give {file} a column earth_axes of 1",
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
     Cause.ZEROS: "rows of {file} without bottom lock count as valid: write {column} 0 there",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",

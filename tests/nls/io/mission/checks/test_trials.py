@@ -11,8 +11,12 @@ import pytest
 
 import nls
 from factors.robust import Cauchy
+from models.algebra import apply
+from models.manifolds.euler import quaternion_from_angles
+from models.manifolds.so3 import rotation3
 from nls.io.mission.checks.trials import explained
 from nls.io.mission.checks.words import sentence
+from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.folder import read_tables
 from tests.combinations import for_all
 from tests.nls.io.mission.checks.dives import Dive, Tables
@@ -33,6 +37,13 @@ def turned(tables: Tables) -> None:
     tables["dvl"].update(vx_m_s=(x + y) / np.sqrt(2), vy_m_s=(y - x) / np.sqrt(2))
 
 
+def earth(tables: Tables) -> None:
+    """Velocities of the DVL north, east and down."""
+    ahrs, dvl = tables["ahrs"], tables["dvl"]
+    R = rotation3(quaternion_from_angles(np.column_stack([ahrs[name] for name in ANGLES])))
+    dvl.update(zip(VELOCITY, apply(R, np.column_stack([dvl[name] for name in VELOCITY])).T, strict=True))
+
+
 def jump(tables: Tables) -> None:
     tables["fixes"]["x_m"][9] += 44.0
 
@@ -44,6 +55,7 @@ def heading(degrees: float) -> Spoil:
 CASES: dict[str, tuple[str, Spoil, str]] = {  # what measures the place, the mistake, the start of a cure
     "heading 13 deg": ("fixes", heading(13.0), "declination_rad,-0.2"),
     "DVL at 45 deg": ("fixes", turned, "dvl_yaw_rad,0.78"),
+    "DVL north, east, down": ("fixes", earth, "a column earth_axes of 1"),
     "yaw from east": ("fixes", changed("ahrs", yaw_rad=lambda yaw: np.pi / 2 - yaw), "sign = -1, offset = 1.5708"),
     "fixes 3 s late": ("fixes", changed("fixes", time_s=lambda t: t + 3.0), "fixes_clock_s,"),
     "DVL 5 %": (
@@ -90,6 +102,9 @@ def follow(cure: str, folder: Path) -> str:
         rows = np.array([[float(cell) for cell in line.split(",")] for line in lines])
         rows[:, k] = 1.5708 - rows[:, k]
         (folder / "ahrs.csv").write_text("\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist())]))
+    elif re.search(r"give dvl\.csv a column earth_axes of 1", cure):
+        head, *lines = (folder / "dvl.csv").read_text().split()
+        (folder / "dvl.csv").write_text("\n".join([f"{head},earth_axes", *(f"{line},1" for line in lines)]))
     else:
         (kernel,) = re.findall(r"--robust (\S+)", cure)
         return str(kernel)
