@@ -7,6 +7,7 @@ from collections.abc import Collection
 __all__ = ["COLUMNS", "needed", "optional"]
 
 PLACE = ("x_m", "y_m", "z_m")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
 UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
@@ -42,7 +43,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
     "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid", *LOCK, *WATER_TRACK),
+    "dvl": ("time_s", *VELOCITY, "valid", *LOCK, *WATER_TRACK, "earth_axes"),
     "ahrs": ("time_s", *ANGLES),
     "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),
@@ -72,7 +73,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
     "truth": WHEN,
     "contacts": (*WHEN, "landmark"),
     "zpr": COMPASS,
-    "dvl": ("valid", *LOCK, *WATER_TRACK),
+    "dvl": ("valid", *LOCK, *WATER_TRACK, "earth_axes"),
     "ahrs": ("yaw_rad",),
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
     "water": WATER,

@@ -57,15 +57,21 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
             files[table] = _regular(path / name)
     _refuse_parts(str(folder), set(files), other_files)
 
-    report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
     tables = {name: Table(file, COLUMNS[name], optional(name, files)) for name, file in files.items()}
-    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    report = report_of(folder, tables)
     note_comments(report, sum(table.comments for table in tables.values()))
     if tabular := [name for name in other_files if ".csv" in name.lower()]:
         report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
     if ignored_files := [name for name in other_files if name not in tabular and name not in NOT_MISSED]:
         report.notes.append(f"not read: {_listed(ignored_files)}")
     return tables, report
+
+
+def report_of(folder: str | Path, tables: dict[str, Table]) -> MissionReport:
+    """A report that counts the rows of tables."""
+    report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
+    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    return report
 
 
 def _regular(file: Path) -> Path:

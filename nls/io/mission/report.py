@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.findings import Implausible
+from nls.io.mission.checks.findings import Explained, Implausible
 from nls.io.report import LoadReport
 from nls.values import Values
 
@@ -33,6 +33,7 @@ class MissionReport(LoadReport):
     world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     findings : what is implausible in the tables, each also a warning.
+    explained : what explains chi2 where it was implausible; None where it was not asked.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
@@ -48,6 +49,7 @@ class MissionReport(LoadReport):
     plane: LocalPlane | None = None
     calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Implausible] = field(default_factory=list)
+    explained: Explained | None = None
 
     @property
     def anchored(self) -> bool:
