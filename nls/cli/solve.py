@@ -192,6 +192,7 @@ def _optimize(job: Job) -> None:
 def _find_optimum(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
+    from nls.cli.doubtful import by_file
     from nls.cli.progress import Progress
     from nls.cli.solve_outputs import write_free
 
@@ -203,6 +204,7 @@ def _find_optimum(job: Job) -> None:
                 _estimate(job, _optimizer(job, progress))
             else:
                 job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
+            job.result = by_file(job, job.result)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
@@ -255,12 +257,15 @@ def _improve(job: Job) -> None:
 
 def _write(job: Job) -> None:
     """Every output but the reports."""
+    from nls.cli.doubtful import marks
     from nls.cli.solve_outputs import write_outputs
 
     if job.report.format == "mission":
         from nls.cli.dives import solution_of
 
         job.solved = solution_of(job)
+    if job.solved is not None:
+        job.solved.doubts += marks(job)
     write_outputs(job)
     job.clock.lap("write")
 
@@ -316,7 +321,8 @@ def _report(job: Job) -> None:
 def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
-    from nls.cli import certificate, outliers, sigmas
+    from nls.cli import certificate, sigmas
+    from nls.cli.doubtful import reasons
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -327,12 +333,10 @@ def _status(job: Job) -> int:
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
         print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
-    doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
-    doubtful = sigmas.unsettled(job.sigmas) or doubtful
-    if job.select is not None:
-        from nls.cli import scan_mission
-
-        doubtful = scan_mission.doubtful(job.solved) or doubtful
+    doubts = [] if options.allow_doubtful else reasons(job)
+    if doubts and (result.converged or allowed):
+        print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
+    doubtful = sigmas.unsettled(job.sigmas) or bool(doubts)
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:
