@@ -89,7 +89,7 @@ class Share(NamedTuple):
     chi2: float
 
     def __str__(self) -> str:
-        percent = f" ({100 * self.ignored / self.total:.2g} %)" if self.ignored else ""
+        percent = f" ({100 * self.ignored / self.total:.3g} %)" if self.ignored else ""
         return f"{self.ignored} of {self.total} {self.name}{percent}"
 
 
