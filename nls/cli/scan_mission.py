@@ -141,8 +141,7 @@ def lines(scans: dict[str, Any]) -> list[str]:
 
 def doubts(solved: object) -> list[str]:
     """Why the map is no solution: a setup that bends it, or a track that still moves."""
-    if not isinstance(solved, SolvedScans):
-        return []
+    assert isinstance(solved, SolvedScans)
     if bent := [finding.kind.value.replace("_", " ") for finding in solved.findings if finding.kind in BENDING]:
         return [f"no solution: the setup is wrong ({', '.join(bent)}), see the warning"]
     if solved.closing.settled or (moved := solved.closing.rounds[-1].moved) <= WILD:

@@ -229,8 +229,6 @@ def _estimate(job: Job, optimizer: Optimizer) -> None:
     job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
     if job.form:
         job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
-    if not job.sigmas.settled:
-        job.report.notes.append(f"the scales of the sigmas did not settle in {job.sigmas.rounds} rounds")
 
 
 def _optimizer(job: Job, progress: Progress) -> Optimizer:
@@ -321,7 +319,7 @@ def _report(job: Job) -> None:
 def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
-    from nls.cli import certificate, sigmas
+    from nls.cli import certificate
     from nls.cli.doubtful import reasons
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
@@ -336,9 +334,8 @@ def _status(job: Job) -> int:
     doubts = [] if options.allow_doubtful else reasons(job)
     if doubts and (result.converged or allowed):
         print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
-    doubtful = sigmas.unsettled(job.sigmas) or bool(doubts)
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:
         raise job.failed[0]
-    return 1 if refuted or doubtful or not (result.converged or allowed) else 2 if job.failed else 0
+    return 1 if refuted or doubts or not (result.converged or allowed) else 2 if job.failed else 0

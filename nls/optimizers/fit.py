@@ -115,7 +115,8 @@ def shares(factors: Sequence[Factor], values: Values, names: Sequence[str] = ())
     for factor, name in zip(factors, names or [factor.name for factor in factors], strict=True):
         out, s, numbers = _ignored(factor, values)
         first, last = factor.keys[0], factor.keys[-1]
-        jumps = np.abs(first.numbers - last.numbers) > 1 if first.kind == last.kind else np.zeros(len(s), dtype=bool)
+        between = first.kind == last.kind and not factor.sequential
+        jumps = np.abs(first.numbers - last.numbers) > 1 if between else np.zeros(len(s), dtype=bool)
         for closing in set(jumps.tolist()):
             rows, table = jumps == closing, tables.get((name, closing), Share(name, 0, 0, 0, 0.0))
             count, chi2 = int(out[rows].sum()), float(s[rows & ~out].sum())
