@@ -19,6 +19,7 @@ from nls.linear.default import chosen_solver
 from nls.linear.free_gauge import FreeGauge
 from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
+from nls.optimizers.fit import shares
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.memory import keep_freed_memory
@@ -234,8 +235,9 @@ class FactorGraph:
             rule=watch.rule,
             last_update=watch.last_update,
             attempts=tuple(watch.attempts),
-            robust=any(factor.kernel is not None for factor in self.factors),
+            robust=(robust := any(factor.kernel is not None for factor in self.factors)),
             underconstrained=free,
+            shares=shares(self.factors, watch.best) if robust else (),
         )
 
     def summary(self) -> str:

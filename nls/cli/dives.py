@@ -43,6 +43,7 @@ class SolvedDive(Solved):
             whole.graph, _own(whole.dead, dive), whole.result, report, whole.solver, whole.gauge, whole.projection
         )
         self.whole, self.dive, self.values, self.contacts = whole, dive, _own(whole.values, dive), []
+        self.doubts = whole.doubts
 
     @property
     def checks(self) -> int:

@@ -81,6 +81,10 @@ class Solved:
     graph, dead, result, report : the mission, its dead reckoning, its solution, and what its folder holds.
     solver, gauge : for the covariances.
     projection : of the coordinates of points and grid; east and north of the origin when omitted.
+
+    Attributes
+    ----------
+    doubts : why the solution is doubtful; a mark on its charts and pictures.
     """
 
     def __init__(
@@ -97,6 +101,7 @@ class Solved:
         self.solver, self.gauge = solver, gauge
         self.values, self.projection = result.values, projection
         self.contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+        self.doubts: list[str] = []
 
     @cached_property
     def tracks(self) -> dict[str, Track]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,7 +67,9 @@ class MissionFiles:
         from nls.io.charts import chart_of
 
         elevations = self.solved.elevations if self.solved.contacts and self.solved.report.sonar is not None else None
-        return chart_of(self.solved.values, self.solved.marginals, self.solved.report, elevations)
+        chart = chart_of(self.solved.values, self.solved.marginals, self.solved.report, elevations)
+        doubts = "; ".join(self.solved.doubts)
+        return replace(chart, name=f"{chart.name}, doubtful: {doubts}") if doubts else chart
 
     def _extra(self, p: Array, times: Array | None = None) -> Extra:
         """Times and coordinates on the Earth of positions (n, 3), as columns of the tables."""
@@ -148,6 +151,7 @@ class MissionFiles:
                 self.solved.marginals,
                 self.solved.tracks,
             ),
+            self.solved.doubts,
         )
 
     def _landmarks(self, path: str) -> None:
@@ -158,7 +162,7 @@ class MissionFiles:
         figure = landmark_map(
             self.solved.values, self.solved.elevations, self.solved.report.truth, self.solved.report.sonar.aperture
         )
-        write_picture(path, figure)
+        write_picture(path, figure, self.solved.doubts)
 
     def _sonar(self, path: str) -> None:
         """The fan of the pose with the most contacts."""
@@ -170,4 +174,4 @@ class MissionFiles:
         assert self.solved.report.sonar is not None
         figure = arcs(self.solved.contacts[0], self.solved.values, pose, self.solved.report.sonar)
         figure.axes[0].set_title(f"{self.solved.report.sonar.name}: what it saw from {pose!r}", fontsize=9)
-        write_picture(path, figure)
+        write_picture(path, figure, self.solved.doubts)

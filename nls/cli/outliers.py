@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -101,15 +100,6 @@ def sentence(choice: Robustified) -> str:
     numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
     names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)
     return "; ".join([rejected_contacts(*numbers), *[left(names, count)] * bool(names)])
-
-
-def doubtful(choice: Robustified | None, allowed: bool) -> bool:
-    """Whether the choice is in doubt, and the user did not allow that; said on standard error."""
-    if choice is None or allowed or not choice.doubts:
-        return False
-    reasons = "; ".join(map(str, choice.doubts))
-    print(f"nls: doubtful: {reasons}; take the estimate with --allow-doubtful", file=sys.stderr)
-    return True
 
 
 def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:

@@ -71,7 +71,8 @@ EXAMPLES = """examples:
 
 exit status:
   0    solve: converged; all other commands: done
-  1    solve: not converged, under-constrained, refuted by --certify, or a doubtful choice of --robust gnc-tls;
+  1    solve: not converged, under-constrained, refuted by --certify, or doubtful: implausible tables of a mission or
+       chi2, a table that a kernel ignores, a choice of --robust gnc-tls, a setup that bends a map from scans;
        also a solve that Ctrl-C stops while it iterates, which writes its best values
   2    bad input or usage, or an output that could not be written (the others are)
   130  ended by Ctrl-C
@@ -195,9 +196,7 @@ def parser() -> Parser:
     )
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit with 0 at an iteration limit, too")
-    solve.add_argument(
-        "--allow-doubtful", action="store_true", help="exit with 0 for a doubtful choice of --robust gnc-tls, too"
-    )
+    solve.add_argument("--allow-doubtful", action="store_true", help="exit with 0 for a doubtful result, too")
     solve.add_argument(
         "--certify",
         action="store_true",

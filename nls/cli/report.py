@@ -27,6 +27,7 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
     path : of the page.
     """
     import nls
+    from nls.cli.doubtful import reasons
     from nls.cli.explain import explanation_of, with_tables
     from nls.io.files import write_bytes
     from nls.optimizers import Result
@@ -50,7 +51,7 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
         marginals=None if solved is None else solved.marginals,
         certificate=job.certificate,
         rejected=() if choice is None else choice.rejected,
-        doubts=() if choice is None else choice.doubts,
+        doubts=reasons(job) if isinstance(result, Result) else (),
         facts=_facts(job, result),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.sonar.scans import Round
 
-__all__ = ["close_loops", "doubtful", "lines", "refuse_explanation", "selection_of"]
+__all__ = ["close_loops", "doubts", "lines", "refuse_explanation", "selection_of"]
 
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
 REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and why others have no effect
@@ -39,7 +38,6 @@ REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and w
     "certify": (False, "the drifts of a scan mission are no poses"),
     "improve": (False, "the drifts of a scan mission are no poses"),
     "convention": ("g2o", "a scan mission has its own residuals"),
-    "allow_doubtful": (False, "it goes with --robust gnc-tls, of graph files"),
 }
 x = kinds("x")[0]
 
@@ -141,18 +139,14 @@ def lines(scans: dict[str, Any]) -> list[str]:
     return out
 
 
-def doubtful(solved: object) -> bool:
-    """Whether the map is no solution: of a setup that bends it, or still moving; said on standard error."""
-    if not isinstance(solved, SolvedScans):
-        return False
+def doubts(solved: object) -> list[str]:
+    """Why the map is no solution: a setup that bends it, or a track that still moves."""
+    assert isinstance(solved, SolvedScans)
     if bent := [finding.kind.value.replace("_", " ") for finding in solved.findings if finding.kind in BENDING]:
-        print(f"nls: no solution: the setup is wrong ({', '.join(bent)}), see the warning", file=sys.stderr)
-        return True
+        return [f"no solution: the setup is wrong ({', '.join(bent)}), see the warning"]
     if solved.closing.settled or (moved := solved.closing.rounds[-1].moved) <= WILD:
-        return False
-    print(
-        f"nls: not settled: the last of {len(solved.closing.rounds)} rounds moved the track by {moved:.2f} m rms; "
-        "state the noise of dead reckoning in [drift] of mission.toml",
-        file=sys.stderr,
-    )
-    return True
+        return []
+    return [
+        f"not settled: the last of {len(solved.closing.rounds)} rounds moved the track by {moved:.2f} m rms; state the "
+        "noise of dead reckoning in [drift] of mission.toml"
+    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
 
-__all__ = ["record"]
+__all__ = ["doubts", "record"]
 
 
 def refuse(sigmas: str, robust: str | None, improve: bool) -> None:
@@ -69,13 +68,11 @@ def rows(estimated: VarianceComponents) -> list[str]:
     return [f"sigmas      {component}" for component in estimated.components]
 
 
-def unsettled(estimated: VarianceComponents | None) -> bool:
-    """Whether the scales are no estimate; said on standard error."""
-    if estimated is None or estimated.settled:
-        return False
-    print(
-        f"nls: the scales of the sigmas did not settle in {estimated.rounds} rounds; start from a better point with "
-        "--init, or estimate fewer scales with --sigmas estimate",
-        file=sys.stderr,
-    )
-    return True
+def doubts(estimated: VarianceComponents) -> list[str]:
+    """Why the scales are no estimate."""
+    if estimated.settled:
+        return []
+    return [
+        f"the scales of the sigmas did not settle in {estimated.rounds} rounds; start from a better point with --init, "
+        "or estimate fewer scales with --sigmas estimate"
+    ]

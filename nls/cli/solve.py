@@ -196,6 +196,7 @@ def _optimize(job: Job) -> None:
 def _find_optimum(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
+    from nls.cli.doubtful import by_file
     from nls.cli.progress import Progress
     from nls.cli.solve_outputs import write_free
 
@@ -207,6 +208,7 @@ def _find_optimum(job: Job) -> None:
                 _estimate(job, _optimizer(job, progress))
             else:
                 job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
+            job.result = by_file(job, job.result)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
@@ -231,8 +233,6 @@ def _estimate(job: Job, optimizer: Optimizer) -> None:
     job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
     if job.form:
         job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
-    if not job.sigmas.settled:
-        job.report.notes.append(f"the scales of the sigmas did not settle in {job.sigmas.rounds} rounds")
 
 
 def _optimizer(job: Job, progress: Progress) -> Optimizer:
@@ -259,12 +259,15 @@ def _improve(job: Job) -> None:
 
 def _write(job: Job) -> None:
     """Every output but the reports."""
+    from nls.cli.doubtful import marks
     from nls.cli.solve_outputs import write_outputs
 
     if job.report.format == "mission":
         from nls.cli.dives import solution_of
 
         job.solved = solution_of(job)
+    if job.solved is not None:
+        job.solved.doubts += marks(job)
     write_outputs(job)
     job.clock.lap("write")
 
@@ -320,7 +323,8 @@ def _report(job: Job) -> None:
 def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
-    from nls.cli import certificate, outliers, sigmas
+    from nls.cli import certificate
+    from nls.cli.doubtful import reasons
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -331,14 +335,11 @@ def _status(job: Job) -> int:
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
         print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
-    doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
-    doubtful = sigmas.unsettled(job.sigmas) or doubtful
-    if job.select is not None:
-        from nls.cli import scan_mission
-
-        doubtful = scan_mission.doubtful(job.solved) or doubtful
+    doubts = [] if options.allow_doubtful else reasons(job)
+    if doubts and (result.converged or allowed):
+        print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:
         raise job.failed[0]
-    return 1 if refuted or doubtful or not (result.converged or allowed) else 2 if job.failed else 0
+    return 1 if refuted or doubts or not (result.converged or allowed) else 2 if job.failed else 0

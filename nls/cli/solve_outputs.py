@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nls.cli.outputs import complain, write_json
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
 
 
+MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
 Output = tuple[Callable[[str], None], str | None]
 
 
@@ -30,15 +32,18 @@ def write_outputs(job: Job) -> None:
     from models.errors import GraphFileError
     from nls.cli.dives import outputs_of
     from nls.cli.mission import Solved
-    from nls.io.files import new_folder
+    from nls.io.files import new_folder, write_bytes
 
     try:
         with new_folder(options.output):
-            solved = job.solved
-            attempt(
-                job,
-                outputs_of(solved, options.output) if isinstance(solved, Solved) else solved.outputs(options.output),
-            )
+            solved, folder = job.solved, options.output
+            files = outputs_of(solved, folder) if isinstance(solved, Solved) else solved.outputs(folder)
+            mark, text = Path(folder, MARK), "".join(f"{reason}\n" for reason in solved.doubts).encode()
+            if text:
+                files.append((lambda path: write_bytes(path, text), str(mark)))
+            else:
+                mark.unlink(missing_ok=True)  # of another solution
+            attempt(job, files)
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)
@@ -66,6 +71,7 @@ def _covariance(job: Job, path: str) -> None:
 
 
 def _plot(job: Job, path: str) -> None:
+    from nls.cli.doubtful import marks
     from nls.cli.plot import drawings
     from nls.cli.solved_scans import SolvedScans
     from nls.io.files import title_of
@@ -75,7 +81,8 @@ def _plot(job: Job, path: str) -> None:
         job.solved.draw(path)
         return
     _, before_after = drawings(job.report)
-    write_picture(path, before_after(job.graph, job.before, job.result, title=title_of(job.report.path)))
+    figure = before_after(job.graph, job.before, job.result, title=title_of(job.report.path))
+    write_picture(path, figure, marks(job))
 
 
 def attempt(job: Job, outputs: Sequence[Output]) -> None:

@@ -19,6 +19,7 @@ FAR = 5.0  # sigmas of a calibration before the measurements
 def record_of(job: Job) -> dict[str, Any]:
     """The report for programs, without the names of the files that are written."""
     import nls
+    from nls.cli.doubtful import reasons
     from nls.cli.hint import doubts, gnc_applies, separate_parts
     from nls.cli.timing import peak_rss_mb
 
@@ -46,7 +47,10 @@ def record_of(job: Job) -> dict[str, Any]:
         "gauge": result.gauge,
         "dof": result.dof,
         "fit": result.fit.name,
+        "ratio": result.ratio,
         "doubt": result.doubt,
+        "ignored": [{"table": s.name, "ignored": s.ignored, "total": s.total} for s in result.shares],
+        "doubtful": reasons(job),
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
@@ -80,10 +84,8 @@ def _findings(report: LoadReport) -> dict[str, Any]:
 
 
 def _doubt(report: dict[str, Any]) -> str:
-    """What the line of the result adds where chi2, or the tables or calibrations of a mission, are implausible."""
-    checks = list(dict.fromkeys(f"{finding['check']} ({finding['file']})" for finding in report.get("findings", ())))
-    doubts = [f"implausible: {', '.join(checks)}, see the warnings"] if checks else []
-    doubts += [report["doubt"]] * bool(report["doubt"])
+    """What the line of the result adds: what is doubtful, and calibrations far from their belief."""
+    doubts = list(report["doubtful"])
     doubts += [
         f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
         for c in report.get("mission", {}).get("calibrations", ())
@@ -122,7 +124,8 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
-    ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
+    of = " of what the kernel believes" if result.shares else ""
+    ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
     lines += [
         f"input       {report['input']}: {several(report['variables'], 'variable')}, "
         f"{several(report['factors'], 'measurement')}, "
@@ -133,6 +136,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         f"convention {report['convention']}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
+        *([f"ignored     by the kernel: {', '.join(map(str, result.shares))}"] if result.shares else []),
         f"result      {report['reason']}{_doubt(report)}",
         *(f"method      {remark}" for remark in result.remarks),
         *findings,

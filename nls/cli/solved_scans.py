@@ -42,6 +42,10 @@ class SolvedScans:
     closing : the rounds.
     select : how matches were selected.
     findings : what is set up wrongly.
+
+    Attributes
+    ----------
+    doubts : why the map is doubtful; a mark on its picture.
     """
 
     def __init__(
@@ -58,6 +62,7 @@ class SolvedScans:
         self.closing, self.select, self.findings = closing, select, findings
         self.values: Values = result.values
         self.poses: Array = result.values[x]
+        self.doubts: list[str] = []
 
     @property
     def matches(self) -> Matches:
@@ -146,7 +151,7 @@ class SolvedScans:
         """Write the map as a picture."""
         from nls.plot.picture import write_picture
 
-        write_picture(path, self.picture())
+        write_picture(path, self.picture(), self.doubts)
 
     def _trajectory(self, path: str) -> None:
         from nls.io.files import write_bytes

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from models.advice import Advice, listed
 from models.html_table import html_table
-from nls.optimizers.fit import Fit, fit
+from nls.optimizers.fit import SILENCED, Fit, Share, fit
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 
@@ -82,8 +82,9 @@ class Result:
     rule : name of the rule that stopped it, a function of `nls.optimizers.stop`.
     last_update : max |dx| of the last step with its unit, variable and component; empty where there was no step.
     attempts : methods that failed before the last one.
-    robust : whether a factor has a robust kernel: chi2 is then not compared with the degrees of freedom.
+    robust : whether a factor has a robust kernel: chi2 of what it believes is then compared with its expectation.
     underconstrained : directions that stayed free under a damped method, in words: they are where the start had them.
+    shares : of every table at a robust optimum how much the kernel ignored; empty without one.
     """
 
     values: Values
@@ -102,6 +103,7 @@ class Result:
     attempts: tuple[Attempt, ...] = ()
     robust: bool = False
     underconstrained: tuple[str, ...] = ()
+    shares: tuple[Share, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -143,16 +145,41 @@ class Result:
         return remarks
 
     @property
+    def believed(self) -> tuple[float, int]:
+        """chi2 and its degrees of freedom; with robust kernels those of the measurements that they believe."""
+        if not self.shares:
+            return self.chi2_final, self.dof
+        return sum(share.chi2 for share in self.shares), self.dof - sum(share.numbers for share in self.shares)
+
+    @property
+    def ratio(self) -> float:
+        """chi2 over its expectation, 1 for noise as stated; nan where nothing checks the measurements."""
+        chi2, dof = self.believed
+        return chi2 / dof if dof > 0 else float("nan")
+
+    @property
     def fit(self) -> Fit:
         """Whether noise explains chi2; where it is `Fit.IMPLAUSIBLE`, `doubt` says so in words."""
-        return fit(self.chi2_final, self.dof, self.robust)
+        return Fit.IMPLAUSIBLE if self._silenced else fit(*self.believed, self.robust)
 
     @property
     def misfit(self) -> str:
         """How many times its expectation chi2 is, and what that means; empty where it is plausible."""
-        if self.fit is Fit.PLAUSIBLE:
-            return ""
-        return f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: {self.fit.value}"
+        reasons = self._silenced
+        if (verdict := fit(*self.believed, self.robust)) is not Fit.PLAUSIBLE:
+            chi2, dof = self.believed
+            of = " of the believed measurements" if self.shares else ""
+            reasons.append(f"chi2{of} is {chi2 / max(dof, 1):.3g} times its expectation: {verdict.value}")
+        return "; ".join(reasons)
+
+    @property
+    def _silenced(self) -> list[str]:
+        """What a kernel may hide, in words."""
+        many = [share for share in self.shares if share.ignored > SILENCED * share.total]
+        out = [f"the kernel ignored {share}, not a few wrong ones" for share in many]
+        if any(share.ignored for share in self.shares) and self.believed[1] <= 0:
+            out.append("nothing checks the measurements that the kernel believes")
+        return out
 
     @property
     def doubt(self) -> str:
@@ -193,13 +220,15 @@ class Result:
         """Lines: chi2 and how it was reached, what is free, what is doubtful."""
         lines = [
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
-            + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
+            + (f" (ratio {self.ratio:.3g}, 1 expected)" if self.believed[1] > 0 else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         ]
         if (rises := self.rises) and not self.attempts:
             lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
+        if self.shares:
+            lines.append(f"ignored by the kernel: {', '.join(map(str, self.shares))}")
         if self.doubt:
             lines += [self.doubt, *(f"  -> {words}" for words in listed(self.advice))]
         return lines

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nls.io.files import write_bytes
+from nls.plot.style import REJECTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,14 +17,24 @@ if TYPE_CHECKING:
 __all__ = ["drawn", "write_picture"]
 
 
-def write_picture(path: str | Path, figure: Figure) -> None:
+LETTERS = 14  # in an inch of a line that marks a picture
+
+
+def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:
     """Write a figure in the format of the suffix (png, pdf, svg), replaced whole or not at all.
+
+    Parameters
+    ----------
+    doubts : why its result is doubtful; above the picture.
 
     Raises
     ------
     GraphFileError
         It cannot be written.
     """
+    if doubts:
+        words = textwrap.fill(f"doubtful: {'; '.join(doubts)}", int(LETTERS * figure.get_figwidth()))
+        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), words])), color=REJECTED, fontsize=9)
     write_bytes(path, drawn(path, figure))
 
 

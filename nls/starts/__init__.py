@@ -73,8 +73,10 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         measurements between poses and points, or both kinds of odometry. Above 10 it tries the odometry chain. The
         starts are compared by their results if the best has more than 10 per degree of freedom, and the graph has other
         measurements than relative poses. That takes up to 20 steps of the dogleg from each, the lowest first, until
-        noise explains chi2 (at most 2 per degree of freedom). If no start leads there, it tries ``incremental``, too. A
-        start that does not exist or cannot be evaluated is left out, with a `GraphWarning`. The file's own start, often
+        noise explains chi2 (at most 2 per degree of freedom). If no start leads there, it tries ``incremental``, too.
+        Under robust kernels one wrong fix among many hardly raises chi2, and the file's start may lie on it. So the
+        odometry chain is tried whatever chi2 is, and the results are compared until no measurement is ignored. A start
+        that does not exist or cannot be evaluated is left out, with a `GraphWarning`. The file's own start, often
         a placeholder, is left out without one.
 
     Returns
@@ -118,18 +120,20 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     steps = groups or walks(graph)
     grows = bool(steps and (sees_points(graph, values) or (groups and walks(graph))))
     limits |= {"incremental": FAR} if grows else {}
-    limits |= {"odometry": NEAR} if steps else {}
+    relative = all(says_poses(factor) for factor in graph.factors)  # chordal relaxation uses all of these
+    robust = not relative and any(factor.kernel is not None for factor in graph.factors)
+    limits |= {"odometry": 0.0 if robust else NEAR} if steps else {}
     for candidate, limit in limits.items():
         if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
             candidates.add(candidate, values, STARTS[candidate])
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
-    relative = all(says_poses(factor) for factor in graph.factors)  # chordal relaxation uses all of these
-    if not relative and len(limits) > 1 and candidates.poor():
-        candidates.compare()
-        if grows and not candidates.explained() and not candidates.knows("incremental"):
+    poor = candidates.poor()
+    if not relative and len(limits) > 1 and (poor or robust):
+        candidates.compare(robust)
+        if poor and grows and not candidates.explained() and not candidates.knows("incremental"):
             candidates.add("incremental", values, incremental)
-            candidates.compare()
+            candidates.compare(robust)
     for candidate in [c for c in candidates.refused if c != "file"]:
         message = f"start {candidate!r} was left out: {candidates.refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread

@@ -49,6 +49,7 @@ class Candidates:
     chi2 : of every start, by name.
     refused : errors of those that do not exist or cannot be evaluated, by name.
     rows : measured ones.
+    believes_all : whether steps led to the best, where robust kernels ignore nothing and noise explains chi2.
     """
 
     def __init__(self, graph: FactorGraph, values: Values) -> None:
@@ -57,6 +58,7 @@ class Candidates:
         self.refused: dict[str, LeadlineError] = {}
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
+        self.believes_all = False
         self.rows = measured_rows(graph.pattern(values))
 
     @cached_property
@@ -96,10 +98,13 @@ class Candidates:
         """Whether noise explains the best."""
         return self.misfit() <= EXPLAINED * self.dof
 
-    def compare(self) -> None:
-        """Take steps from the starts that have not been compared, the lowest first, until noise explains the best."""
+    def compare(self, robust: bool = False) -> None:
+        """Take steps from the starts that have not been compared, the lowest first, until noise explains the best.
+
+        With `robust` kernels until they believe every measurement there.
+        """
         for name in sorted(self._starts, key=self.chi2.__getitem__):
-            if self.explained():
+            if self.believes_all if robust else self.explained():
                 return
             chi2 = self.chi2[name]
             if not any(math.isclose(chi2, other, rel_tol=SAME) for other in self._compared):  # the same start
@@ -122,6 +127,8 @@ class Candidates:
             return
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
+        if result.chi2_final <= self.chi2[self.name]:
+            self.believes_all = not result.doubt and not any(share.ignored for share in result.shares)
         self._list(name + AFTER_STEPS, result.values, result.chi2_final, (1 - SAME) * self.chi2[self.name])
 
     def _list(self, name: str, start: Values, chi2: float, limit: float) -> None:

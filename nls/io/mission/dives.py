@@ -12,7 +12,7 @@ measurement. Nothing anchors it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -188,6 +188,7 @@ def _add_report(report: DivesReport, own: MissionReport, dive: Dive) -> None:
     name, first = dive.name, dive.first
     report.dives.append(dive)
     report.sources += own.sources
+    report.findings += [replace(finding, file=f"{name}/{finding.file}") for finding in own.findings]
     report.notes += [f"{name}: {note}" for note in own.notes]
     report.warnings += [f"{name}: {note}" for note in own.warnings]
     report.tags |= {f"{name}/{table}": count for table, count in own.tags.items()}

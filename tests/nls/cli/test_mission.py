@@ -40,7 +40,7 @@ def test_both_commands_draw_a_mission_from_above_and_from_the_side(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures: list[Figure] = []
-    monkeypatch.setattr("nls.plot.picture.write_picture", lambda path, figure: figures.append(figure))
+    monkeypatch.setattr("nls.plot.picture.write_picture", lambda path, figure, doubts=(): figures.append(figure))
     folder(shell / "m")
     shell("plot m a.png")
     shell("solve m --plot b.png")
@@ -224,12 +224,12 @@ def test_landmarks_that_nothing_is_known_of(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("default::nls.GraphWarning")
 def test_no_sigmas_where_there_are_none_and_all_others(shell: Shell, undrawn: None) -> None:
     folder(shell / "m", **LOST)
-    printed, _ = shell.both("solve m -o out --covariance m.csv")
+    printed, _ = shell.both("solve m -o out --covariance m.csv --allow-doubtful")
     status = {"".join(cells[:2]): cells[2] for cells in csv.reader((shell / "m.csv").read_text().splitlines()[1:])}
     assert {name for name, word in status.items() if word != "estimated"} == {"x2"}
     assert "note        no sigmas of x2, all others are given: 3 unknowns are not measured" in printed
     assert "x2: z, roll, pitch" in printed
-    assert {path.name for path in (shell / "out").iterdir()} == set(FILES)
+    assert {path.name for path in (shell / "out").iterdir()} == {*FILES, "doubtful.txt"}
     _, *poses = csv.reader((shell / "out/trajectory.csv").read_text().splitlines())
     assert [all(row[7:]) for row in poses] == [True, True, False, True]
     assert poses[2][7:] == [""] * 6

@@ -58,7 +58,7 @@ def test_other_losses_and_plain_least_squares(spoiled: tuple[Path, set[str]], sh
     assert wrong <= {each["factor"] for each in record["rejected"]}
     assert record["init"] == "gnc-gm:0.999"
     assert record["chi2_final"] < 2 * record["dof"]
-    record = shell.report(f"solve {path}")
+    record = shell.report(f"solve {path}", 1)
     assert "rejected" not in record
     assert record["chi2_final"] > 10 * record["dof"]
 

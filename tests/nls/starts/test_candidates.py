@@ -10,14 +10,17 @@ import pytest
 
 import nls
 import sim
-from factors import BearingRange, Between, Factor, Isotropic, Prior, Range
+from factors import BearingRange, Between, Cauchy, Factor, Isotropic, Prior, Range
 from models import SE2, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, Values, initialize, kinds
+from nls.io.mission.table import csv_text
 from nls.metrics import ate
 from nls.optimizers import LevenbergMarquardt, Result, Status
 from nls.starts import STARTS
+from nls.starts.candidates import Candidates
 from tests.nls.graphs import between, pose_graph
+from tests.nls.io.mission.mission_files import folder
 
 x, l = kinds("x", "l")
 
@@ -142,3 +145,35 @@ def test_charted_points_and_poor_headings(data: Path) -> None:
     assert result.chi2_final == pytest.approx(64.624, abs=1e-3)
     assert ate(result.values[kinds("A")[0]], values[kinds("A")[0]]).rmse < 5.0
     assert not graph.optimize(result.values, GaussNewton()).converged
+
+
+@pytest.mark.filterwarnings("ignore:start 'chordal' was left out")
+@pytest.mark.parametrize("bad", [700, 1499])
+def test_a_start_that_lies_on_a_bad_fix_is_left_whatever_the_size(bad: int, tmp_path: Path) -> None:
+    """No sensor measures the motion, and one of 1500 fixes is 44 m off: under a kernel its own start ends on it."""
+    rng, t = np.random.default_rng(0), np.arange(1500.0)
+    p = np.column_stack([40 * np.sin(t / 150), 30 * np.cos(t / 110), 10 + 3 * np.sin(t / 70)])
+    fixes = p + rng.normal(0, [1.0, 1.0, 0.1], p.shape)
+    fixes[bad, 0] += 44.0
+    names = ["time_s", *(f"{axis}_m" for axis in "xyz"), *(f"sigma_{axis}_m" for axis in "xyz")]
+    table = csv_text(names, t, fixes, np.tile([1.0, 1.0, 0.1], (len(t), 1))).decode()
+    folder(tmp_path, {"motion": "sigma_walk_m_sqrt_s\n0.3\n", "fixes": table})
+    graph, values, _ = nls.load(tmp_path)
+    robust = graph.robust(Cauchy(1.0))
+    start, name, chi2 = initialize(robust, values)
+    assert name == "odometry + 20 steps"
+    assert chi2["file + 20 steps"] < 10 * Candidates(robust, values).rows
+    ends = [robust.optimize(values), robust.optimize(start)]
+    away = [np.linalg.norm(end.values[x][bad, :2] - p[bad, :2]) for end in ends]
+    assert away[1] < 3.0 < 40.0 < away[0]
+    assert ends[1].chi2_final < ends[0].chi2_final
+
+
+def test_starts_under_a_kernel_are_not_compared_where_it_believes_all() -> None:
+    """One comparison, of the lowest start, where nothing is ignored; of relative poses alone none."""
+    world = sim.subsea(np.random.default_rng(1), 1, known_start=True)
+    _, _, chi2 = initialize(world.graph.robust(Cauchy(3.0)), world.truth)
+    assert sum(name.endswith("steps") for name in chi2) == 1
+    city = sim.manhattan(np.random.default_rng(0), n_poses=100)
+    _, _, chi2 = initialize(city.graph.robust(Cauchy(1.0)), city.start)
+    assert not any(name.endswith("steps") for name in chi2)
