@@ -1,0 +1,174 @@
+"""Cures that the program prints, found in its words and followed to the letter.
+
+write `declination_rad,-0.2274,0.0009` in calibration.csv      a row of that file
+write `unit = "cm"` for z_m in [depth] of the mapping          a key of a column, or of a section
+    multiply z_m by -1; divide vx_m_s, vy_m_s by 1000              numbers of a table
+    subtract 18 s from time_s; add 3600 s to time_s                times of a table
+exchange the names of lat_deg, lon_deg                         columns of a table
+leave out lines 27, 31 of depth.csv                            rows of a table
+--robust Position=cauchy:1                                     an option of `nls solve`
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Cure", "Unfollowable", "cures_of"]
+
+NUMBER, NAMES = r"[-+]?[\d.]+(?:e[-+]?\d+)?", r"\w+(?:(?:, | and )\w+)*"
+VALUE = r'(?:\{[^}]*\}|\[[^\]]*\]|"[^"]*"|[-+\w.]+)'
+FORMS = {  # by what is edited
+    "calibration": rf"write `?(\w+),({NUMBER}),({NUMBER})`? in calibration\.csv",
+    "key": rf"write `([^`]+)`(?: for ({NAMES}))? in \[(\w+)\] of the mapping",
+    "cell": rf"write `?(\w+ = {VALUE})`?",
+    "numbers": rf"(multiply|divide) ({NAMES}) by ({NUMBER})",
+    "names": rf"exchange the names of ({NAMES})",
+    "times": rf"(subtract|add) ({NUMBER}) s (?:from|to) time_s",
+    "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of (\w+)\.csv",
+    "option": r"--robust (\w+=[\w-]+:[\d.]+)",
+}
+ANY = re.compile("|".join(f"(?P<{name}>{form})" for name, form in FORMS.items()))
+TABLE = re.compile(r"\b(\w+)\.csv")
+LINE = re.compile(r"\.toml:(\d+)")
+
+
+class Unfollowable(Exception):
+    """A cure that names what is not there."""
+
+
+@dataclass(frozen=True)
+class Cure:
+    """One cure.
+
+    Attributes
+    ----------
+    form : of `FORMS`.
+    words : the parts of it.
+    sentence : that it stands in.
+    said : where in the sentence.
+    """
+
+    form: str
+    words: tuple[str | None, ...]
+    sentence: str
+    said: int
+
+    @property
+    def of_mapping(self) -> bool:
+        return self.form in ("key", "cell")
+
+    @property
+    def text(self) -> str:
+        """As it was printed."""
+        match = ANY.match(self.sentence, self.said)
+        return match[0] if match else ""
+
+    def map(self, mapping: dict[str, Any], written: str) -> None:
+        """Edit a mapping, which was written so.
+
+        Raises
+        ------
+        Unfollowable
+        """
+        if self.form == "key":
+            line, columns, section = self.words
+        else:
+            (line, columns), section = (self.words[0], None), self._section(written)
+        try:
+            ((key, value),) = tomllib.loads(str(line)).items()
+        except (ValueError, tomllib.TOMLDecodeError) as error:
+            raise Unfollowable(f"no line of a mapping: {line}") from error
+        if section and not isinstance(mapping.get(section), dict):
+            raise Unfollowable(f"no [{section}] in the mapping")
+        place = mapping[section] if section else mapping
+        if columns is None:
+            place[key] = value
+            return
+        for column in names_in(columns):
+            cell = place.get(column, mapping.get(column))
+            if not isinstance(cell, str | dict):
+                raise Unfollowable(f"{column} is no column of the log in [{section}]")
+            place[column] = ({"column": cell} if isinstance(cell, str) else cell) | {key: value}
+
+    def edit(self, mission: Path) -> None:
+        """Edit the tables of a mission.
+
+        Raises
+        ------
+        Unfollowable
+        """
+        if self.form == "calibration":
+            file = mission / "calibration.csv"
+            rows = read(file) if file.exists() else [["name", "value", "sigma"]]
+            write(file, [row for row in rows if row[0] != self.words[0]] + [[str(word) for word in self.words]])
+            return
+        file = mission / f"{self.words[2] if self.form == 'rows' else self._table()}.csv"
+        if not file.exists():
+            raise Unfollowable(f"no {file.name}")
+        head, *rows = read(file)
+        if self.form == "rows":
+            out = {int(word) for word in re.findall(r"\d+", f"{self.words[0]}")}
+            write(file, [head, *(row for line, row in enumerate(rows, start=2) if line not in out)])
+            return
+        if self.form == "names":
+            a, b = self._columns(head, self.words[0])
+            head[a], head[b] = head[b], head[a]
+        else:
+            act, *more = self.words
+            columns, number = ("time_s", more[0]) if self.form == "times" else more
+            x = float(str(number)) * (-1 if act == "subtract" else 1)
+            for k in self._columns(head, columns):
+                for row in rows:
+                    if row[k]:
+                        y = float(row[k])
+                        row[k] = repr({"multiply": y * x, "divide": y / x}.get(str(act), y + x))
+        write(file, [head, *rows])
+
+    def _columns(self, head: list[str], words: str | None) -> list[int]:
+        if missing := [name for name in names_in(words) if name not in head]:
+            raise Unfollowable(f"no column {missing[0]}")
+        return [head.index(name) for name in names_in(words)]
+
+    def _table(self) -> str:
+        """The table that is spoken of: the last one before the cure."""
+        tables = [match[1] for match in TABLE.finditer(self.sentence, 0, self.said)]
+        if not tables:
+            raise Unfollowable("no table is named")
+        return tables[-1]
+
+    def _section(self, written: str) -> str | None:
+        """The section of the mapping whose line is named; none above all sections, or where no line is."""
+        if not (line := LINE.search(self.sentence)):
+            raise Unfollowable("no section is named")
+        above = re.findall(r"^\[(\w+)\]", "\n".join(written.splitlines()[: int(line[1])]), re.M)
+        return above[-1] if above else None
+
+
+def cures_of(sentence: str) -> list[Cure]:
+    """The cures of a sentence, in its order."""
+    out = []
+    for match in ANY.finditer(sentence):
+        form = next(name for name in FORMS if match[name])
+        words = re.match(FORMS[form], match[0])
+        assert words is not None
+        out.append(Cure(form, words.groups(), sentence, match.start()))
+    return out
+
+
+def names_in(words: str | None) -> list[str]:
+    return re.split(", | and ", words or "")
+
+
+def read(file: Path) -> list[list[str]]:
+    with file.open(newline="", encoding="utf-8") as lines:
+        return list(csv.reader(lines))
+
+
+def write(file: Path, rows: list[list[str]]) -> None:
+    with file.open("w", newline="", encoding="utf-8") as lines:
+        csv.writer(lines, lineterminator="\n").writerows(rows)
