@@ -27,10 +27,10 @@ FORMS = {  # by what is edited
     "key": rf"write `([^`]+)`(?: for ({NAMES}))? in \[(\w+)\] of the mapping",
     "cell": rf"write `?(\w+ = {VALUE})`?",
     "numbers": rf"(multiply|divide) ({NAMES}) by ({NUMBER})",
-    "names": rf"exchange the names of ({NAMES})",
+    "names": rf"exchange the names of (?!the )({NAMES})",
     "times": rf"(subtract|add) ({NUMBER}) s (?:from|to) time_s",
     "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of (\w+)\.csv",
-    "option": r"--robust (\w+=[\w-]+:[\d.]+)",
+    "option": r"--robust ((?:\w+=)?[a-z-]+:[\d.]+)",
 }
 ANY = re.compile("|".join(f"(?P<{name}>{form})" for name, form in FORMS.items()))
 TABLE = re.compile(r"\b(\w+)\.csv")

@@ -14,6 +14,7 @@ import io
 import os
 import re
 import shutil
+import signal
 import sys
 import time
 from collections import Counter
@@ -34,6 +35,7 @@ from nls.cli import main as command
 from sim.cli import main as simulated
 
 SEEDS, CONTROLS, CURES, SHORT = 3, 20, 3, 140
+PATIENCE = 20.0  # s of processor time, fifty times what a right log takes: then the user presses Ctrl-C
 WORSE = 1.5  # times the error of the right log: a wrong result
 SILENT, LOUD, CURED, HARMLESS = "silent", "loud", "cured", "harmless"
 KINDS = (SILENT, LOUD, CURED, HARMLESS)  # the worst first
@@ -60,7 +62,8 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - rov: compass, depth and positions every 2 s, without a DVL.
 - Error: root mean square of the positions over the track, against the truth.
 - harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
-  that is larger. cured: the same after a cure. still loud: another exit status. silent: exit status 0, a larger error.
+  that is larger. cured: the same after a cure. still loud: another exit status, or no answer in
+  {PATIENCE:.0f} s. silent: exit status 0, a larger error.
 - Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
   what is harmless."""
 
@@ -87,10 +90,15 @@ def quietly(act: Callable[[list[str]], int], words: list[str]) -> Answer:
     out, err = io.StringIO(), io.StringIO()
     pictures = patch("nls.plot.picture.write_picture")  # three quarters of the time, and none is looked at
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pictures:
+        signal.setitimer(signal.ITIMER_PROF, PATIENCE)
         try:
             status = act(words)
         except SystemExit as end:
             status = int(end.code or 0)
+        except KeyboardInterrupt:
+            status = 130
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
     return Answer(status, [*out.getvalue().splitlines(), *err.getvalue().splitlines()])
 
 
@@ -285,6 +293,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=at_least_one, default=SEEDS)
     parser.add_argument("--controls", type=at_least_one, default=CONTROLS, help="clean missions of each kind")
     options = parser.parse_args()
+    signal.signal(signal.SIGPROF, signal.default_int_handler)
     head = page_head("Mistakes in logs")
     began = time.process_time()
     given = verdicts(options)
