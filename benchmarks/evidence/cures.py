@@ -20,8 +20,9 @@ from typing import Any
 
 __all__ = ["Cure", "Unfollowable", "cures_of"]
 
+LOGS = ".log"  # the end of the name of a log, before its suffix
 NUMBER, NAMES = r"[-+]?[\d.]+(?:e[-+]?\d+)?", r"\w+(?:(?:, | and )\w+)*"
-VALUE = r'(?:\{[^}]*\}|\[[^\]]*\]|"[^"]*"|[-+\w.]+)'
+VALUE = r"""(?:\{[^}]*\}|\[[^\]]*\]|"[^"]*"|'[^']*'|[-+\w.]+)"""
 FORMS = {  # by what is edited
     "calibration": rf"write `?(\w+),({NUMBER}),({NUMBER})`? in calibration\.csv",
     "key": rf"write `([^`]+)`(?: for ({NAMES}))? in \[(\w+)\] of the mapping",
@@ -29,12 +30,16 @@ FORMS = {  # by what is edited
     "numbers": rf"(multiply|divide) ({NAMES}) by ({NUMBER})",
     "names": rf"exchange the names of (?!the )({NAMES})",
     "times": rf"(subtract|add) ({NUMBER}) s (?:from|to) time_s",
-    "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of (\w+)\.csv",
+    "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of ([\w.]+)\.csv",
     "option": r"--robust ((?:\w+=)?[a-z-]+:[\d.]+)",
 }
 ANY = re.compile("|".join(f"(?P<{name}>{form})" for name, form in FORMS.items()))
-TABLE = re.compile(r"\b(\w+)\.csv")
-LINE = re.compile(r"\.toml:(\d+)")
+TABLE = re.compile(r"([\w.]+)\.csv")
+LINE, SECTION, LOG = (
+    re.compile(r"\.toml:(\d+)"),
+    re.compile(r"in \[(\w+)\] of the mapping"),
+    re.compile(r"([\w.]+):\d+:"),
+)
 
 
 class Unfollowable(Exception):
@@ -60,7 +65,13 @@ class Cure:
 
     @property
     def of_mapping(self) -> bool:
+        """Whether it is for the mapping."""
         return self.form in ("key", "cell")
+
+    @property
+    def of_log(self) -> bool:
+        """Whether it is for a log, not for a table of the mission."""
+        return self.form == "rows" and f"{self.words[2]}".endswith(LOGS)
 
     @property
     def text(self) -> str:
@@ -78,7 +89,7 @@ class Cure:
         if self.form == "key":
             line, columns, section = self.words
         else:
-            (line, columns), section = (self.words[0], None), self._section(written)
+            line, columns, section = self.words[0], None, self._section(mapping, written)
         try:
             ((key, value),) = tomllib.loads(str(line)).items()
         except (ValueError, tomllib.TOMLDecodeError) as error:
@@ -96,7 +107,7 @@ class Cure:
             place[column] = ({"column": cell} if isinstance(cell, str) else cell) | {key: value}
 
     def edit(self, mission: Path) -> None:
-        """Edit the tables of a mission.
+        """Edit the tables of a mission, or the logs in a folder.
 
         Raises
         ------
@@ -141,12 +152,18 @@ class Cure:
             raise Unfollowable("no table is named")
         return tables[-1]
 
-    def _section(self, written: str) -> str | None:
-        """The section of the mapping whose line is named; none above all sections, or where no line is."""
-        if not (line := LINE.search(self.sentence)):
-            raise Unfollowable("no section is named")
-        above = re.findall(r"^\[(\w+)\]", "\n".join(written.splitlines()[: int(line[1])]), re.M)
-        return above[-1] if above else None
+    def _section(self, mapping: dict[str, Any], written: str) -> str | None:
+        """The section that is named; else that of the line of the mapping or of the log; none above all sections."""
+        if named := SECTION.search(self.sentence, self.said):
+            return named[1]
+        if line := LINE.search(self.sentence):
+            above = re.findall(r"^\[(\w+)\]", "\n".join(written.splitlines()[: int(line[1])]), re.M)
+            return above[-1] if above else None
+        if log := LOG.search(self.sentence):
+            for name, section in mapping.items():
+                if isinstance(section, dict) and section.get("file") == log[1]:
+                    return name
+        raise Unfollowable("no section is named")
 
 
 def cures_of(sentence: str) -> list[Cure]:

@@ -82,7 +82,7 @@ class Survey:
         if origin.exists():
             plane = LocalPlane(*np.genfromtxt(origin, delimiter=",", skip_header=1)[:2].tolist())
             p[:, :2] = SITE.local(*plane.geodetic(p[:, :2]))
-        if not self.dated:
+        if not self.dated or any("date" in part for part in self.mapping.values() if isinstance(part, dict)):
             t = t - t[0] + self.t[0]
         true = np.column_stack([np.interp(t, self.t, column) for column in self.p.T])
         stated = np.sum([rows[f"sigma_{axis}_m"] ** 2 for axis in "xyz"], axis=0)

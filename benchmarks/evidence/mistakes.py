@@ -3,7 +3,7 @@
     python benchmarks/evidence/mistakes.py [--mission NAME] [--only PATTERN] [--seeds N] [--out DIR]
 
 Each mistake is imported and solved as a user would, by `nls import` and `nls solve`. The first cure that is printed is
-followed to the letter, up to three times. With ``LEADLINE_DATA`` the clean controls have public logs, too.
+followed to the letter, up to six times. With ``LEADLINE_DATA`` the clean controls have public logs, too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from script import arguments, at_least_one, markdown, page_head, write_page
 from nls.cli import main as command
 from sim.cli import main as simulated
 
-SEEDS, CONTROLS, CURES, SHORT = 3, 20, 3, 140
+SEEDS, CONTROLS, CURES, SHORT = 3, 20, 6, 140  # a cure for each of the tables
 PATIENCE = 20.0  # s of processor time, fifty times what a right log takes: then the user presses Ctrl-C
 WORSE = 1.5  # times the error of the right log: a wrong result
 SILENT, LOUD, CURED, HARMLESS = "silent", "loud", "cured", "harmless"
@@ -124,13 +124,15 @@ class Run:
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir()
         logs = self.survey.write(self.folder)
+        for cure in [cure for cure in self.edits if cure.of_log]:
+            cure.edit(self.folder)
         self.error = self.sigma = np.nan
         with contextlib.chdir(self.folder):
             imported = asked("import", *logs, "--map", "map.toml", "-o", "mission")
             self.answer = imported
             if imported.status:
                 return
-            for cure in self.edits:
+            for cure in [cure for cure in self.edits if not cure.of_log]:
                 cure.edit(self.folder / "mission")
             solved = asked("solve", "mission", "-o", "solved", *self.options)
         self.answer = Answer(solved.status, imported.lines + solved.lines)

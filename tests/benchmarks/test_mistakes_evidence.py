@@ -65,6 +65,14 @@ def test_keys_of_the_mapping(cures: Any) -> None:
 
 def test_what_cannot_be_followed_is_said(cures: Any, tmp_path: Path) -> None:
     (tmp_path / "depth.csv").write_text("time_s,z_m\n0,1\n")
+    sentences = {
+        "depth.log.csv:3: the time falls; write sort = true in [depth] of the mapping if it may be": "sort",
+        "depth.log.csv:3: 'NA' is no number; in the mapping write missing = 'NA' where it is none": "missing",
+    }
+    for sentence, key in sentences.items():
+        mapping: dict[str, Any] = {"depth": {"file": "depth.log.csv"}}
+        cures.cures_of(sentence)[0].map(mapping, "")
+        assert mapping["depth"][key] in (True, "NA")
     for sentence in ("multiply z_m by -1", "fixes.csv: multiply x_m by -1", "depth.csv: multiply y_m by -1"):
         with pytest.raises(cures.Unfollowable):
             cures.cures_of(sentence)[0].edit(tmp_path)
