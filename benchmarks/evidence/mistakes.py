@@ -87,9 +87,9 @@ class Answer:
 
 def quietly(act: Callable[[list[str]], int], words: list[str]) -> Answer:
     """The answer of a command line in this process."""
-    out, err = io.StringIO(), io.StringIO()
+    said = io.StringIO()
     pictures = patch("nls.plot.picture.write_picture")  # three quarters of the time, and none is looked at
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pictures:
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pictures:
         signal.setitimer(signal.ITIMER_PROF, PATIENCE)
         try:
             status = act(words)
@@ -99,7 +99,7 @@ def quietly(act: Callable[[list[str]], int], words: list[str]) -> Answer:
             status = 130
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-    return Answer(status, [*out.getvalue().splitlines(), *err.getvalue().splitlines()])
+    return Answer(status, said.getvalue().splitlines())
 
 
 def asked(*words: str) -> Answer:
