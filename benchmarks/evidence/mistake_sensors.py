@@ -71,14 +71,19 @@ def from_north(survey: Survey) -> None:
     usbl[SEEN[1]] = usbl[SEEN[1]] + np.interp(usbl[TIME], ship[TIME], np.unwrap(ship[YAW] / DEG) * DEG)
 
 
+def only(column: str, name: str, factor: int) -> tuple[str, ...]:
+    """Patterns of a wrong unit of one velocity, not of all three."""
+    return rf"(divide|(like|in) {name}: \w+) {column} by {factor}", f'unit = "{name}"`? for {column} in'
+
+
 def of_velocities() -> Iterator[Mistake]:
     def of(name: str, columns: list[str], function: Callable[[Array], Any], right: tuple[str, ...]) -> Mistake:
         return Mistake(f"dvl: {name}", ("dvl",), change("dvl", columns, function), right)
 
     for name, factor in {"mm/s": 1000.0, "cm/s": 100.0, "kn": KNOT, "ft/s": FOOT, "km/h": 3.6}.items():
         yield of(f"in {name}", VELOCITIES, lambda v, f=factor: f * v, unit(VELOCITIES, name, factor))
-    yield of("vx in mm/s", VELOCITIES[:1], lambda v: 1000 * v, unit(VELOCITIES[:1], "mm/s", 1000))
-    yield of("vz in cm/s", VELOCITIES[2:], lambda v: 100 * v, unit(VELOCITIES[2:], "cm/s", 100))
+    yield of("vx in mm/s", VELOCITIES[:1], lambda v: 1000 * v, only("vx_m_s", "mm/s", 1000))
+    yield of("vz in cm/s", VELOCITIES[2:], lambda v: 100 * v, only("vz_m_s", "cm/s", 100))
     for k, name in enumerate(("vx astern", "vy to port", "vz up")):
         yield of(name, VELOCITIES[k : k + 1], lambda v: -v, named(VELOCITIES[k : k + 1], "-1", "sign"))
     yield of("all signs", VELOCITIES, lambda v: -v, named(VELOCITIES, "-1", "sign", "180", r"3\.14"))
@@ -116,7 +121,10 @@ def of_velocities() -> Iterator[Mistake]:
         "dvl: lock inverted", ("dvl",), change("dvl", ["lock"], lambda a: 1 - a), ("valid.*invert", "invert.*valid")
     )
     yield Mistake(
-        "dvl: lock not mapped", ("dvl",), mapped("dvl", valid=None), ("valid|missing = 0|without bottom lock",)
+        "dvl: lock not mapped",
+        ("dvl",),
+        mapped("dvl", valid=None),
+        (r"\bvalid\b|missing = .*\b0\b|without bottom lock",),
     )
     yield Mistake("dvl_mount: x 5 m off", ("dvl",), grown("dvl_mount", x_m=13.5), ("dvl_mount|arm|lever",))
     yield Mistake("noise: sigma_v 10 times too small", ("dvl",), grown("noise", sigma_v_m_s=0.1), ("sigma_v_m_s",))
