@@ -124,7 +124,7 @@ def of_velocities() -> Iterator[Mistake]:
         "dvl: lock not mapped",
         ("dvl",),
         mapped("dvl", valid=None),
-        (r"\bvalid\b|missing = .*\b0\b|without bottom lock",),
+        (r"\bvalid\b|= .*\b0\b|without bottom lock",),
     )
     yield Mistake("dvl_mount: x 5 m off", ("dvl",), grown("dvl_mount", x_m=13.5), ("dvl_mount|arm|lever",))
     yield Mistake("noise: sigma_v 10 times too small", ("dvl",), grown("noise", sigma_v_m_s=0.1), ("sigma_v_m_s",))
