@@ -23,7 +23,7 @@ from models.sensors import dvl_velocity, spherical
 
 __all__ = ["MISSIONS", "Survey", "toml"]
 
-LENGTH, DT = 600.0, 0.1  # s
+LENGTH, DT = 400.0, 0.1  # s
 START = 30_000.0  # s of the day
 SITE = LocalPlane(54.2, -10.3)
 DVL_ARM, ANTENNA, TRANSPONDER = (0.4, 0.0, 0.2), (-0.3, 0.0, -0.4), (-0.6, 0.0, -0.3)  # m, on the vehicle
@@ -126,10 +126,10 @@ class Vehicle:
     def sailing(cls, rng: np.random.Generator, speed: float, deep: float) -> Vehicle:
         """Lanes side by side with turns, from the surface down and up again."""
         t = np.arange(-5.0, LENGTH + 5.0 + DT / 2, DT)
-        leg, lane = rng.uniform(60.0, 75.0), rng.uniform(-np.pi, np.pi)
+        leg, lane = rng.uniform(40.0, 50.0), rng.uniform(-np.pi, np.pi)
         turns = np.array([0.0, 0.5, 1.0, 0.5]) * np.pi  # out, across, back, across
-        yaw = smooth(lane + turns[((t + 15.0) // leg).astype(int) % 4], 12.0) + 0.1 * np.sin(t / 9.0)
-        under = np.clip(np.minimum(t - GPS_TIME, LENGTH - GPS_TIME - t) / 80.0, 0.0, 1.0)
+        yaw = smooth(lane + turns[((t + 15.0) // leg).astype(int) % 4], 10.0) + 0.1 * np.sin(t / 9.0)
+        under = np.clip(np.minimum(t - GPS_TIME, LENGTH - GPS_TIME - t) / 60.0, 0.0, 1.0)
         z = smooth(deep * under + 2.0 * np.sin(2 * np.pi * t / 90.0) * (under == 1), 10.0)
         u, sway = speed * (1 + 0.15 * np.sin(t / 23.0)), 0.1 * np.sin(t / 31.0) - 0.5 * speed * np.gradient(yaw, DT)
         north, east = u * np.cos(yaw) - sway * np.sin(yaw), u * np.sin(yaw) + sway * np.cos(yaw)
@@ -189,7 +189,7 @@ def depth(vehicle: Vehicle, rng: np.random.Generator) -> dict[str, Column]:
 def dive(seed: int) -> Survey:
     """DVL, AHRS and depth, 720 m; GPS in the first and the last six seconds."""
     rng = np.random.default_rng([1, seed])
-    vehicle = Vehicle.sailing(rng, 1.2, 12.0)
+    vehicle = Vehicle.sailing(rng, 1.8, 12.0)
     t, k = every(0.5), np.concatenate([every(1.0, 0.0, GPS_TIME), every(1.0, LENGTH - GPS_TIME)])
     v = vehicle.velocity(t) * (1 + rng.normal(0, SCALE)) + rng.normal(0, SIGMA_V, (len(t), 3))
     lost = np.zeros(len(t), dtype=int)

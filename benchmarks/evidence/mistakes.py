@@ -243,11 +243,19 @@ def verdicts(options: argparse.Namespace) -> list[Verdict]:
         for mission in [options.mission] if options.mission else MISSIONS:
             for seed in range(options.seeds):
                 clean = solved(MISSIONS[mission](seed), Path(name, "clean"))
-                chosen = [m for m in MISTAKES if set(m.tables) <= clean.survey.logs.keys()]
-                for mistake in [m for m in chosen if re.search(options.only, m.name)]:
+                for mistake in [m for m in possible(clean.survey) if re.search(options.only, m.name)]:
                     out.append(tried(mistake, clean, seed, Path(name, "spoiled")))
                     print(f"{mission} {seed}: {' | '.join(out[-1].cells)}", flush=True)
     return out
+
+
+def possible(survey: Survey) -> list[Mistake]:
+    """Mistakes that its logs can have; where there is a ship, every third of those that a dive has, too."""
+    own, others = list[Mistake](), list[Mistake]()
+    for mistake in MISTAKES:
+        if set(mistake.tables) <= survey.logs.keys():
+            (own if {"usbl", "ship"} & {*mistake.tables} else others).append(mistake)
+    return others[:: 3 if own else 1] + own
 
 
 def worst(of_mistake: Sequence[Verdict]) -> Verdict:
