@@ -44,12 +44,14 @@ class Mistake:
     tables : that a mission needs for it.
     spoil : does it to a copy.
     right : patterns, any of which names the cause.
+    unmeasured : missions where no other sensor measures these numbers, and the wrong ones are as plausible.
     """
 
     name: str
     tables: tuple[str, ...]
     spoil: Change
     right: tuple[str, ...]
+    unmeasured: tuple[str, ...] = ()
 
 
 def change(table: str, columns: list[str], function: Callable[[Array], Any]) -> Change:

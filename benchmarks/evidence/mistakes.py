@@ -37,8 +37,8 @@ from sim.cli import main as simulated
 SEEDS, CONTROLS, CURES, SHORT = 3, 20, 6, 140  # a cure for each of the tables
 PATIENCE = 20.0  # s of processor time, fifty times what a right log takes: then the user presses Ctrl-C
 WORSE = 1.5  # times the error of the right log: a wrong result
-SILENT, LOUD, CURED, HARMLESS = "silent", "loud", "cured", "harmless"
-KINDS = (SILENT, LOUD, CURED, HARMLESS)  # the worst first
+SILENT, UNMEASURED, LOUD, CURED, HARMLESS = "silent", "unmeasured", "loud", "cured", "harmless"
+KINDS = (SILENT, UNMEASURED, LOUD, CURED, HARMLESS)  # the worst first
 ROW = re.compile(r"(\w+|max\|dx\|)  ")  # of the table of a command
 MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
 PUBLIC = {  # logs by the mapping of the documentation
@@ -63,9 +63,10 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - Error: root mean square of the positions over the track, against the truth.
 - harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
   that is larger. cured: the same after a cure. still loud: another exit status, or no answer in
-  {PATIENCE:.0f} s. silent: exit status 0, a larger error.
+  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, where no other sensor of the mission
+  measures these numbers, as the depth of the rov, and the wrong ones are as plausible.
 - Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
-  what is harmless."""
+  what is harmless or unmeasured."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Verdict:
     mission: str
     mistake: str
     seed: int
-    kind: str  # silent, loud, cured or harmless
+    kind: str  # of `KINDS`
     named: bool
     right: bool
     clean: float
@@ -205,7 +206,8 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     said = first.statements
     right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
     within = run.error <= WORSE * max(clean.error, clean.sigma)
-    kind = LOUD if run.answer.status else SILENT if not within else CURED if followed or first.status else HARMLESS
+    wrong = UNMEASURED if clean.survey.mission in mistake.unmeasured else SILENT
+    kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
     numbers = (clean.error, before, run.error)
     words = tuple(followed), " / ".join(said)
     return Verdict(survey.mission, mistake.name, seed, kind, first.alarm, right, *numbers, run.answer.status, *words)
@@ -268,7 +270,7 @@ def summary(by_mission: Mapping[str, Sequence[Verdict]]) -> list[str]:
     rows = []
     for mission, given in by_mission.items():
         kinds = Counter(v.kind for v in given)
-        harm = [v for v in given if v.kind != HARMLESS]
+        harm = [v for v in given if v.kind not in (HARMLESS, UNMEASURED)]
         counts = [
             len(given),
             sum(v.named for v in harm),
@@ -276,7 +278,7 @@ def summary(by_mission: Mapping[str, Sequence[Verdict]]) -> list[str]:
             *(kinds[kind] for kind in KINDS[::-1]),
         ]
         rows.append((mission, *map(str, counts)))
-    titles = ("mission", "mistakes", "named", "cause right", "harmless", "cured", "still loud", "silent")
+    titles = ("mission", "mistakes", "named", "cause right", "harmless", "cured", "still loud", UNMEASURED, "silent")
     return markdown(titles, rows)
 
 
