@@ -1,12 +1,14 @@
 """Cures that the program prints, found in its words and followed to the letter.
 
-write `declination_rad,-0.2274,0.0009` in calibration.csv      a row of that file
-write `unit = "cm"` for z_m in [depth] of the mapping          a key of a column, or of a section
+    write `declination_rad,-0.2274,0.0009` in calibration.csv      a row of that file
+    write `unit = "cm"` for z_m in [depth] of the mapping          keys of a column, or of a section
     multiply z_m by -1; divide vx_m_s, vy_m_s by 1000              numbers of a table
-    subtract 18 s from time_s; add 3600 s to time_s                times of a table
-exchange the names of lat_deg, lon_deg                         columns of a table
-leave out lines 27, 31 of depth.csv                            rows of a table
---robust Position=cauchy:1                                     an option of `nls solve`
+    subtract 18 s from time_s; add 10.1 to z_m and divide by 10    the same, one after the other
+    exchange the names of lat_deg, lon_deg                         columns of a table
+    leave out lines 27, 31 of depth.csv                            rows of a table
+    --robust Position=cauchy:1                                     an option of `nls solve`
+
+What names a table, column or section that is not there cannot be followed: `Unfollowable`.
 """
 
 from __future__ import annotations
@@ -21,15 +23,20 @@ from typing import Any
 __all__ = ["Cure", "Unfollowable", "cures_of"]
 
 LOGS = ".log"  # the end of the name of a log, before its suffix
-NUMBER, NAMES = r"[-+]?[\d.]+(?:e[-+]?\d+)?", r"\w+(?:(?:, | and )\w+)*"
+NUMBER, NAME = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", r"(?:\w+_\w+|valid|it)\b"
+NAMES = rf"{NAME}(?:(?:, | and ){NAME})*"
 VALUE = r"""(?:\{[^}]*\}|\[[^\]]*\]|"[^"]*"|'[^']*'|[-+\w.]+)"""
+ACT = rf"(?:(?:multiply|divide)(?: {NAMES})? by {NUMBER}|(?:subtract|add) {NUMBER}(?: s)? (?:from|to) {NAMES})"
+ACTS = re.compile(
+    rf"(?P<act>multiply|divide|subtract|add) (?:(?P<x>{NUMBER})(?: s)? (?:from|to) (?P<to>{NAMES})|"
+    rf"(?:(?P<of>{NAMES}) )?by (?P<y>{NUMBER}))"
+)
 FORMS = {  # by what is edited
     "calibration": rf"write `?(\w+),({NUMBER}),({NUMBER})`? in calibration\.csv",
-    "key": rf"write `([^`]+)`(?: for ({NAMES}))? in \[(\w+)\] of the mapping",
+    "key": rf"write (`[^`]+`(?: and `[^`]+`)*)(?: for ({NAMES}))? in \[(\w+)\] of the mapping",
     "cell": rf"write `?(\w+ = {VALUE})`?",
-    "numbers": rf"(multiply|divide) ({NAMES}) by ({NUMBER})",
+    "numbers": rf"({ACT}(?:(?:,? then|,? and) {ACT})*)",
     "names": rf"exchange the names of (?!the )({NAMES})",
-    "times": rf"(subtract|add) ({NUMBER}) s (?:from|to) time_s",
     "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of ([\w.]+)\.csv",
     "option": r"--robust ((?:\w+=)?[a-z-]+:[\d.]+)",
 }
@@ -90,21 +97,22 @@ class Cure:
             line, columns, section = self.words
         else:
             line, columns, section = self.words[0], None, self._section(mapping, written)
+        keys = ", ".join(re.findall("`([^`]+)`", f"{line}")) or line
         try:
-            ((key, value),) = tomllib.loads(str(line)).items()
+            new = tomllib.loads(f"x = {{ {keys} }}")["x"]
         except (ValueError, tomllib.TOMLDecodeError) as error:
             raise Unfollowable(f"no line of a mapping: {line}") from error
         if section and not isinstance(mapping.get(section), dict):
             raise Unfollowable(f"no [{section}] in the mapping")
         place = mapping[section] if section else mapping
         if columns is None:
-            place[key] = value
+            place |= new
             return
         for column in names_in(columns):
             cell = place.get(column, mapping.get(column))
             if not isinstance(cell, str | dict):
                 raise Unfollowable(f"{column} is no column of the log in [{section}]")
-            place[column] = ({"column": cell} if isinstance(cell, str) else cell) | {key: value}
+            place[column] = ({"column": cell} if isinstance(cell, str) else cell) | new
 
     def edit(self, mission: Path) -> None:
         """Edit the tables of a mission, or the logs in a folder.
@@ -130,15 +138,21 @@ class Cure:
             a, b = self._columns(head, self.words[0])
             head[a], head[b] = head[b], head[a]
         else:
-            act, *more = self.words
-            columns, number = ("time_s", more[0]) if self.form == "times" else more
-            x = float(str(number)) * (-1 if act == "subtract" else 1)
-            for k in self._columns(head, columns):
-                for row in rows:
+            self._calculate(head, rows)
+        write(file, [head, *rows])
+
+    def _calculate(self, head: list[str], rows: list[list[str]]) -> None:
+        """Do one act after the other; a later one may be of the columns of the one before."""
+        columns: list[int] = []
+        for act in ACTS.finditer(str(self.words[0])):
+            if (names := act["of"] or act["to"]) and names != "it":
+                columns = self._columns(head, names)
+            x = float(act["x"] or act["y"])
+            for row in rows:
+                for k in columns:
                     if row[k]:
                         y = float(row[k])
-                        row[k] = repr({"multiply": y * x, "divide": y / x}.get(str(act), y + x))
-        write(file, [head, *rows])
+                        row[k] = repr({"multiply": y * x, "divide": y / x, "add": y + x, "subtract": y - x}[act["act"]])
 
     def _columns(self, head: list[str], words: str | None) -> list[int]:
         if missing := [name for name in names_in(words) if name not in head]:

@@ -12,6 +12,8 @@ SENTENCES = [  # with the table it must make of z_m 1, 2 and 3 on lines 2, 3 and
     ("depth.csv:2: z_m is implausible. Probable cause: multiply z_m by -1", ["0,-1.0", "1,-2.0", "2,-3.0"]),
     ('z_m of depth.csv looks like ft: divide z_m by 2, or write `unit = "ft"` for z_m', ["0,0.5", "1,1.0", "2,1.5"]),
     ("times of depth.csv: subtract 18.5 s from time_s", ["-18.5,1", "-17.5,2", "-16.5,3"]),
+    ("depth.csv: add 1 to z_m and divide by 2, or write `x = 1`", ["0,1.0", "1,1.5", "2,2.0"]),
+    ("depth.csv: multiply z_m by -1, then add 1.5 to it, or", ["0,0.5", "1,-0.5", "2,-1.5"]),
     ("depth.csv: add 3600 s to time_s", ["3600.0,1", "3601.0,2", "3602.0,3"]),
     ("fixes.csv and depth.csv disagree: exchange the names of time_s, z_m", ["0,1", "1,2", "2,3"]),
     ("leave out lines 2, 4 of depth.csv", ["1,2"]),
@@ -43,22 +45,23 @@ def test_keys_of_the_mapping(cures: Any) -> None:
     mapping = {"time_s": "t", "dvl": {"vx_m_s": "vx", "vz_m_s": {"column": "vz", "sign": -1}}, "depth": {"z_m": "z"}}
     written = 'time_s = "t"\n[dvl]\nvx_m_s = "vx"\nvz_m_s = { column = "vz", sign = -1 }\n[depth]\nz_m = "z"\n'
     for sentence in (
+        "write `sign = -1, offset = 1` for vx_m_s in [dvl] of the mapping",
         'write `unit = "mm/s"` for vx_m_s, vz_m_s in [dvl] of the mapping; or write `missing = 0` in [ahrs]',
         'write `missing = [-9999, "NA"]` in [depth] of the mapping',
-        "write `offset = -18` for time_s in [depth] of the mapping",
+        "write `scale = 0.1` and `offset = -18` for time_s in [depth] of the mapping",
         'map.toml:6: no depths; write z_m = { column = "z", unit = "cm" } if it is',
     ):
         cures.cures_of(sentence)[0].map(mapping, written)
     assert mapping == {
         "time_s": "t",
         "dvl": {
-            "vx_m_s": {"column": "vx", "unit": "mm/s"},
+            "vx_m_s": {"column": "vx", "sign": -1, "offset": 1, "unit": "mm/s"},
             "vz_m_s": {"column": "vz", "sign": -1, "unit": "mm/s"},
         },
         "depth": {
             "z_m": {"column": "z", "unit": "cm"},
             "missing": [-9999, "NA"],
-            "time_s": {"column": "t", "offset": -18},
+            "time_s": {"column": "t", "scale": 0.1, "offset": -18},
         },
     }
 
