@@ -105,7 +105,8 @@ def of_rows() -> Iterator[Mistake]:
             clock_of(table),
             lone,
         )
-        yield Mistake(f"{table}: one row a week back", (table,), one_row(table, -604800.0), clock_of(table))
+        back = (*clock_of(table), "clock of its own", f"leave out lines .*{table}")
+        yield Mistake(f"{table}: one row a week back", (table,), one_row(table, -604800.0), back)
         yield Mistake(f"{table}: shuffled", (table,), rows((table,), shuffled), ("sort",))
         yield Mistake(
             f"{table}: rows twice", (table,), rows((table,), lambda n: np.repeat(np.arange(n), 2)), ("duplicates",)
@@ -126,7 +127,7 @@ def of_rows() -> Iterator[Mistake]:
             f"all: times in {name}",
             (),
             timed(None, lambda t, f=factor: f * t),
-            (f'unit = "{name.rstrip("s") if name == "days" else name}"',),
+            (f'unit = "{"day" if name == "days" else name}"', "right unit of time_s"),
         )
     yield Mistake(
         "all: midnight", (), timed(None, lambda t: (t + 86400 - START - LENGTH / 2) % 86400), ("midnight|86400",)

@@ -23,7 +23,7 @@ from models.sensors import dvl_velocity, spherical
 
 __all__ = ["MISSIONS", "Survey", "toml"]
 
-LENGTH, DT = 400.0, 0.1  # s
+LENGTH, DT, BEFORE = 400.0, 0.1, 5.0  # s; the truth begins before the logs
 START = 30_000.0  # s of the day
 SITE = LocalPlane(54.2, -10.3)
 DVL_ARM, ANTENNA, TRANSPONDER = (0.4, 0.0, 0.2), (-0.3, 0.0, -0.4), (-0.6, 0.0, -0.3)  # m, on the vehicle
@@ -51,7 +51,7 @@ class Survey:
     mapping : of `nls import`, as parsed.
     lines : by table, lines of text that stand between its header and its rows.
     t, p : (k,) and (k, 3) where the vehicle was, s of the day and m, in the axes of `SITE`.
-    dated : whether times of the track are those of `t`; else its first one is the first of `t`.
+    dated : whether times of the track are those of `t`; else its first one is the first of the logs.
     """
 
     mission: str
@@ -83,7 +83,7 @@ class Survey:
             plane = LocalPlane(*np.genfromtxt(origin, delimiter=",", skip_header=1)[:2].tolist())
             p[:, :2] = SITE.local(*plane.geodetic(p[:, :2]))
         if not self.dated or any("date" in part for part in self.mapping.values() if isinstance(part, dict)):
-            t = t - t[0] + self.t[0]
+            t = t - t[0] + self.t[0] + BEFORE
         true = np.column_stack([np.interp(t, self.t, column) for column in self.p.T])
         stated = np.sum([rows[f"sigma_{axis}_m"] ** 2 for axis in "xyz"], axis=0)
         return tuple(np.sqrt([np.mean(np.sum((p - true) ** 2, axis=1)), np.mean(stated)]).tolist())
@@ -125,7 +125,7 @@ class Vehicle:
     @classmethod
     def sailing(cls, rng: np.random.Generator, speed: float, deep: float) -> Vehicle:
         """Lanes side by side with turns, from the surface down and up again."""
-        t = np.arange(-5.0, LENGTH + 5.0 + DT / 2, DT)
+        t = np.arange(-BEFORE, LENGTH + BEFORE + DT / 2, DT)
         leg, lane = rng.uniform(40.0, 50.0), rng.uniform(-np.pi, np.pi)
         turns = np.array([0.0, 0.5, 1.0, 0.5]) * np.pi  # out, across, back, across
         yaw = smooth(lane + turns[((t + 15.0) // leg).astype(int) % 4], 10.0) + 0.1 * np.sin(t / 9.0)
@@ -235,7 +235,7 @@ def usbl(seed: int) -> Survey:
     survey, rng = dive(seed), np.random.default_rng([2, seed])
     t, k = every(4.0, 2.0, LENGTH - 2.0), every(1.0)
     anchor = survey.p[:, :2].mean(axis=0) + rng.normal(0, 30.0, 2)
-    moving = every(DT, -5.0, LENGTH + 5.0)
+    moving = every(DT, -BEFORE, LENGTH + BEFORE)
     swing = np.sin(moving[:, None] / [7.0, 5.0, 90.0, 70.0, 110.0, 6.0]) * [0.03, 0.02, 0.4, 4.0, 4.0, 0.2]
     middle = np.array([0, 0, rng.uniform(-np.pi, np.pi), *anchor, 3.0])
     ship = Vehicle(moving, middle + swing)
