@@ -5,7 +5,7 @@
     multiply z_m by -1; divide vx_m_s, vy_m_s by 1000              numbers of a table
     subtract 18 s from time_s; add 10.1 to z_m and divide by 10    the same, one after the other
     exchange the names of lat_deg, lon_deg                         columns of a table
-    leave out lines 27, 31 of depth.csv                            rows of a table
+    leave out lines 7 to 10, 14 of depth.csv                       rows of a table
     --robust Position=cauchy:1                                     an option of `nls solve`
 
 What names a table, column or section that is not there cannot be followed: `Unfollowable`.
@@ -37,11 +37,12 @@ FORMS = {  # by what is edited
     "cell": rf"write `?(\w+ = {VALUE})`?",
     "numbers": rf"({ACT}(?:(?:,? then|,? and) {ACT})*)",
     "names": rf"exchange the names of (?!the )({NAMES})",
-    "rows": r"leave out lines? ([\d, ]*\d)(?:,? and (\d+)(?: more)?)? of ([\w.]+)\.csv",
+    "rows": r"leave out lines? (\d[\d, to]*?)(?:,? and (\d+) more)? of ([\w.]+)\.csv",
     "option": r"--robust ((?:\w+=)?[a-z-]+:[\d.]+)",
 }
 ANY = re.compile("|".join(f"(?P<{name}>{form})" for name, form in FORMS.items()))
 TABLE = re.compile(r"([\w.]+)\.csv")
+ORIGIN = ", in origin.csv as well"
 LINE, SECTION, LOG = (
     re.compile(r"\.toml:(\d+)"),
     re.compile(r"in \[(\w+)\] of the mapping"),
@@ -106,7 +107,9 @@ class Cure:
             raise Unfollowable(f"no [{section}] in the mapping")
         place = mapping[section] if section else mapping
         if columns is None:
-            place |= new
+            for key, value in new.items():
+                both = isinstance(value, dict) and isinstance(place.get(key), dict)
+                place[key] = place[key] | value if both else value
             return
         for column in names_in(columns):
             cell = place.get(column, mapping.get(column))
@@ -126,20 +129,23 @@ class Cure:
             rows = read(file) if file.exists() else [["name", "value", "sigma"]]
             write(file, [row for row in rows if row[0] != self.words[0]] + [[str(word) for word in self.words]])
             return
-        file = mission / f"{self.words[2] if self.form == 'rows' else self._table()}.csv"
-        if not file.exists():
-            raise Unfollowable(f"no {file.name}")
-        head, *rows = read(file)
-        if self.form == "rows":
-            out = {int(word) for word in re.findall(r"\d+", f"{self.words[0]}")}
-            write(file, [head, *(row for line, row in enumerate(rows, start=2) if line not in out)])
-            return
-        if self.form == "names":
-            a, b = self._columns(head, self.words[0])
-            head[a], head[b] = head[b], head[a]
-        else:
-            self._calculate(head, rows)
-        write(file, [head, *rows])
+        tables = [self.words[2] if self.form == "rows" else self._table()]
+        tables += ["origin"] if self.sentence.startswith(ORIGIN, self.said + len(self.text)) else []
+        for table in tables:
+            file = mission / f"{table}.csv"
+            if not file.exists():
+                raise Unfollowable(f"no {file.name}")
+            head, *rows = read(file)
+            if self.form == "rows":
+                spans = [list(map(int, re.findall(r"\d+", part))) for part in str(self.words[0]).split(",")]
+                out = {line for span in spans for line in range(span[0], span[-1] + 1)}
+                rows = [row for line, row in enumerate(rows, start=2) if line not in out]
+            elif self.form == "names":
+                a, b = self._columns(head, self.words[0])
+                head[a], head[b] = head[b], head[a]
+            else:
+                self._calculate(head, rows)
+            write(file, [head, *rows])
 
     def _calculate(self, head: list[str], rows: list[list[str]]) -> None:
         """Do one act after the other; a later one may be of the columns of the one before."""

@@ -17,6 +17,7 @@ SENTENCES = [  # with the table it must make of z_m 1, 2 and 3 on lines 2, 3 and
     ("depth.csv: add 3600 s to time_s", ["3600.0,1", "3601.0,2", "3602.0,3"]),
     ("fixes.csv and depth.csv disagree: exchange the names of time_s, z_m", ["0,1", "1,2", "2,3"]),
     ("leave out lines 2, 4 of depth.csv", ["1,2"]),
+    ("or leave out lines 2 to 3 and 12 more of depth.csv", ["2,3"]),
     ("leave out line 3 of depth.csv", ["0,1", "2,3"]),
 ]
 
@@ -32,6 +33,13 @@ def test_tables_are_edited(cures: Any, tmp_path: Path, sentence: str, rows: list
     cures.cures_of(sentence)[0].edit(tmp_path)
     head, *found = (tmp_path / "depth.csv").read_text().splitlines()
     assert (head, found) == ("z_m,time_s" if "names" in sentence else "time_s,z_m", rows)
+
+
+def test_an_exchange_is_made_in_origin_csv_as_well(cures: Any, tmp_path: Path) -> None:
+    for name in ("fixes", "origin"):
+        (tmp_path / f"{name}.csv").write_text("lat_deg,lon_deg\n-10.3,54.2\n")
+    cures.cures_of("fixes.csv: exchange the names of lat_deg, lon_deg, in origin.csv as well")[0].edit(tmp_path)
+    assert {(tmp_path / f"{name}.csv").read_text() for name in ("fixes", "origin")} == {"lon_deg,lat_deg\n-10.3,54.2\n"}
 
 
 def test_a_line_of_calibration_csv_replaces_one_of_its_name(cures: Any, tmp_path: Path) -> None:
