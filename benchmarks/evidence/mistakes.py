@@ -1,0 +1,320 @@
+"""Mistakes in logs of missions whose truth is known: what is named, whether it is the cause, and what its cure does.
+
+    python benchmarks/evidence/mistakes.py [--mission NAME] [--only PATTERN] [--seeds N] [--out DIR]
+
+Each mistake is imported and solved as a user would, by `nls import` and `nls solve`. The first cure that is printed is
+followed to the letter, up to six times. With ``LEADLINE_DATA`` the clean controls have public logs, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import re
+import shutil
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
+
+import numpy as np
+from cures import Cure, Unfollowable, cures_of
+from mistake_base import Mistake
+from mistake_kinds import MISTAKES
+from mistake_missions import MISSIONS, Survey, toml
+from script import arguments, at_least_one, markdown, page_head, write_page
+
+from nls.cli import main as command
+from sim.cli import main as simulated
+
+SEEDS, CONTROLS, CURES, SHORT = 3, 20, 6, 140  # a cure for each of the tables
+PATIENCE = 20.0  # s of processor time, fifty times what a right log takes: then the user presses Ctrl-C
+WORSE = 1.5  # times the error of the right log: a wrong result
+SILENT, UNMEASURED, LOUD, CURED, HARMLESS = "silent", "unmeasured", "loud", "cured", "harmless"
+KINDS = (SILENT, UNMEASURED, LOUD, CURED, HARMLESS)  # the worst first
+ROW = re.compile(r"(\w+|max\|dx\|)  ")  # of the table of a command
+MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
+PUBLIC = {  # logs by the mapping of the documentation
+    **{
+        f"AUV at sea, trajectory {k}": (
+            "auv-dvl",
+            f"underwater-auv-dvl/DVL_trajectory{k}.csv",
+            f"underwater-auv-dvl/GT_trajectory{k}.csv",
+        )
+        for k in range(1, 8)
+    },
+    "HoloOcean": ("holoocean", "underwater-holoocean/underwater_data.txt.gz"),
+    "Aracati": ("aracati", "aracati/keyframes.csv.gz", "aracati/truth.csv.gz"),
+}
+EXPLAINED = f"""\
+Each mistake is made in the logs of missions whose truth is known, which `nls import` and `nls solve` read.
+The first cure that is printed is followed to the letter, at most {CURES} times. The worst of the seeds is shown.
+
+- dive: DVL, AHRS and depth, 720 m; GPS in the first and the last 6 s.
+- usbl: the same, with a ship that measures range, bearing and elevation every 4 s.
+- rov: compass, depth and positions every 2 s, without a DVL.
+- Error: root mean square of the positions over the track, against the truth.
+- harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
+  that is larger. cured: the same after a cure. still loud: another exit status, or no answer in
+  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, where no other sensor of the mission
+  measures these numbers, as the depth of the rov, and the wrong ones are as plausible.
+- Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
+  what is harmless or unmeasured."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the program said: its exit status, and its lines."""
+
+    status: int
+    lines: list[str]
+
+    @property
+    def statements(self) -> list[str]:
+        """Lines that say what is wrong, or what to do: all but the rows of the table."""
+        return [line for line in self.lines if line.strip() and not (ROW.match(line) and not cures_of(line))]
+
+    @property
+    def alarm(self) -> bool:
+        return self.status != 0 or any("implausible" in line for line in self.lines)
+
+
+def quietly(act: Callable[[list[str]], int], words: list[str]) -> Answer:
+    """The answer of a command line in this process."""
+    said = io.StringIO()
+    pictures = patch("nls.plot.picture.write_picture")  # three quarters of the time, and none is looked at
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pictures:
+        signal.setitimer(signal.ITIMER_PROF, PATIENCE)
+        try:
+            status = act(words)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        except KeyboardInterrupt:
+            status = 130
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+    return Answer(status, said.getvalue().splitlines())
+
+
+def asked(*words: str) -> Answer:
+    """The answer of `nls`."""
+    return quietly(command, list(words))
+
+
+@dataclass
+class Run:
+    """One log on its way: its mapping as edited, the edits of its tables, options, what was said and the error."""
+
+    survey: Survey
+    folder: Path
+    edits: list[Cure] = field(default_factory=list)
+    options: list[str] = field(default_factory=list)
+    answer: Answer = field(default_factory=lambda: Answer(0, []))
+    error: float = np.nan
+    sigma: float = np.nan
+
+    def solve(self) -> None:
+        """Import and solve, in the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir()
+        logs = self.survey.write(self.folder)
+        for cure in [cure for cure in self.edits if cure.of_log]:
+            cure.edit(self.folder)
+        self.error = self.sigma = np.nan
+        with contextlib.chdir(self.folder):
+            imported = asked("import", *logs, "--map", "map.toml", "-o", "mission")
+            self.answer = imported
+            if imported.status:
+                return
+            for cure in [cure for cure in self.edits if not cure.of_log]:
+                cure.edit(self.folder / "mission")
+            solved = asked("solve", "mission", "-o", "solved", *self.options)
+        self.answer = Answer(solved.status, imported.lines + solved.lines)
+        if (track := self.folder / "solved" / "trajectory.csv").exists():
+            self.error, self.sigma = self.survey.error(track, self.folder / "mission" / "origin.csv")
+
+    def follow(self, cure: Cure) -> None:
+        """Take a cure."""
+        if cure.of_mapping:
+            cure.map(self.survey.mapping, toml(self.survey.mapping))
+        elif cure.form == "option":
+            self.options += ["--robust", str(cure.words[0])]
+        else:
+            self.edits.append(cure)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one mistake in one mission of one seed."""
+
+    mission: str
+    mistake: str
+    seed: int
+    kind: str  # of `KINDS`
+    named: bool
+    right: bool
+    clean: float
+    before: float
+    after: float
+    status: int
+    cures: tuple[str, ...]
+    said: str
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Of the list."""
+        cure = "; then ".join(f"`{cure}`" for cure in self.cures) or self.said[:SHORT].replace("`", "")
+        cause = "right" if self.right else "wrong" if self.named else ""
+        return self.mistake, self.kind, cause, cure.replace("|", "\\|"), meters(self.before), meters(self.after)
+
+
+def meters(error: float) -> str:
+    return f"{error:.3g}" if np.isfinite(error) else ""
+
+
+def solved(survey: Survey, folder: Path) -> Run:
+    """A log as it is."""
+    run = Run(survey, folder)
+    run.solve()
+    return run
+
+
+def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
+    """Make a mistake, and follow the cures."""
+    survey = MISSIONS[clean.survey.mission](seed)
+    mistake.spoil(survey)
+    run = solved(survey, folder)
+    first, before, followed = run.answer, run.error, list[str]()
+    for _ in range(CURES):
+        cures = [cure for line in run.answer.statements for cure in cures_of(line)]
+        if not cures or cures[0].text in followed:
+            break
+        followed.append(cures[0].text.replace("`", ""))
+        try:
+            run.follow(cures[0])
+            run.solve()
+        except Unfollowable as error:
+            followed[-1] += f": cannot be followed, {error}"
+            break
+    said = first.statements
+    right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
+    within = run.error <= WORSE * max(clean.error, clean.sigma)
+    wrong = UNMEASURED if clean.survey.mission in mistake.unmeasured else SILENT
+    kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
+    numbers = (clean.error, before, run.error)
+    words = tuple(followed), " / ".join(said)
+    return Verdict(survey.mission, mistake.name, seed, kind, first.alarm, right, *numbers, run.answer.status, *words)
+
+
+def controls(data: Path | None, seeds: int, folder: Path) -> Iterator[tuple[str, int, int, str]]:
+    """Logs without a mistake: name, how many, alarms and what they say."""
+    for name in MISSIONS:
+        runs = [solved(MISSIONS[name](seed), folder) for seed in range(seeds)]
+        rms = [np.sqrt(np.mean(np.square([getattr(run, what) for run in runs]))) for what in ("error", "sigma")]
+        said = f"error {rms[0]:.2f} m, stated {rms[1]:.2f} m (root mean squares)"
+        yield f"simulated: {name}", len(runs), sum(run.answer.alarm for run in runs), said
+    for world in ("hauv-floor", "hauv-hull"):
+        quietly(simulated, [world, "--seed", "1", "--out", str(folder / world)])
+        yield judged(f"simulated: {world}", asked("solve", str(folder / world)))
+    if data is None:
+        return
+    for name, (mapping, *logs) in PUBLIC.items():
+        target = str(folder / "public" / mapping / name)
+        answer = asked(
+            "import", *(str(data / log) for log in logs), "--map", str(MAPPINGS / f"{mapping}.toml"), "-o", target
+        )
+        yield judged(name, answer if answer.status else asked("solve", target))
+
+
+def judged(name: str, answer: Answer) -> tuple[str, int, int, str]:
+    """The row of one control."""
+    return name, 1, int(answer.alarm), " / ".join(answer.statements)[:200] if answer.alarm else ""
+
+
+def verdicts(options: argparse.Namespace) -> list[Verdict]:
+    """Of all mistakes in all missions and seeds that are asked for."""
+    out: list[Verdict] = []
+    with TemporaryDirectory() as name:
+        for mission in [options.mission] if options.mission else MISSIONS:
+            for seed in range(options.seeds):
+                clean = solved(MISSIONS[mission](seed), Path(name, "clean"))
+                for mistake in [m for m in possible(clean.survey) if re.search(options.only, m.name)]:
+                    out.append(tried(mistake, clean, seed, Path(name, "spoiled")))
+                    print(f"{mission} {seed}: {' | '.join(out[-1].cells)}", flush=True)
+    return out
+
+
+def possible(survey: Survey) -> list[Mistake]:
+    """Mistakes that its logs can have; where there is a ship, every third of those that a dive has, too."""
+    own, others = list[Mistake](), list[Mistake]()
+    for mistake in MISTAKES:
+        if set(mistake.tables) <= survey.logs.keys():
+            (own if {"usbl", "ship"} & {*mistake.tables} else others).append(mistake)
+    return others[:: 3 if own else 1] + own
+
+
+def worst(of_mistake: Sequence[Verdict]) -> Verdict:
+    """The worst of the seeds: the most silent, then the one whose cause is wrong."""
+    return min(of_mistake, key=lambda v: (KINDS.index(v.kind), v.right, -v.after))
+
+
+def summary(by_mission: Mapping[str, Sequence[Verdict]]) -> list[str]:
+    """A row a mission."""
+    rows = []
+    for mission, given in by_mission.items():
+        kinds = Counter(v.kind for v in given)
+        harm = [v for v in given if v.kind not in (HARMLESS, UNMEASURED)]
+        counts = [
+            len(given),
+            sum(v.named for v in harm),
+            sum(v.right for v in harm),
+            *(kinds[kind] for kind in KINDS[::-1]),
+        ]
+        rows.append((mission, *map(str, counts)))
+    titles = ("mission", "mistakes", "named", "cause right", "harmless", "cured", "still loud", UNMEASURED, "silent")
+    return markdown(titles, rows)
+
+
+def page(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]]) -> list[str]:
+    """The tables."""
+    by_mission: dict[str, list[Verdict]] = {}
+    for mission in dict.fromkeys(v.mission for v in given):
+        of_mission = [v for v in given if v.mission == mission]
+        names = dict.fromkeys(v.mistake for v in of_mission)
+        by_mission[mission] = [worst([v for v in of_mission if v.mistake == name]) for name in names]
+    lines = [*EXPLAINED.splitlines(), "", *summary(by_mission), "", "## Logs without a mistake", ""]
+    rows = [(name, str(n), str(alarms), said.replace("|", "\\|")) for name, n, alarms, said in clean]
+    lines += markdown(("log", "missions", "alarms", "remarks"), rows)
+    for mission, worsts in by_mission.items():
+        titles = ("mistake", "verdict", "cause", "cure as printed, or what was said", "error before, m", "after, m")
+        lines += ["", f"## {mission}", "", *markdown(titles, (v.cells for v in worsts), names=4)]
+    return lines
+
+
+def main() -> None:
+    parser = arguments(__doc__, "mistakes.md")
+    parser.add_argument("--mission", choices=MISSIONS, help="one of them alone")
+    parser.add_argument("--only", default="", metavar="PATTERN", help="mistakes whose name has this regular expression")
+    parser.add_argument("--seeds", type=at_least_one, default=SEEDS)
+    parser.add_argument("--controls", type=at_least_one, default=CONTROLS, help="clean missions of each kind")
+    options = parser.parse_args()
+    signal.signal(signal.SIGPROF, signal.default_int_handler)
+    head = page_head("Mistakes in logs")
+    began = time.process_time()
+    given = verdicts(options)
+    data = Path(folder) if (folder := os.environ.get("LEADLINE_DATA")) else None
+    with TemporaryDirectory() as name:
+        clean = list(controls(data, options.controls, Path(name)))
+    head += [f"- `python {' '.join(sys.argv)}`, {(time.process_time() - began) / 60:.0f} min of processor time", ""]
+    write_page([*head, *page(given, clean)], options.out / "mistakes.md")
+
+
+if __name__ == "__main__":
+    main()
