@@ -21,7 +21,7 @@ from nls.io.mission.columns import LEVEL, suffixed
 from nls.io.mission.contacts import add_contacts, add_unnamed_contacts, are_named
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
-from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
+from nls.io.mission.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
@@ -32,7 +32,7 @@ from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
-__all__ = ["read_mission"]
+__all__ = ["graph_of", "read_mission"]
 
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
 x, l = kinds("x", "l")
@@ -64,10 +64,32 @@ def read_mission(
     OptionError
         No such treatment of the elevation.
     """
+    from nls.io.mission.checks import implausible
+    from nls.io.mission.checks.words import sentence
+
     tables, report = read_tables(folder)
+    report.findings = implausible(tables, _plane(tables.get("origin")))
+    for finding in report.findings:
+        report.warn(sentence(finding))
+    return (*graph_of(tables, report, elevation, anchored, alone), report)
+
+
+def graph_of(
+    tables: dict[str, Table],
+    report: MissionReport,
+    elevation: str = "hinge",
+    anchored: bool = True,
+    alone: bool = True,
+) -> tuple[FactorGraph, Values]:
+    """The graph of the tables of a mission and its start; the report gets what they say besides, see `read_mission`.
+
+    Raises
+    ------
+    GraphFileError
+        Tables that cannot be right.
+    """
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
-    _doubt(tables, report)
     times = measured_times(tables, calibrations)
     report.elsewhere = tables.get("dive_closures")
     numbers, factors = track(tables, calibrations, times, report)
@@ -97,23 +119,14 @@ def read_mission(
         compare_landmarks(report, points)
     with stage("read start"):
         start = _start(graph, numbers, points, first, compass, calibrations, acoustics, report)
+    acoustics.shift(calibrations)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
     report.calibrations = calibrations.given()
     if not named:
         start = add_unnamed_contacts(tables, timeline, graph, start, report, elevation)
-    return graph, start, report
-
-
-def _doubt(tables: dict[str, Table], report: MissionReport) -> None:
-    """Warn of what is implausible in the tables."""
-    from nls.io.mission.checks import implausible
-    from nls.io.mission.checks.words import sentence
-
-    report.findings = implausible(tables, report.plane)
-    for finding in report.findings:
-        report.warn(sentence(finding))
+    return graph, start
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:
@@ -152,7 +165,7 @@ def _start(
         turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
     if "motion.csv" in report.tags:
-        along_fixes(graph, start)
+        along_measurements(graph, start, acoustics.places, compass)
     place_beacons(graph, start, acoustics.places)
     return first_sighting(graph, start) if len(points) else start
 
