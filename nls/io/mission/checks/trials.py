@@ -51,7 +51,6 @@ BEGINS = {  # of a constant by the end of its name: where it begins, sigma of it
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
-KERNEL = 30  # iterations under a kernel, from every start
 BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
@@ -192,7 +191,7 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
     for name, file in types.items():
         announce(f"trying a kernel for {file}")
         robust = [f.robust(Cauchy(1.0)) if f.name == name else f for f in graph.factors]
-        fit = solved(FactorGraph(robust, graph.fixed), mission.start, iterations=KERNEL)
+        fit = solved(FactorGraph(robust, graph.fixed), mission.start, start=False)
         if fit is None:
             continue
         kept = [factor.weights(fit.values) > IGNORED for factor in robust]
