@@ -67,7 +67,7 @@ def _dives(report: LoadReport) -> list[str] | None:
 
 
 def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
-    """With what is implausible in the tables of a mission first, and without a kernel for all of it."""
+    """With what is implausible in the tables of a mission first, no kernel for all, no sigmas of what is unmeasured."""
     if report.format != "mission":
         return explanation
     from nls.explanation.findings import Finding, FindingKind
@@ -80,7 +80,8 @@ def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
         replace(finding, advice=tuple(a for a in finding.advice if a.action != "robust"))
         for finding in explanation.findings
     ]
-    return replace(explanation, findings=(*findings, *rest))
+    weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in report.unmeasured)
+    return replace(explanation, findings=(*findings, *rest), weakest=weakest)
 
 
 def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:

@@ -214,7 +214,7 @@ class Acoustics:
         if mount is not None:
             raise table.at_names(
                 "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
-                "and arm_z_m out, or 0"
+                "and arm_z_m out, or 0, or write positions of the transponder to fixes.csv, which has a lever arm"
             )
         place, rows = self._ship(table, poses[:, 0], rows)
         self._graph.fix(s[np.arange(len(self.ship))])

@@ -27,6 +27,7 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    unmeasured : components of a pose, such as ``yaw``, that nothing measures: held at 0, their cells are empty.
     compass : whether a sensor measures the heading in the world.
     elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
     world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
@@ -40,6 +41,7 @@ class MissionReport(LoadReport):
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    unmeasured: tuple[str, ...] = ()
     compass: bool = False
     elsewhere: Table | None = field(default=None, compare=False, repr=False)
     world: list[str] = field(default_factory=list)
