@@ -188,19 +188,7 @@ class Table(Text):
         return numbers
 
     def with_numbers(self, names: Sequence[str], numbers: Array) -> Table:
-        """The same table with other numbers (n, k) in some of its columns; lines and text stay.
-
-        Examples
-        --------
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = Path(folder, "depth.csv")
-        ...     _ = file.write_text("time_s,z_m\\n0,-2.5\\n1,-2.75\\n")
-        ...     table = Table(file, ["time_s", "z_m"])
-        >>> table.with_numbers(["z_m"], -table.floats("z_m")).floats("time_s", "z_m")
-        array([[0.  , 2.5 ],
-               [1.  , 2.75]])
-        """
+        """The same table with other numbers (n, k) in some of its columns; lines and text stay."""
         other = copy(self)
         other._other = self._other | dict(zip(names, numbers.T, strict=True))
         return other

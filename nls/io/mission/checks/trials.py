@@ -22,7 +22,7 @@ import numpy as np
 
 from factors.keys import Kind
 from factors.robust import Cauchy
-from models.errors import GraphFileError
+from models.errors import EvaluationError, GraphFileError, SingularGeometryError
 from nls.analysis.alternatives import HALF, Fit, expected, nearest, solved
 from nls.analysis.calibrations import explains
 from nls.covariance import Marginals
@@ -51,7 +51,6 @@ BEGINS = {  # of a constant by the end of its name: where it begins, sigma of it
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
-KERNEL = 30  # iterations under a kernel, from every start
 BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
@@ -88,13 +87,14 @@ def worth_trying(findings: Sequence[Implausible]) -> bool:
 
 @dataclass(frozen=True)
 class Mission:
-    """Tables as they are, their graph and dead reckoning, and chi2 and dof of their optimum."""
+    """Tables as they are, their graph and dead reckoning, chi2 of that as a limit, chi2 and dof of their optimum."""
 
     tables: Tables
     elevation: str
     graph: FactorGraph
     start: Values
     report: MissionReport
+    limit: float
     chi2: float
     dof: int
 
@@ -104,8 +104,7 @@ class Mission:
             graph, start, _ = _read(tables, self.elevation)
         except GraphFileError:  # tables that the reader refuses are no answer
             return None
-        limit = self.graph.chi2(self.start) * (1 + SETTLED)
-        fit = solved(graph, start, start=False, iterations=BRIEF, limit=limit)
+        fit = solved(graph, start, start=False, iterations=BRIEF, limit=self.limit)
         return fit if fit is not None and fit.dof >= self.dof else None
 
 
@@ -114,7 +113,11 @@ def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) ->
     graph, start, report = _read(tables, elevation)
     if not dof and (fit := solved(graph, start, start=False, iterations=BRIEF)) is not None:
         chi2, dof = fit.chi2, fit.dof
-    return Mission(tables, elevation, graph, start, report, chi2, dof)
+    try:
+        limit = graph.chi2(start) * (1 + SETTLED)
+    except (EvaluationError, SingularGeometryError):  # dead reckoning ends where a bearing has none
+        limit = np.inf
+    return Mission(tables, elevation, graph, start, report, limit, chi2, dof)
 
 
 def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionReport]:
@@ -160,7 +163,10 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
             break
     if fit is None or not explains(fit, mission.chi2, mission.dof):
         return
-    sigma = float(np.sqrt(Marginals(fit.graph, fit.values).covariance(Kind(name)[0])[0, 0]))
+    marginals = Marginals(fit.graph, fit.values)
+    if marginals.status(Kind(name))[0] != "estimated":
+        return
+    sigma = float(np.sqrt(marginals.covariance(Kind(name)[0])[0, 0]))
     if sigma < LEFT * wide:  # else nothing measures it
         yield Trial(Reading(Cause.CALIBRATION, "calibration.csv", name, value), sigma, fit.chi2, fit.dof)
 
@@ -192,7 +198,7 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
     for name, file in types.items():
         announce(f"trying a kernel for {file}")
         robust = [f.robust(Cauchy(1.0)) if f.name == name else f for f in graph.factors]
-        fit = solved(FactorGraph(robust, graph.fixed), mission.start, iterations=KERNEL)
+        fit = solved(FactorGraph(robust, graph.fixed), mission.start, start=False)
         if fit is None:
             continue
         kept = [factor.weights(fit.values) > IGNORED for factor in robust]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,9 @@ from factors.robust import Cauchy
 from models.algebra import apply
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
-from nls.io.mission.checks.trials import explained
+from nls.cli import main
+from nls.io.mission.checks import Cause, Implausible, Reading
+from nls.io.mission.checks.trials import explained, worth_trying
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.folder import read_tables
@@ -131,3 +135,52 @@ def test_the_cause_is_named_and_its_cure_works(name: str, tmp_path: Path) -> Non
         clean = max(clean, solve(dive, str(tmp_path / f"{name}, right"))[0])
     assert after < WITHIN * clean
     assert cured.fit is not nls.Fit.IMPLAUSIBLE
+
+
+def test_solve_and_explain_print_it_and_a_right_mission_is_not_tried(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dive, where = Dive(3), tmp_path / "r.json"
+    right, wrong = dive.write(tmp_path / "right"), dive.write(tmp_path / "wrong", heading(13.0))
+    main(["solve", wrong, "--json", str(where)])
+    report = json.loads(where.read_text())
+    (note,) = [note for note in report["notes"] if note.startswith("implausible: ")]
+    line = "write `declination_rad,-0.22"
+    assert line in note
+    assert line in report["explained"]["sentence"]
+    assert "cauchy" not in note
+    assert [trial["reading"]["column"] for trial in report["explained"]["trials"]] == ["declination_rad", "dvl_yaw_rad"]
+    capsys.readouterr()
+    main(["explain", wrong])
+    out = capsys.readouterr().out
+    assert line in out.partition("\n1. ")[2].partition("\n2. ")[0]
+    assert "cauchy" not in out
+    monkeypatch.setattr("nls.io.mission.checks.trials.explained", None)  # whoever calls it fails
+    assert main(["solve", right, "--json", str(where)]) == 0
+    assert json.loads(where.read_text())["explained"] is None
+    assert "explains chi2" not in capsys.readouterr().out
+
+
+def test_large_tables_begin_with_few_rows_and_end_with_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dive = Dive(1, ("usbl",))
+    _, result = solve(dive, dive.write(tmp_path / "m", changed("usbl", range_m=lambda r: 1.03 * r)))
+    tables = read_tables(tmp_path / "m")[0]
+    whole = explained(tables, result.chi2_final, result.dof)
+    monkeypatch.setattr("nls.io.mission.checks.trials.MOST", 60)  # of 179
+    few = explained(tables, result.chi2_final, result.dof)
+    (a,), (b,) = whole.trials, few.trials
+    assert (b.reading.column, b.dof) == (a.reading.column, a.dof)
+    assert b.reading.factor == pytest.approx(a.reading.factor, abs=0.1 * a.sigma)
+
+
+def test_two_mistakes_are_no_constant_and_units_come_first(tmp_path: Path) -> None:
+    dive = Dive(1, ("usbl",))
+    spoils = changed("usbl", range_m=lambda r: 1.2 * r), changed("usbl", elevation_rad=lambda a: -0.7 * a)
+    _, result = solve(dive, dive.write(tmp_path / "m", heading(40.0), *spoils))
+    explanation = explained(read_tables(tmp_path / "m")[0], result.chi2_final, result.dof)
+    assert explanation.trials == ()
+    assert sentence(explanation).startswith("no single constant and no single table explains chi2 (")
+    reading = Reading(Cause.UNIT, "dvl.csv", "vx_m_s", 1000.0)
+    unit = Implausible("speed", "dvl.csv", 2, "vx_m_s", 900.0, 10.0, "m/s", (reading,))
+    turn = replace(unit, readings=(replace(reading, cause=Cause.TURNED),))
+    assert [worth_trying(findings) for findings in ([], [turn], [unit], [turn, unit])] == [True, True, False, False]
