@@ -21,12 +21,17 @@ class Cause(StrEnum):
     TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
+    ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
     INVERTED = "inverted"
-    ZEROS = "zeros"
+    NONE = "none"  # the number `factor` stands for none
+    ZEROS = "zeros"  # so does a vector of it, whose columns have it elsewhere, too
     STUCK = "stuck"
     OUTLIERS = "outliers"
     SIGMA = "sigma"  # too small by `factor`
     FAR = "far"
+    PRESSURE = "pressure"  # absolute, in a unit that is `factor` times smaller than a decibar
+    WORLD = "world"  # along axes of the world, and not of the vehicle
+    STALE = "stale"  # repeated, of a vehicle that moves
     WAYS = "ways"  # one way and both ways are mixed up
     UNKNOWN = "unknown"
 
@@ -52,6 +57,7 @@ class Implausible:
     measured, limit : the number, and the limit it is beyond.
     unit : of both; empty for a ratio.
     readings : what explains it, the most probable first; more than one where the log does not tell them apart.
+    lines : of all rows that show it, where these are to be left out.
     """
 
     check: str
@@ -62,6 +68,7 @@ class Implausible:
     limit: float
     unit: str
     readings: tuple[Reading, ...]
+    lines: tuple[int, ...] = ()
 
     @property
     def place(self) -> str:

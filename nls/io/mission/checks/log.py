@@ -20,7 +20,7 @@ from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.columns import ANGLES, PLACE
 from nls.io.mission.table import Table
 
-__all__ = ["Fixes", "Log", "read_log"]
+__all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]
 STEP = 1.0  # s: samples of the DVL between which none is needed
 FEWEST = 5  # rows of each file
 LARGEST = 1e9  # of a number, as the reader has it
@@ -135,11 +135,11 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
         z[:, 0],
         euler.to_se3(mount),
         dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)),
-        _fixes(tables.get("fixes"), plane),
+        read_fixes(tables.get("fixes"), plane),
     )
 
 
-def _fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:
+def read_fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:
     """Positions with times; None without any, or where only the numbers of poses are given."""
     if table is None or not table.has("time_s"):
         return None

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from models.listing import several
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
+LISTED = 6  # lines
+PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
+LEAPS = {18: "GPS time and not UTC", 37: "TAI and not UTC", 19: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 10.0: "kPa", 1e4: "Pa", 0.1: "bar", 0.001: "km", 0.01: "hm"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
     "_rad": {180 / 3.141592653589793: "deg"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
-    "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns"},
+    "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
 NUMBERS = {  # of a check: what was measured, and what its limit is
     "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
-    "zeros": "{measured} with bottom lock have a velocity of 0, between others that move",
+    "special value": "{rows} with {measured} are far from the rows around them",
     "bottom lock": "valid is 1 in {percent} of the rows, and the rows of 0 are smooth",
+    "heading": "the vehicle goes ahead by {percent}, of its way beside its heading; expected above {limit_percent}",
+    "stale": "{rows} repeat a fix while the vehicle goes {measured}",
+    "repeated": "{rows} repeat a number, {measured} long, while the vehicle moves",
     "tilt": "a fifth of the log is beyond {measured}; a vehicle stays within {limit}",
     "turn rate": "a tenth of the log turns faster than {measured}; a vehicle stays below {limit}",
     "depth": "a depth of {measured}; expected {side} {limit}",
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
     "time step": "the middle time between two rows is {measured}; expected {side} {limit}",
+    "span": "its times span {measured} times those of the track; expected about 1, or less",
+    "late": "it begins {measured} after the track; expected within the track",
+    "under water": "{measured} fixes are more than 2 m under water at their times; expected none of a receiver",
+    "surface": "the vehicle has fixes where it is {measured}, and none deeper; expected below {limit}",
     "outliers": "{percent} of the rows are far from the rows beside them; expected below {limit_percent}",
     "scatter": "its rows scatter by {measured}, {ratio} times the sigma stated in noise.csv; expected below {limit}",
     "sound speed": "it is {measured}; water has 1400 to 1600 m/s",
@@ -37,7 +49,8 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
 CAUSES = {
     Cause.SWAPPED: "{column} of {file} look exchanged: exchange the names of the columns",
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
-    Cause.ZEROS: "rows of {file} without bottom lock count as valid: write {column} 0 there",
+    Cause.ZEROS: "these rows of {file} have no {column}: leave out {lines} of {file}",
+    Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
     Cause.OUTLIERS: "{column} of {file} has outliers: delete these rows, or give them no weight",
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small: a variance, or degrees?",
@@ -57,8 +70,9 @@ def sentence(finding: Implausible) -> str:
         limit_percent=f"{100 * finding.limit:.3g} %",
         side="below" if finding.measured > finding.limit else "above",
         ratio=f"{finding.readings[0].factor:.3g}",
+        rows=several(len(finding.lines), "row"),
     )
-    causes = "; or ".join(cause(reading) for reading in finding.readings)
+    causes = "; or ".join(cause(reading, lines(finding.lines)) for reading in finding.readings)
     return f"{finding.place}: {finding.column} is implausible: {numbers}. Probable cause: {causes}"
 
 
@@ -67,10 +81,36 @@ def record(finding: Implausible) -> dict[str, Any]:
     return finding.numbers | {"sentence": sentence(finding)}
 
 
-def cause(reading: Reading) -> str:
-    """The cause and what to do."""
-    of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}"}
+def lines(numbers: Sequence[int]) -> str:
+    """Lines of a file: those from the first to the last, or a few of them and how many more.
+
+    Examples
+    --------
+    >>> lines([7, 8, 9, 10]), lines([3, 5])
+    ('lines 7 to 10', 'lines 3, 5')
+    """
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"lines {numbers[0]} to {numbers[-1]}"
+    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    return f"line{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:LISTED]))}{more}"
+
+
+def cause(reading: Reading, rows: str = "") -> str:
+    """The cause and what to do; rows are the lines that it is about."""
+    if reading.cause is Cause.NONE:
+        return f"{_none(reading)}, or leave out {rows} of {reading.file}"
+    of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}", "lines": rows}
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
+
+
+def _none(r: Reading) -> str:
+    names = r.column.split(", ")
+    numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
+    keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
+    stand = "stand" if len(names) > 1 else "stands"
+    return (
+        f"{r.column} {stand} for none: write `missing = {{ {keys} }}` in [{r.file.removesuffix('.csv')}] of the mapping"
+    )
 
 
 def _unit(r: Reading) -> str:
@@ -123,9 +163,40 @@ def _north(r: Reading) -> str:
     )
 
 
+def _pressure(r: Reading) -> str:
+    name = {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"}[r.factor]
+    air, scale = f"{10.1325 * r.factor:.6g}", f"`scale = {1 / r.factor:g}` and " if r.factor > 1 else ""
+    divide = f" and divide by {r.factor:g}" if r.factor > 1 else ""
+    return (
+        f"{r.column} of {r.file} looks like absolute pressure in {name}, with that of the air: subtract {air} from "
+        f"{r.column}{divide}, or write {scale}`offset = -10.1325` for {r.column} in [{r.file.removesuffix('.csv')}] of "
+        "the mapping"
+    )
+
+
+def _world(r: Reading) -> str:
+    north, east = ("vx", "vy") if r.factor > 0 else ("vy", "vx")
+    return (
+        f"{north} and {east} of {r.file} look like north and east, not ahead and to starboard: log axes of "
+        f"the vehicle, or {north} cos(yaw) + {east} sin(yaw) as vx_m_s, {east} cos(yaw) - {north} sin(yaw) as vy_m_s"
+    )
+
+
 def _clock(r: Reading) -> str:
     late, act = ("late", "subtract") if r.factor > 0 else ("early", "add")
     return f"times of {r.file} look about {abs(r.factor):.3g} s {late}: {act} {abs(r.factor):.3g} s, or set both clocks"
+
+
+def _zone(r: Reading) -> str:
+    size, seconds = abs(r.factor), f"{abs(r.factor):.9g} s"
+    act = f"subtract {seconds} from" if r.factor > 0 else f"add {seconds} to"
+    periods = (several(round(size / one), noun) for one, noun in PERIODS if size % one == 0)
+    name = LEAPS.get(int(size)) if size % 1 == 0 else None
+    name = f" ({words})" if (words := name or next(periods, "")) else ""
+    return (
+        f"the clock of {r.file} looks {seconds} {'late' if r.factor > 0 else 'early'}{name}: {act} time_s, or write "
+        f"`offset = {-r.factor:.9g}` for time_s in [{r.file.removesuffix('.csv')}] of the mapping"
+    )
 
 
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
@@ -135,4 +206,7 @@ DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.TURNED: _turned,
     Cause.NORTH: _north,
     Cause.CLOCK: _clock,
+    Cause.PRESSURE: _pressure,
+    Cause.WORLD: _world,
+    Cause.ZONE: _zone,
 }
