@@ -76,12 +76,12 @@ def turns(log: Log) -> Iterator[Implausible]:
 
 
 def turn_of(file: str, t: Array, yaw: Array) -> Iterator[Implausible]:
-    """The heading turns faster than a vehicle for long: degrees in a column of radians."""
+    """The heading turns faster than a vehicle for long: degrees, or hundredths of one, in a column of radians."""
     if len(t) < FEW_ROWS:
         return
     rate = np.abs(np.diff(np.unwrap(yaw)) / np.diff(t))
     if (fast := float(np.quantile(rate, 0.9))) > FASTEST_TURN:
-        cause = Reading(Cause.UNIT, file, "yaw_rad", DEGREES)
+        cause = Reading(Cause.UNIT, file, "yaw_rad", DEGREES * (100 if np.abs(yaw).max() > 360 else 1))
         yield _at("turn rate", "yaw_rad", int(np.argmax(rate > FASTEST_TURN)) + 1, fast, FASTEST_TURN, "rad/s", cause)
 
 

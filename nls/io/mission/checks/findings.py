@@ -24,7 +24,7 @@ class Cause(StrEnum):
     ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
     INVERTED = "inverted"
     NONE = "none"  # the number `factor` stands for none
-    ZEROS = "zeros"  # so does a vector of it, whose columns have it elsewhere, too
+    ZEROS = "zeros"  # 0 in all columns does
     STUCK = "stuck"
     OUTLIERS = "outliers"
     SIGMA = "sigma"  # too small by `factor`

@@ -76,14 +76,15 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
         listed = np.column_stack([_listed(y[:, k], column) for k, column in enumerate(columns)]) & measured[:, None]
         none = listed.any(axis=1)
         zero: Mask = (y == 0).all(axis=1) & measured & np.array(len(columns) > 1 and name != "odometry")
-        for special, cells in ((none, listed), (zero, y == 0)):
+        for special, cells, cause in ((none, listed, Cause.NONE), (zero, y == 0, Cause.ZEROS)):
             for value in np.unique(y[special][cells[special]]):
                 rows = special & (cells & (y == value)).any(axis=1)
                 far = _far(y, rows, measured & ~none & ~zero, columns, special is zero)
                 if columns[0] in POSITIVE and value <= 0:
                     far = rows
                 if far.any():
-                    yield _finding(name, columns, y, far, float(value))
+                    here = [column for column, y_k in zip(columns, y.T, strict=True) if (y_k[far] == value).any()]
+                    yield _finding(f"{name}.csv", here, far, float(value), cause)
 
 
 def _listed(y: Array, column: str) -> Mask:
@@ -135,14 +136,11 @@ def _between(a: Array, b: Array, columns: list[str]) -> Array:
     return np.abs(wrap(a - b) if columns[0].endswith("_rad") else a - b)
 
 
-def _finding(name: str, columns: list[str], y: Array, rows: Mask, value: float) -> Implausible:
-    """The columns that have this number in no other row, else all that have it."""
-    here = [k for k in range(len(columns)) if (y[rows, k] == value).any()]
-    alone = [k for k in here if not (y[~rows, k] == value).any()]
-    cause, names = Cause.NONE if alone else Cause.ZEROS, [columns[k] for k in alone or here]
-    reading = Reading(cause, f"{name}.csv", ", ".join(names), value)
+def _finding(file: str, columns: list[str], rows: Mask, value: float, cause: Cause) -> Implausible:
+    """Rows (n,) in which a number stands for none."""
     at = tuple(np.flatnonzero(rows).tolist())
-    return Implausible("special value", reading.file, at[0], names[0], value, float(len(at)), "", (reading,), at)
+    reading = Reading(cause, file, ", ".join(columns), value)
+    return Implausible("special value", file, at[0], columns[0], value, 0.0, "", (reading,), at)
 
 
 def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None) -> list[Implausible]:

@@ -28,19 +28,21 @@ STRAIGHT = np.radians(20.0)  # the middle direction of one that goes ahead
 def of_track(tables: dict[str, Table]) -> list[Implausible]:
     """Implausible numbers in the tables of a mission without a raw log; lines are rows of the table."""
     out: list[Implausible] = []
-    for name in ("path", "zpr", "fixes"):
+    for name in ("path", "zpr", "fixes", "ahrs", "depth"):
         if (table := tables.get(name)) is None:
             continue
-        file, t = f"{name}.csv", table.floats("time_s")[:, 0] if table.has("time_s") else None
-        if t is not None and (t[1:] > t[:-1]).all():
-            out += step_of(file, t) if name == "path" else ()
+        file, t = f"{name}.csv", None
+        if table.has("time_s") and name != "fixes":
+            t = table.rising("time_s")
+            if steps := list(step_of(file, t)):
+                return steps
             out += turn_of(file, t, table.floats("yaw_rad")[:, 0]) if table.has("yaw_rad") else ()
         if table.has("z_m"):
-            out += depth_of(file, table.floats("z_m")[:, 0], t if name == "path" else None)
+            out += depth_of(file, table.floats("z_m")[:, 0], t)
         for column in ("roll_rad", "pitch_rad"):
             out += tilt_of(file, column, table.floats(column)[:, 0]) if table.has(column) else ()
-    if not out and (path := tables.get("path")) is not None:
-        out += _course(path)
+    if not out and "path" in tables:
+        out += _course(tables["path"])
     return [*out, *_steps(tables["odometry"], tables.get("poses"))] if "odometry" in tables else out
 
 

@@ -17,7 +17,7 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 10.0: "kPa", 1e4: "Pa", 0.1: "bar", 0.001: "km", 0.01: "hm"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
-    "_rad": {180 / 3.141592653589793: "deg"},
+    "_rad": {180 / 3.141592653589793: "deg", 18000 / 3.141592653589793: "cdeg"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
@@ -49,7 +49,6 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
 CAUSES = {
     Cause.SWAPPED: "{column} of {file} look exchanged: exchange the names of the columns",
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
-    Cause.ZEROS: "these rows of {file} have no {column}: leave out {lines} of {file}",
     Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
     Cause.OUTLIERS: "{column} of {file} has outliers: delete these rows, or give them no weight",
@@ -97,7 +96,7 @@ def lines(numbers: Sequence[int]) -> str:
 
 def cause(reading: Reading, rows: str = "") -> str:
     """The cause and what to do; rows are the lines that it is about."""
-    if reading.cause is Cause.NONE:
+    if reading.cause in (Cause.NONE, Cause.ZEROS):
         return f"{_none(reading)}, or leave out {rows} of {reading.file}"
     of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}", "lines": rows}
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
@@ -107,10 +106,8 @@ def _none(r: Reading) -> str:
     names = r.column.split(", ")
     numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
     keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
-    stand = "stand" if len(names) > 1 else "stands"
-    return (
-        f"{r.column} {stand} for none: write `missing = {{ {keys} }}` in [{r.file.removesuffix('.csv')}] of the mapping"
-    )
+    key, table = "missing" if r.cause is Cause.NONE else "missing_together", r.file.removesuffix(".csv")
+    return f"no {r.column} was measured there: write `{key} = {{ {keys} }}` in [{table}] of the mapping"
 
 
 def _unit(r: Reading) -> str:
