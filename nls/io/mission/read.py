@@ -11,7 +11,7 @@ from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
-from models.errors import OptionError
+from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
@@ -32,7 +32,7 @@ from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
-__all__ = ["read_mission"]
+__all__ = ["graph_of", "read_mission"]
 
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
 x, l = kinds("x", "l")
@@ -60,14 +60,44 @@ def read_mission(
     Raises
     ------
     GraphFileError
-        No mission, or one that cannot be right; says which file and line.
+        No mission, or one that cannot be right; says which file and line, and what is implausible, which may be its
+        cause.
     OptionError
         No such treatment of the elevation.
     """
+    from nls.io.mission.checks import implausible
+    from nls.io.mission.checks.words import sentence
+
     tables, report = read_tables(folder)
+    report.findings = implausible(tables, _plane(tables.get("origin")))
+    for finding in report.findings:
+        report.warn(sentence(finding))
+    try:
+        return (*graph_of(tables, report, elevation, anchored, alone), report)
+    except GraphFileError as error:
+        if not report.findings:
+            raise
+        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
+        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
+
+
+def graph_of(
+    tables: dict[str, Table],
+    report: MissionReport,
+    elevation: str = "hinge",
+    anchored: bool = True,
+    alone: bool = True,
+) -> tuple[FactorGraph, Values]:
+    """The graph of the tables of a mission and its start; the report gets what they say besides, see `read_mission`.
+
+    Raises
+    ------
+    GraphFileError
+        Tables that cannot be right.
+    """
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
-    _doubt(tables, report)
     times = measured_times(tables, calibrations)
     report.elsewhere = tables.get("dive_closures")
     numbers, factors = track(tables, calibrations, times, report)
@@ -103,17 +133,7 @@ def read_mission(
     report.calibrations = calibrations.given()
     if not named:
         start = add_unnamed_contacts(tables, timeline, graph, start, report, elevation)
-    return graph, start, report
-
-
-def _doubt(tables: dict[str, Table], report: MissionReport) -> None:
-    """Warn of what is implausible in the tables."""
-    from nls.io.mission.checks import implausible
-    from nls.io.mission.checks.words import sentence
-
-    report.findings = implausible(tables, report.plane)
-    for finding in report.findings:
-        report.warn(sentence(finding))
+    return graph, start
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:

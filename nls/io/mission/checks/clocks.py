@@ -94,5 +94,7 @@ def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterato
     if wet.sum() >= FEWEST and rows:
         late = max(rows, key=lambda late: (rows[late], -abs(late)))
         at = np.flatnonzero(wet)
-        reading = Reading(Cause.ZONE, "fixes.csv", "time_s", late)
-        yield Implausible("under water", "fixes.csv", int(at[0]), "time_s", float(len(at)), 0.0, "", (reading,))
+        of_depth = np.abs(np.array([t_z.min(), t_z.max()]) - span + late).max() < MOST  # it is that clock
+        reading = Reading(Cause.ZONE, *((file, "time_s", -late) if of_depth else ("fixes.csv", "time_s", late)))
+        row = 0 if of_depth else int(at[0])
+        yield Implausible("under water", reading.file, row, "time_s", float(len(at)), 0.0, "", (reading,))

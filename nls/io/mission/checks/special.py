@@ -49,7 +49,7 @@ LARGEST = 1e12
 POSITIVE = ("range_m", "travel_time_s")
 OFTEN = 3  # rows with the largest range of all, or of one fix
 SLOW, CLEAR = 0.05, 10.0  # m/s of a vehicle that moves; sigmas that it has gone
-MANY, LONG = 20, 5.0  # rows, and s, of one number
+MANY, LONG = 15, 5.0  # rows, and s, of one number
 
 
 def special_values(tables: dict[str, Table]) -> list[Implausible]:
@@ -75,7 +75,9 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
             continue  # a larger number is refused by the reader
         listed = np.column_stack([_listed(y[:, k], column) for k, column in enumerate(columns)]) & measured[:, None]
         none = listed.any(axis=1)
-        zero: Mask = (y == 0).all(axis=1) & measured & np.array(len(columns) > 1 and name != "odometry")
+        zero: Mask = (
+            (y == 0).all(axis=1) & measured & np.array((len(columns) > 1 or group == ("z_m",)) and name != "odometry")
+        )
         for special, cells, cause in ((none, listed, Cause.NONE), (zero, y == 0, Cause.ZEROS)):
             for value in np.unique(y[special][cells[special]]):
                 rows = special & (cells & (y == value)).any(axis=1)
@@ -128,6 +130,8 @@ def _far(y: Array, rows: Mask, others: Mask, columns: list[str], zero: bool) -> 
     if not zero or columns[0] in GEODETIC:
         low, high = y[known].min(axis=0), y[known].max(axis=0)
         return np.asarray(rows & (far | (np.maximum(low - y, y - high) > np.maximum(high - low, least))).any(axis=1))
+    if columns[0] in ANGLES and rows.sum() >= OFTEN and y[known].all():
+        far |= True  # an attitude that is 0 at no other time is never 0 three times over
     return np.asarray(rows & far.any(axis=1) & (before < index) & (index < after))
 
 
@@ -154,12 +158,17 @@ def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None
     """
     out = [] if fixes is None else list(_of_fixes(fixes, path))
     if log is not None:
-        speed = np.linalg.norm(log.v, axis=1)
-        rows, moves = np.flatnonzero(log.valid), np.interp(log.t_a, log.t_v[log.valid], speed[log.valid]) > SLOW
-        v, sigmas = log.v[rows], (log.sigmas["sigma_v_m_s"], log.sigmas["sigma_yaw_rad"])
-        out += _stuck("dvl.csv", VELOCITY, log.t_v[rows], v, sigmas[0], speed[rows] > SLOW, rows)
-        yaw = np.unwrap(log.rpy[:, 2:], axis=0)
-        out += _stuck("ahrs.csv", ("yaw_rad",), log.t_a, yaw, sigmas[1], moves, np.arange(len(yaw)))
+        rows = np.flatnonzero(log.valid)
+        speed, yaw = np.linalg.norm(log.v[rows], axis=1), np.unwrap(log.rpy[:, 2:], axis=0)
+        for file, columns, t, y, sigma in (
+            ("dvl.csv", VELOCITY, log.t_v[rows], log.v[rows], "sigma_v_m_s"),
+            ("ahrs.csv", ("yaw_rad",), log.t_a, yaw, "sigma_yaw_rad"),
+            ("depth.csv", ("z_m",), log.t_z, log.z[:, None], "sigma_z_m"),
+        ):
+            moves = np.interp(t, log.t_v[rows], speed) > SLOW
+            out += _stuck(
+                file, columns, t, y, log.sigmas[sigma], moves, rows if file == "dvl.csv" else np.arange(len(t))
+            )
     return out
 
 

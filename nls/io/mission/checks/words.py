@@ -106,7 +106,10 @@ def _none(r: Reading) -> str:
     names = r.column.split(", ")
     numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
     keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
-    key, table = "missing" if r.cause is Cause.NONE else "missing_together", r.file.removesuffix(".csv")
+    key, table = (
+        "missing" if r.cause is Cause.NONE or len(names) == 1 else "missing_together",
+        r.file.removesuffix(".csv"),
+    )
     return f"no {r.column} was measured there: write `{key} = {{ {keys} }}` in [{table}] of the mapping"
 
 

@@ -44,6 +44,14 @@ def test_fixes_of_another_clock_are_named_with_the_offset(late: float, kind: str
         assert act in sentence(finding)
 
 
+@for_all(late=[18.0, -37.0], seed=[1, 2])
+def test_a_depth_of_another_clock_is_not_taken_for_that_of_the_fixes(late: float, seed: int, tmp_path: Path) -> None:
+    files = changed(with_fixes(dive(seed)), "depth", column("time_s", lambda t: t + late))
+    (reading,) = findings(tmp_path / f"{late}{seed}", files)[0].readings
+    assert (reading.cause, reading.file) == (Cause.ZONE, "depth.csv")
+    assert abs(reading.factor - late) < 1.5
+
+
 @for_all(seed=[1, 2, 3], on_deck=[5.0, 18.0, 37.0, 600.0])
 def test_a_receiver_that_is_on_before_and_after_the_dive_has_the_right_clock(
     seed: int, on_deck: float, tmp_path: Path
