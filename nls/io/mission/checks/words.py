@@ -135,6 +135,8 @@ def _sign(r: Reading) -> str:
         "yaw_rad": "yaw is clockwise from north",
         "x_m": "x is north",
         "y_m": "y is east",
+        "lat_deg": "latitudes are north",
+        "lon_deg": "longitudes are east",
     }[r.column]
     return f"{r.column} of {r.file} looks as if it had the other sign: multiply by -1; {positive}"
 
