@@ -32,7 +32,8 @@ FEWEST, DEEP = 3, 0.2  # fixes; part of a dive that is below the surface
 
 def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
     """Tables whose clock is off, and a depth that has the pressure of the air; lines are rows of the table."""
-    times = {name: tables[name].floats("time_s")[:, 0] for name in (*TRACK, *LOOSE) if _timed(tables, name)}
+    timed = [name for name in (*TRACK, *LOOSE) if name in tables and tables[name].has("time_s")]
+    times = {name: tables[name].floats("time_s")[:, 0] for name in timed}
     track = np.array([[t.min(), t.max()] for name, t in times.items() if name in TRACK])
     if not len(track):
         return []
@@ -42,10 +43,6 @@ def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
     if not out and "fixes" in times and file is not None:
         out += _at_depth(times["fixes"], span, f"{file}.csv", times[file], tables[file].floats("z_m")[:, 0])
     return out
-
-
-def _timed(tables: dict[str, Table], name: str) -> bool:
-    return name in tables and tables[name].has("time_s")
 
 
 def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:

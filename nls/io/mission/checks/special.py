@@ -11,7 +11,7 @@ it is special between two rows only.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
 
 import numpy as np
@@ -31,19 +31,9 @@ NUMBERS = np.array([*NINES, *WHOLE], dtype=float)  # that loggers write for none
 UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
 JUMP, USUAL = 4.0, 0.95  # usual steps, and the quantile of the steps that is one
 LEAST = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1e4}  # a jump, by the end of a name
-GROUPS = (  # columns that are measured together; 0 in all of them may stand for none
-    VELOCITY,
-    ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
-    ANGLES,
-    ("x_m", "y_m"),
-    GEODETIC,
-    ("z_m",),
-    ("pressure_pa",),
-    ("range_m",),
-    ("travel_time_s",),
-    ("azimuth_rad",),
-    ("bearing_rad", "elevation_rad"),
-)
+SINGLE = ("z_m", "pressure_pa", "range_m", "travel_time_s", "azimuth_rad", "bearing_rad", "elevation_rad")
+RATES = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+GROUPS = (VELOCITY, RATES, ANGLES, ("x_m", "y_m"), GEODETIC, *((name,) for name in SINGLE))  # measured together
 TABLES = ("dvl", "ahrs", "gyro", "depth", "pressure", "fixes", "path", "zpr", "odometry", "ranges", "usbl", "contacts")
 LARGEST = 1e12
 POSITIVE = ("range_m", "travel_time_s")
@@ -86,7 +76,8 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
                     far = rows
                 if far.any():
                     here = [column for column, y_k in zip(columns, y.T, strict=True) if (y_k[far] == value).any()]
-                    yield _finding(f"{name}.csv", here, far, float(value), cause)
+                    reading = Reading(cause, f"{name}.csv", ", ".join(here), float(value))
+                    yield _named("special value", reading, np.flatnonzero(far), float(value))
 
 
 def _listed(y: Array, column: str) -> Mask:
@@ -140,11 +131,10 @@ def _between(a: Array, b: Array, columns: list[str]) -> Array:
     return np.abs(wrap(a - b) if columns[0].endswith("_rad") else a - b)
 
 
-def _finding(file: str, columns: list[str], rows: Mask, value: float, cause: Cause) -> Implausible:
-    """Rows (n,) in which a number stands for none."""
-    at = tuple(np.flatnonzero(rows).tolist())
-    reading = Reading(cause, file, ", ".join(columns), value)
-    return Implausible("special value", file, at[0], columns[0], value, 0.0, "", (reading,), at)
+def _named(check: str, reading: Reading, rows: Index, measured: float, unit: str = "") -> Implausible:
+    """A finding about rows (k,) that are to be left out."""
+    at, column = tuple(rows.tolist()), reading.column.split(", ")[0]
+    return Implausible(check, reading.file, at[0], column, measured, 0.0, unit, (reading,), at)
 
 
 def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None) -> list[Implausible]:
@@ -160,15 +150,15 @@ def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None
     if log is not None:
         rows = np.flatnonzero(log.valid)
         speed, yaw = np.linalg.norm(log.v[rows], axis=1), np.unwrap(log.rpy[:, 2:], axis=0)
-        for file, columns, t, y, sigma in (
-            ("dvl.csv", VELOCITY, log.t_v[rows], log.v[rows], "sigma_v_m_s"),
-            ("ahrs.csv", ("yaw_rad",), log.t_a, yaw, "sigma_yaw_rad"),
-            ("depth.csv", ("z_m",), log.t_z, log.z[:, None], "sigma_z_m"),
+        for file, columns, t, y, sigma, places in (
+            ("dvl.csv", VELOCITY, log.t_v[rows], log.v[rows], "sigma_v_m_s", rows),
+            ("ahrs.csv", ("yaw_rad",), log.t_a, yaw, "sigma_yaw_rad", np.arange(len(yaw))),
+            ("depth.csv", ("z_m",), log.t_z, log.z[:, None], "sigma_z_m", np.arange(len(log.z))),
         ):
-            moves = np.interp(t, log.t_v[rows], speed) > SLOW
-            out += _stuck(
-                file, columns, t, y, log.sigmas[sigma], moves, rows if file == "dvl.csv" else np.arange(len(t))
-            )
+            stuck = _stuck(t, y, log.sigmas[sigma])
+            if (stuck & (np.interp(t, log.t_v[rows], speed) > SLOW)).any():
+                reading, seconds = Reading(Cause.STALE, file, ", ".join(columns)), float(np.ptp(t[stuck]))
+                out.append(_named("repeated", reading, places[stuck], seconds, "s"))
     return out
 
 
@@ -179,12 +169,12 @@ def _runs(y: Array) -> tuple[Index, Index]:
     return edges[::2], edges[1::2]
 
 
-def _inside(first: Index, last: Index, count: int) -> Mask:
+def _repeats(first: Index, last: Index, count: int) -> Mask:
     """Which of the rows (count,) repeat the first one of a run."""
-    steps = np.zeros(count + 1, dtype=int)
-    steps[first + 1] += 1
-    steps[last + 1] -= 1
-    return np.asarray(np.cumsum(steps[:-1]) > 0)
+    out = np.zeros(count, dtype=bool)
+    for begin, end in zip(first, last, strict=True):
+        out[begin + 1 : end + 1] = True
+    return out
 
 
 def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implausible]:
@@ -198,27 +188,17 @@ def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implau
         moved, dt, limit = np.linalg.norm(d[1] - d[0], axis=1), fixes.t[last] - fixes.t[first], SLOW
     old = (last - first >= OFTEN - 1) & (moved > CLEAR * fixes.sigma[first]) & (moved > limit * dt)
     if old.any():
-        rows = np.sort(fixes.rows[_inside(first[old], last[old], len(fixes.t))])
-        reading = Reading(Cause.STALE, "fixes.csv", ", ".join(fixes.columns))
-        far = float(moved[old].max())
-        yield Implausible(
-            "stale", "fixes.csv", int(rows[0]), fixes.columns[0], far, 0.0, "m", (reading,), tuple(rows.tolist())
+        rows = np.sort(fixes.rows[_repeats(first[old], last[old], len(fixes.t))])
+        yield _named(
+            "stale", Reading(Cause.STALE, "fixes.csv", ", ".join(fixes.columns)), rows, float(moved[old].max()), "m"
         )
 
 
-def _stuck(
-    file: str, columns: Sequence[str], t: Array, y: Array, sigma: float, moves: Mask, rows: Index
-) -> Iterator[Implausible]:
-    """Many equal rows (n, d) of a sensor whose others scatter as stated, and hardly ever are the same."""
+def _stuck(t: Array, y: Array, sigma: float) -> Mask:
+    """Many equal rows (n,) of a sensor y (n, d) whose others scatter as stated, and hardly ever are the same."""
     first, last = _runs(y)
     many = (last - first >= MANY) & (t[last] - t[first] >= LONG)
-    stuck = _inside(first[many], last[many], len(y))
-    if not (stuck & moves).any() or (~stuck).sum() < MANY:
-        return
+    stuck = _repeats(first[many], last[many], len(y))
     others = y[~stuck, 0]
-    third = np.abs(np.diff(others, 3))
-    if len(np.unique(others)) > len(others) / 2 and 1.4826 * np.median(third) / np.sqrt(20.0) > sigma / CLEAR:
-        at = rows[stuck]
-        seconds = float((t[last[many]] - t[first[many]]).max())
-        reading = Reading(Cause.STALE, file, ", ".join(columns))
-        yield Implausible("repeated", file, int(at[0]), columns[0], seconds, LONG, "s", (reading,), tuple(at.tolist()))
+    rough = len(others) > MANY and 1.4826 * np.median(np.abs(np.diff(others, 3))) / np.sqrt(20.0) > sigma / CLEAR
+    return stuck & bool(rough and len(np.unique(others)) > len(others) / 2)

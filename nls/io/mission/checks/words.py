@@ -12,12 +12,13 @@ from nls.io.mission.checks.special import meant
 __all__ = ["record", "sentence"]
 LISTED = 6  # lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
-LEAPS = {18: "GPS time and not UTC", 37: "TAI and not UTC", 19: "TAI and not GPS time"}
+LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 10.0: "kPa", 1e4: "Pa", 0.1: "bar", 0.001: "km", 0.01: "hm"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
     "_rad": {180 / 3.141592653589793: "deg", 18000 / 3.141592653589793: "cdeg"},
+    "_pa": {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
@@ -166,13 +167,11 @@ def _north(r: Reading) -> str:
 
 
 def _pressure(r: Reading) -> str:
-    name = {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"}[r.factor]
-    air, scale = f"{10.1325 * r.factor:.6g}", f"`scale = {1 / r.factor:g}` and " if r.factor > 1 else ""
-    divide = f" and divide by {r.factor:g}" if r.factor > 1 else ""
+    air, name = f"{10.1325 * r.factor:.6g}", UNITS["_pa"][r.factor]
+    divide, scale = (f" and divide by {r.factor:g}", f"`scale = {1 / r.factor:g}` and ") if r.factor > 1 else ("", "")
     return (
-        f"{r.column} of {r.file} looks like absolute pressure in {name}, with that of the air: subtract {air} from "
-        f"{r.column}{divide}, or write {scale}`offset = -10.1325` for {r.column} in [{r.file.removesuffix('.csv')}] of "
-        "the mapping"
+        f"z_m of {r.file} looks like absolute pressure in {name}: subtract {air} from z_m{divide}, or write {scale}"
+        f"`offset = -10.1325` for z_m in [{r.file.removesuffix('.csv')}] of the mapping"
     )
 
 
@@ -190,14 +189,13 @@ def _clock(r: Reading) -> str:
 
 
 def _zone(r: Reading) -> str:
-    size, seconds = abs(r.factor), f"{abs(r.factor):.9g} s"
-    act = f"subtract {seconds} from" if r.factor > 0 else f"add {seconds} to"
-    periods = (several(round(size / one), noun) for one, noun in PERIODS if size % one == 0)
-    name = LEAPS.get(int(size)) if size % 1 == 0 else None
-    name = f" ({words})" if (words := name or next(periods, "")) else ""
+    size, words = f"{abs(r.factor):.9g} s", LEAPS.get(abs(r.factor), "")
+    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
+    words = words or next(periods, "by the depth")
+    late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
     return (
-        f"the clock of {r.file} looks {seconds} {'late' if r.factor > 0 else 'early'}{name}: {act} time_s, or write "
-        f"`offset = {-r.factor:.9g}` for time_s in [{r.file.removesuffix('.csv')}] of the mapping"
+        f"the clock of {r.file} looks {size} {late} ({words}): {act} time_s, or write `offset = {-r.factor:.9g}` for "
+        f"time_s in [{r.file.removesuffix('.csv')}] of the mapping"
     )
 
 
