@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from models.listing import several
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
-LISTED = 6  # lines
+LISTED = 6  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
@@ -82,17 +84,17 @@ def record(finding: Implausible) -> dict[str, Any]:
 
 
 def lines(numbers: Sequence[int]) -> str:
-    """Lines of a file: those from the first to the last, or a few of them and how many more.
+    """Lines of a file: the first of their runs, and how many more there are.
 
     Examples
     --------
-    >>> lines([7, 8, 9, 10]), lines([3, 5])
-    ('lines 7 to 10', 'lines 3, 5')
+    >>> lines([7, 8, 9, 10, 14]), lines([3])
+    ('lines 7 to 10, 14', 'line 3')
     """
-    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
-        return f"lines {numbers[0]} to {numbers[-1]}"
-    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
-    return f"line{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:LISTED]))}{more}"
+    runs = np.split(np.array(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs[:LISTED]]
+    more = sum(map(len, runs[LISTED:]))
+    return f"line{'s' * (len(numbers) > 1)} {', '.join(words)}{f' and {more} more' if more else ''}"
 
 
 def cause(reading: Reading, rows: str = "") -> str:

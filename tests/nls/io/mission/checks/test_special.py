@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 from models.algebra import Array
+from models.errors import GraphFileError
 from models.geodesy import LocalPlane
+from nls.io.importing.mapping import Mapping
+from nls.io.importing.mission import import_logs
 from nls.io.mission.checks import Cause, Implausible, implausible
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.folder import read_tables
+from nls.io.mission.read import read_mission
 from nls.io.mission.table import csv_text
 from tests.combinations import for_all
 from tests.nls.io.mission.checks.missions import dive, kinds, rows
@@ -197,3 +201,24 @@ def test_clean_missions_of_every_kind_are_plausible(seed: int, tmp_path: Path) -
         for name, files in kinds(log).items():
             path = tmp_path / f"{name}{len(list(tmp_path.iterdir()))}"
             assert [sentence(entry) for entry in findings(path, files)] == []
+
+
+def test_the_origin_of_an_import_is_the_first_row_that_is_a_fix(tmp_path: Path) -> None:
+    log = tmp_path / "gps.csv"
+    log.write_text("t,lat,lon\n0,0,0\n1,0,0\n2,54.25,10.5\n3,54.25001,10.5\n")
+    mapping = '[fixes]\ntime_s = "t"\nlat_deg = "lat"\nlon_deg = "lon"\nsigma_x_m = 1\nsigma_y_m = 1\n'
+    imported = import_logs([log], Mapping(mapping, "mapping.toml"))
+    assert imported.files["origin.csv"].decode().splitlines()[1] == "54.25,10.5"
+    assert "the origin x = y = 0 is the first place of [fixes]: 54.25, 10.5 deg" in imported.notes
+
+
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_an_error_of_the_reader_names_the_rows_that_are_no_fixes(tmp_path: Path) -> None:
+    files = kinds(clean(4, minutes=3.0))["motion"] | {"origin": "lat_deg,lon_deg\n54.0,10.0\n"}
+    names, numbers = rows(files["fixes"])
+    numbers[:, 1:3] = np.column_stack(LocalPlane(54.0, 10.0).geodetic(numbers[:, 1:3]))
+    numbers[4:6, 1:3] = 0.0
+    columns = ["time_s", "lat_deg", "lon_deg", *names[3:]]
+    files["fixes"] = csv_text(columns, numbers).decode()
+    with pytest.raises(GraphFileError, match=r"fixes.csv:6: is .* km from origin.csv; .*leave out lines 6, 7"):
+        read_mission(folder(tmp_path / "m", files))
