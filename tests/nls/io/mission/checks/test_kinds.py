@@ -117,6 +117,8 @@ def test_a_vehicle_ten_meters_deep_has_no_air_in_its_depth(tmp_path: Path) -> No
     usbl = replace(deep, fixes=replace(clean(5, minutes=12.0).fixes, p=log.way()[::25, :2]))  # type: ignore[type-var]
     assert [entry for entry in findings(tmp_path / "usbl", with_fixes(usbl)) if entry.column == "z_m"] == []
     assert [entry for entry in findings(tmp_path / "none", files_of(deep)) if entry.column == "z_m"] == []
+    level = path_of(replace(usbl, z=10.1 + 0.02 * np.sin(log.t_z)))
+    assert [entry for entry in findings(tmp_path / "level", level) if entry.column == "z_m"] == []
 
 
 @for_all(name=["x", "y", "swapped"], seed=[1, 4])
@@ -132,15 +134,21 @@ def test_a_path_that_goes_elsewhere_than_its_heading(name: str, seed: int, tmp_p
 
 
 def test_a_vehicle_that_goes_sideways_has_no_other_axes(tmp_path: Path) -> None:
-    """A remotely operated vehicle: its heading is free of its way."""
+    """A remotely operated vehicle: its heading is free of its way. Another one goes north all the time."""
 
     def sideways(names: list[str], y: Array) -> Array:
         yaw = np.cumsum(np.random.default_rng(1).normal(0, 0.1, len(y)))
         y[:, names.index("yaw_rad")] = (yaw + np.pi) % (2 * np.pi) - np.pi
         return y
 
+    def north(names: list[str], y: Array) -> Array:
+        y[:, names.index("yaw_rad")] = 0.0
+        y[:, 1:3] = np.column_stack([1.4 * y[:, 0], 0 * y[:, 0]])
+        return y
+
     files = path_of(replace(clean(2), fixes=None))
     assert findings(tmp_path / "rov", changed(files, "path", sideways)) == []
+    assert findings(tmp_path / "north", changed(files, "path", north)) == []
 
 
 def earth(log: Log, east_first: bool) -> Log:

@@ -130,6 +130,13 @@ def test_what_vehicles_have_as_well_is_no_special_value(tmp_path: Path) -> None:
     anchored = np.column_stack([t, np.repeat([[3.0, 4.0]], 600, axis=0), np.ones((600, 2))])
     ship = {"motion": "sigma_walk_m_sqrt_s\n1.0\n", "fixes": csv_text(names, anchored).decode()}
     assert findings(tmp_path / "anchor", ship) == []
+
+    def hovering(names: list[str], numbers: Array) -> Array:
+        numbers[:, names.index("z_m")] = np.where(np.arange(len(numbers)) % 40 < 3, 9.99, 9.9)
+        return numbers
+
+    hover = {"path": changed(kinds(log)["path"], "path", hovering)["path"]}
+    assert findings(tmp_path / "hover", hover) == []
     depth = changed(kinds(log)["log"], "depth", steady)
     assert [e for e in findings(tmp_path / "nines", depth) if e.check == "special value"] == []
 
