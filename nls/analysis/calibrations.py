@@ -34,7 +34,7 @@ from factors.predicted import predicted
 from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
-from nls.analysis.alternatives import EQUAL, Fit, expected, nearest, scale, solved
+from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.covariance import Marginals
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.system import LinearSystem
 
-__all__ = ["Calibration", "calibrations"]
+__all__ = ["Calibration", "calibrations", "explains"]
 
 UNLIKELY = 1e-6  # chance of a false alarm: no noise is exactly as stated; the public smallGrid3D has 4e-5
 CAUSE = 0.9  # of the chi2 beyond its expectation, which a calibration must explain; odometry without use has 0.75
@@ -172,9 +172,14 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
             continue
         if np.abs(source.group.log(source.group.between(source.X, fit.values[key][None]))).max() > LARGEST:
             continue
-        if expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof):
+        if explains(fit, chi2, dof):
             fits.append(_named(source, fit, key, chi2, dof))
     return nearest(fits)
+
+
+def explains(fit: Judged, chi2: float, dof: int) -> bool:
+    """Whether noise explains an optimum, or nine tenths of the excess of chi2 over dof are gone."""
+    return expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof)
 
 
 def _determined(graph: FactorGraph, pattern: Pattern, values: Values, free: Freedom) -> tuple[FactorGraph, Values]:

@@ -44,7 +44,7 @@ def explain(options: argparse.Namespace) -> int:
     graph = prepare(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
-        explanation, how = _explained(graph, start, values, progress, report, judges)
+        explanation, how = _explained(graph, start, values, progress, report, options, judges)
         explanation = with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
@@ -67,15 +67,21 @@ def _dives(report: LoadReport) -> list[str] | None:
 
 
 def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
-    """With what is implausible in the tables of a mission, first."""
+    """With what is implausible in the tables of a mission first, no kernel for all, no sigmas of what is unmeasured."""
     if report.format != "mission":
         return explanation
     from nls.explanation.findings import Finding, FindingKind
     from nls.io.mission import MissionReport
 
     assert isinstance(report, MissionReport)
-    findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in report.findings]
-    return replace(explanation, findings=(*findings, *explanation.findings))
+    first = [*report.findings, *([report.explained] if report.explained else ())]
+    findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
+    rest = [
+        replace(finding, advice=tuple(a for a in finding.advice if a.action != "robust"))
+        for finding in explanation.findings
+    ]
+    weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in report.unmeasured)
+    return replace(explanation, findings=(*findings, *rest), weakest=weakest)
 
 
 def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:
@@ -100,7 +106,13 @@ def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: Loa
 
 
 def _explained(
-    graph: FactorGraph, start: Values, values: Values, progress: Progress, report: LoadReport, judges: bool
+    graph: FactorGraph,
+    start: Values,
+    values: Values,
+    progress: Progress,
+    report: LoadReport,
+    options: argparse.Namespace,
+    judges: bool,
 ) -> tuple[Explanation, str]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is.
 
@@ -110,6 +122,7 @@ def _explained(
     from models.advice import Advice
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
     from models.listing import several
+    from nls.cli.hint import explain_misfit
     from nls.cli.wrong_contacts import choice_of
     from nls.explanation.applicability import graduates
     from nls.explanation.findings import FindingKind
@@ -131,6 +144,8 @@ def _explained(
         if judges and (choice := choice_of(graph, values, result, report)) is not None:
             progress.next("explain")
             return _without_wrong_contacts(graph, choice, report)
+        if result.doubt:
+            explain_misfit(report, result.chi2_final, result.dof, options)
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")

@@ -13,10 +13,11 @@ from nls.cli import outliers
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["asking", "doubts"]
+__all__ = ["asking", "doubts", "explain_misfit", "gnc_applies"]
 
 
 def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
@@ -75,8 +76,38 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
+def explain_misfit(report: LoadReport, chi2: float, dof: int, options: argparse.Namespace) -> None:
+    """What explains an implausible chi2 of one mission, into its report.
+
+    Nothing is tried where special values or units of its tables are wrong: those come first.
+    """
+    if report.format != "mission" or getattr(options, "dives", []):
+        return
+    from nls.cli.progress import Progress
+    from nls.io.mission import MissionReport
+    from nls.io.mission.checks.trials import explained, worth_trying
+    from nls.io.mission.folder import read_tables
+    from nls.stages import listened
+
+    assert isinstance(report, MissionReport)
+    if worth_trying(report.findings):
+        with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
+            explanation = explained(read_tables(report.path)[0], chi2, dof, options.elevation or "hinge")
+        if explanation.trials or "contacts.csv" not in report.tags:  # the mounting of a sonar is not tried
+            report.explained = explanation
+
+
+def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace) -> list[str]:
+    """Graduated non-convexity, or another start, where chi2 is far off and closures may be wrong."""
+    from nls.explanation.applicability import graduates
+
+    far = Advice("start") in result.advice
+    applies = far and options.robust is None and graduates(graph, result.values)
+    return listed([Advice("gnc"), Advice("start")] * applies, shell=True)
+
+
 def doubts(
-    result: Result, options: argparse.Namespace, written: Sequence[str] = (), fixes_jump: bool = False
+    result: Result, options: argparse.Namespace, written: Sequence[str] = (), cures: Sequence[str] = ()
 ) -> list[str]:
     """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.fit`.
 
@@ -84,13 +115,11 @@ def doubts(
     ----------
     result : of the optimization.
     options, written : as for `asking`.
-    fixes_jump : whether fixes of a mission jump: a kernel gives these little weight.
+    cures : what else explains or cures it, in words.
     """
     if not result.misfit:
         return []
-    kernel, jump = Advice.robust("Cauchy", 1), fixes_jump and not result.robust
-    advice = dict.fromkeys([*(piece for piece in result.advice if piece.action != "explain"), *[kernel] * jump])
     cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
-    cure += listed(advice, shell=True)
+    cure += cures or listed((piece for piece in result.advice if piece.action != "explain"), shell=True)
     problem = f"implausible: {result.doubt}" if result.doubt else result.misfit
     return ["; ".join([problem, *cure, f"see: {asking(options, written)}"])]

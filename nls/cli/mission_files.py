@@ -88,7 +88,8 @@ class MissionFiles:
 
         stack = self.solved.values.stack("x")
         extra = self._extra(np.asarray(stack.manifold.position(stack.X)), self.solved.report.vertex_times.get("x"))
-        write_bytes(path, trajectory_text(self.solved.values, self.solved.marginals, extra))
+        solved = self.solved
+        write_bytes(path, trajectory_text(solved.values, solved.marginals, extra, solved.report.unmeasured))
 
     def _map(self, path: str) -> None:
         from nls.io.files import write_bytes

@@ -179,6 +179,7 @@ def _check_graph(job: Job) -> None:
 
 def _optimize(job: Job) -> None:
     """The optimum, of a mission without wrong contacts where that of all says that some are wrong."""
+    from nls.cli.hint import explain_misfit
     from nls.cli.wrong_contacts import choice_of
 
     _find_optimum(job)
@@ -187,6 +188,9 @@ def _optimize(job: Job) -> None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")
+    if job.result.doubt and job.choice is None and job.sigmas is None:
+        explain_misfit(job.report, job.result.chi2_final, job.result.dof, job.options)
+        job.clock.lap("report")
 
 
 def _find_optimum(job: Job) -> None:

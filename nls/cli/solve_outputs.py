@@ -56,11 +56,13 @@ def _optimum(job: Job, path: str) -> None:
 def _covariance(job: Job, path: str) -> None:
     from nls import Marginals
     from nls.io.covariance_csv import write_covariances
+    from nls.io.mission import MissionReport
 
-    if job.solved is not None and job.solved.marginals is not None:
-        write_covariances(path, job.solved.marginals)
-    else:
-        write_covariances(path, Marginals(job.graph, job.result.values, job.solver, job.options.gauge))
+    marginals = None if job.solved is None else job.solved.marginals
+    if marginals is None:
+        marginals = Marginals(job.graph, job.result.values, job.solver, job.options.gauge)
+    unmeasured = job.report.unmeasured if isinstance(job.report, MissionReport) else ()
+    write_covariances(path, marginals, unmeasured=unmeasured)
 
 
 def _plot(job: Job, path: str) -> None:

@@ -19,12 +19,13 @@ FAR = 5.0  # sigmas of a calibration before the measurements
 def record_of(job: Job) -> dict[str, Any]:
     """The report for programs, without the names of the files that are written."""
     import nls
-    from nls.cli.hint import doubts, separate_parts
+    from nls.cli.hint import doubts, gnc_applies, separate_parts
     from nls.cli.timing import peak_rss_mb
 
     options, result, report, additions = job.options, job.result, job.report, job.additions()
     parts, findings = separate_parts(job.graph, result.values), _findings(report)
-    fixes_jump = any(finding["check"] == "jumps" for finding in findings.get("findings", ()))
+    explained = findings.get("explained")
+    cures = [explained["sentence"]] if explained else gnc_applies(job.graph, result, options)
     return {
         "schema": SCHEMA,
         "input": report.path,
@@ -60,7 +61,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "written": options.phase.written,
         "unwritten": [error.message for error in job.failed],
         **findings,
-        "notes": report.notes + parts + doubts(result, options, options.phase.written, fixes_jump),
+        "notes": report.notes + parts + doubts(result, options, options.phase.written, cures),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -74,7 +75,8 @@ def _findings(report: LoadReport) -> dict[str, Any]:
     from nls.io.mission.checks.words import record
 
     assert isinstance(report, MissionReport)
-    return {"findings": [record(finding) for finding in report.findings]}
+    explained = report.explained and record(report.explained)
+    return {"findings": [record(finding) for finding in report.findings], "explained": explained}
 
 
 def _doubt(report: dict[str, Any]) -> str:

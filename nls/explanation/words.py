@@ -31,9 +31,12 @@ def sentence(finding: Finding) -> str:
 
 
 def _implausible(f: Finding) -> str:
-    from nls.io.mission.checks import Implausible, Reading
+    from nls.io.mission.checks import Explained, Implausible, Reading, Trial
     from nls.io.mission.checks.words import sentence as of_table
 
+    if "trials" in f.numbers:
+        trials = (Trial(**{**trial, "reading": Reading(**trial["reading"])}) for trial in f.numbers["trials"])
+        return of_table(Explained(**{**f.numbers, "trials": tuple(trials)}))
     readings = tuple(Reading(**reading) for reading in f.numbers["readings"])
     return of_table(Implausible(**{**f.numbers, "readings": readings}))
 

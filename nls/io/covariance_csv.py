@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ __all__ = ["write_covariances"]
 EMPTY = ("unmeasured", "free")  # what has no covariance
 
 
-def write_covariances(path: str | Path, marginals: Marginals, frame: str = "world") -> None:
+def write_covariances(
+    path: str | Path, marginals: Marginals, frame: str = "world", unmeasured: Collection[str] = ()
+) -> None:
     """Write the marginal covariance of every variable as CSV; numbers read back bit for bit.
 
     The first line names the columns:
@@ -37,6 +40,7 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     path : the file; gzip-compressed where the name ends in ``.gz``. Written whole or not at all.
     marginals : covariances of a graph.
     frame : ``world`` or ``body``, see `Marginals`.
+    unmeasured : components of poses that are held as nothing measures them, such as ``yaw``: their cells are empty.
 
     Raises
     ------
@@ -76,12 +80,14 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
         status = marginals.status(stack.kind)
         known = np.array([word not in EMPTY for word in status], dtype=bool)
         Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[known]), frame=frame)
+        held = np.isin(stack.manifold.components, list(unmeasured)) & stack.manifold.body_axes
+        Sigma[:, held], Sigma[:, :, held] = np.nan, np.nan
         upper = iter(Sigma[:, *np.triu_indices(stack.manifold.dim)].tolist())
         cells = np.array([place[name] for name in of_kind[stack.kind]], dtype=np.intp).tolist()
         for number, word in zip(stack.numbers.tolist(), status, strict=True):
             row = [""] * len(columns)
             if word not in EMPTY:
                 for cell, value in zip(cells, next(upper), strict=True):
-                    row[cell] = repr(value)
+                    row[cell] = "" if np.isnan(value) else repr(value)
             lines.append(",".join([stack.kind, str(number), word, *row]))
     write_bytes(path, ("\n".join(lines) + "\n").encode())

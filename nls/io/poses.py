@@ -2,7 +2,8 @@
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
 yaw_rad. It has i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
-Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A scan mission calls its
+Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A column of empty cells
+is none, as of what nothing measures. A scan mission calls its
 columns keyframe, time, x, y and yaw.
 """
 
@@ -104,6 +105,8 @@ def _table(path: str | Path) -> Poses:
         if len(cells) != len(head):
             raise GraphFileError(f"{len(cells)} cells, expected {len(head)}: {','.join(head)}", str(path), line)
 
+    measured = {name for name in NEEDED if name in place and any(cells[place[name]] for cells in body)}
+
     def numbers(name: str, optional: bool = False) -> Array:
         return np.array(
             [
@@ -112,7 +115,7 @@ def _table(path: str | Path) -> Poses:
             ]
         )
 
-    state = np.column_stack([numbers(name) if name in place else np.zeros(len(body)) for name in (*ANGLES, *PLACE)])
+    state = np.column_stack([numbers(name) if name in measured else np.zeros(len(body)) for name in (*ANGLES, *PLACE)])
     times = numbers("time_s") if "time_s" in place else None
     ids = numbers("i") if "i" in place else None
     if ids is not None and len(unique := np.unique(ids, return_index=True)[1]) < len(ids):
@@ -121,7 +124,7 @@ def _table(path: str | Path) -> Poses:
     known = set(SIGMAS) <= set(place)
     sigmas = np.column_stack([numbers(name, optional=True) for name in SIGMAS]) if known else None
     whole = None if ids is None else ids.astype(np.int64)
-    return Poses(str(path), euler.to_se3(state), times, whole, sigmas, "yaw_rad" in place)
+    return Poses(str(path), euler.to_se3(state), times, whole, sigmas, "yaw_rad" in measured)
 
 
 def _number(path: str, line: int, name: str, cell: str, optional: bool) -> float:

@@ -161,12 +161,11 @@ class Result:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """Cures where chi2 is implausible: a kernel or a start where that is far, else the way to the cause."""
+        """Cures where chi2 is implausible: the way to the cause, and another start where chi2 is far off."""
         if not self.doubt:
             return ()
-        if not self.chi2_final > FAR * max(self.dof, 1):
-            return (Advice("explain", ("nls explain",)),)
-        return (Advice("start"),) if self.robust else (Advice.robust("Cauchy", 1), Advice("start"))
+        explain = Advice("explain", ("nls explain",))
+        return (explain, Advice("start")) if self.chi2_final > FAR * max(self.dof, 1) else (explain,)
 
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"

@@ -32,7 +32,7 @@ class Points:
     ----------
     name : of one of them, such as ``landmark``.
     numbers : (n,) of the variables.
-    p : (n, 3) m.
+    p : (n, 3) m, or (n, 2) where nothing measures the depth.
     Sigma : (n, 3, 3) covariances along the axes of the world, m^2; nan where there is none.
     """
 
@@ -108,7 +108,10 @@ def chart_of(
         if s.manifold == R(3) and len(s)
     )
     Sigma = _covariances(values, marginals, "x", None)[order]
-    track = Points("pose", stack.numbers[order], np.asarray(stack.manifold.position(stack.X))[order], Sigma)
+    p = np.asarray(stack.manifold.position(stack.X))[order]
+    if "z" in report.unmeasured:
+        p, Sigma[:, 2], Sigma[:, :, 2] = p[:, :2], np.nan, np.nan
+    track = Points("pose", stack.numbers[order], p, Sigma)
     times = None if times is None else times[order]
     bottom = _bottom(track.p, times, report.soundings)
     return Chart(Path(report.path).name or report.path, track, times, points, report.plane, bottom)

@@ -62,6 +62,8 @@ class BagLog(Log):
     columns : of all messages, by dotted path.
     """
 
+    noun = "message"
+
     def __init__(self, path: str, topic: str, columns: dict[str, list[Any]]) -> None:
         title = f"{Path(path).name} {topic}"
         super().__init__(path, title, list(columns), len(columns[RECORDED]))
@@ -98,11 +100,11 @@ class BagLog(Log):
 
     def error(self, row: int, message: str) -> GraphFileError:
         """See `Log`."""
-        return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {self.first + row + 1}: {message}", self.path)
+        return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {self.number(row)}: {message}", self.path)
 
-    def place(self, row: int) -> str:
+    def number(self, row: int) -> int:
         """See `Log`."""
-        return f"{self.title}, message {self.first + row + 1}"
+        return self.first + row + 1
 
 
 class Bag:

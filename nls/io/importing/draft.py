@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from nls.io.importing.bags import Bag, is_bag, refuse_no_log
 from nls.io.importing.examples import example
-from nls.io.importing.guess import guess, plain
+from nls.io.importing.guess import guess, guesses, plain
+from nls.io.importing.quantities import LARGEST
 from nls.io.importing.text_log import Log, TextLog
 from nls.io.importing.units import dimension, header_unit, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, PLACE
@@ -34,6 +35,7 @@ TABLES = {  # what must be there, what may be
 }
 AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
 BY_SIZE = "by the size of its angles"
+SINCE_1970 = 1e8  # s, of 1973; also of other units
 NO_UNIT = "its header names no unit"
 LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
 NUMBERS = {  # columns that no log has
@@ -52,6 +54,8 @@ sigma_pitch_rad = 0.005
 sigma_yaw_rad = 0.02
 sigma_z_m = 0.05
 """
+NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
+WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
 MESSAGES = {  # sections by type of message; {topic} is filled in
     "Imu": ["[ahrs]", 'quaternion = "orientation"', 'frame = "ENU"   # as of ROS; "NED" where the driver says so'],
     "TwistStamped": ["[dvl]", *(f'v{a}_m_s = "twist.linear.{a}"' for a in "xyz"), 'frame = "FLU"'],
@@ -114,10 +118,21 @@ def draft(paths: Sequence[str | Path]) -> str:
         lines += _of_bag(log, tables) if isinstance(log, Bag) else _of_text(log, len(logs) > 1, tables, tilted)
     if "path" in tables:  # which needs no log of sensors
         return "\n".join(lines)
+    walks = "dvl" not in tables and bool({"fixes", "ranges"} & {*tables})
+    if walks:
+        lines = [line for line in lines if not line.endswith(LEVEL)]  # a tilt that nothing measures stays open
+        lines += ["[motion]   # no columns look like a DVL: between two fixes the vehicle may go anywhere", WALK, ""]
     for table in ("dvl", "ahrs", "depth"):
-        if table not in tables:
-            lines += [f"# [{table}]   # no columns look like it; nls solve needs it, or [path]", ""]
-    return "\n".join([*lines, NOISE])
+        if table not in tables and not walks:
+            lines += [f"# [{table}]   # no columns look like it; nls solve needs it, or [path], or [motion]", ""]
+    return "\n".join([*lines, _noise(("dvl", "ahrs", "depth") if not walks else tables)])
+
+
+def _noise(tables: Collection[str]) -> str:
+    """The noise of the sensors that a mission has."""
+    head, *lines = NOISE.splitlines(keepends=True)
+    used = [line for line, table in zip(lines, NOISE_OF, strict=True) if table in tables]
+    return "".join([head, *used] if used else [])
 
 
 def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list[str]:
@@ -128,17 +143,24 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
     for table, (needed, possible) in TABLES.items():
         chosen: dict[str, str] = {}
         for column in (*needed, *possible):
-            if (name := guess(column, log.names, list(chosen.values()))) is not None:
-                chosen[column] = name
+            names = guesses(column, log.names, [*chosen.values(), *_heights(log)])
+            if column == "time_s":
+                names.sort(key=lambda name: not _is_stamp(log, name))
+            if names:
+                chosen[column] = names[0]
         if table == "truth" and {"lat_deg", "lon_deg"} & set(chosen_places := _places(log)):
             chosen = {name: value for name, value in chosen.items() if name not in ("x_m", "y_m")} | chosen_places
             needed = ("time_s", *ANGLES, "lat_deg", "lon_deg", "z_m")
         if table == "ahrs" and not tilted:
             needed = ("time_s", "yaw_rad")
+        if table in ("dvl", "depth", "fixes") and table not in tables and {*needed} - {*chosen} == {"time_s"}:
+            lines.append(f"# [{table}]   # {', '.join(map(repr, chosen.values()))}: no column looks like their time")
         if table in tables or not set(needed) <= set(chosen):
             continue
-        if table == "fixes" and {*ANGLES} <= {c for c in ANGLES if guess(c, log.names)}:
-            continue  # a whole pose: it is a truth
+        if table == "fixes" and "dvl" in tables and all(guess(column, log.names) for column in (*ANGLES, "z_m")):
+            continue  # a whole pose beside a DVL is a truth
+        if table == "truth" and "fixes" in tables[drafted:]:
+            continue
         if table == "path" and ("dvl" in tables or ({*ANGLES, *PLACE} <= set(chosen) and not _is_odometry(chosen))):
             continue  # sensors measure the way; a whole pose is a truth
         if table == "ranges" and ("contacts" in tables or not _is_acoustic(chosen)):
@@ -160,6 +182,21 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
     if unused:
         lines = [*lines[: -1 if lines[-1] == "" else None], f"# not used: {', '.join(map(repr, unused))}", ""]
     return lines
+
+
+def _is_stamp(log: Log, name: str) -> bool:
+    """Whether the first cell of a column is a date, or a number of seconds since 1970."""
+    word = next((word for word in log.words(name) if word), "")
+    try:
+        return float(word) > SINCE_1970
+    except ValueError:
+        return ":" in word
+
+
+def _heights(log: Log) -> list[str]:
+    """Columns with the height over the bottom, which a DVL measures."""
+    names = [name for name in log.names if {"altitude", "height", "alt"} & {*plain(name).split()}]
+    return [name for name in names if guess("vx_m_s", log.names) and "relative" not in plain(name)]
 
 
 def _numbers(table: str) -> list[str]:
@@ -201,6 +238,8 @@ def _line(column: str, chosen: dict[str, str], log: Log) -> str:
     keys, remarks = f"column = {quoted}", ""
     if kind and kind != "time" and not dimension(header_unit(name)[0]):
         unit, why = ("deg", BY_SIZE) if own == "rad" and _in_degrees(chosen, log) else (own, NO_UNIT)
+        if column in LARGEST and np.nanmax(np.abs(log.numbers(name)), initial=0.0) > LARGEST[column]:
+            unit, why = "ddmm", "by the size of its numbers: degrees and minutes"
         keys, remarks = f'{keys}, unit = "{unit}"', f"   # {why}"
     if kind == "velocity" and {"port", "up"} & words:
         keys, remarks = f"{keys}, sign = -1", f"{remarks}   # {AXES[column]}"

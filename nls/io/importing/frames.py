@@ -18,7 +18,7 @@ from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.manifolds.euler import angles_from_quaternion, quaternion_from_angles
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
-from nls.io.mission.columns import ANGLES, ARM, PLACE, suffixed
+from nls.io.mission.columns import ANGLES, ARM, PLACE, VELOCITY, suffixed
 
 __all__ = ["FRAMES", "angles_of", "axes", "turn"]
 
@@ -28,7 +28,6 @@ BODY_OF = {"NED": "FRD", "ENU": "FLU", "NWU": "FLU"}  # that goes with a world, 
 FRAMES = (*WORLD, *BODY)
 ON_BODY = ("sonar", "dvl_mount", "closures", "odometry")  # tables whose places and angles are in axes of the body
 TO_PORT = ("bearing_rad", "elevation_rad", "azimuth_rad")  # to starboard and down in a mission
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 
 
 def axes(frame: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 from nls.io.importing.units import BRACKET, dimension, header_unit, mission_unit
 
-__all__ = ["PATTERNS", "guess", "nearest", "plain"]
+__all__ = ["guess", "guesses", "nearest", "plain"]
 
 ABBREVIATIONS = {"fwd": "forward", "stbd": "starboard", "hdg": "heading", "bt": "bottom", "wt": "water"}
 AXIS = r"(?:dvl|vel(?:ocity)?|v|speed|bottom|body|inst(?:rument)?|linear)"
@@ -20,6 +20,7 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
         r".*\b(?:time ?)?stamp",
         r"(?:utc|date ?time|epoch|t)",
         r".*\btime\b.*",
+        r".*\bdate\b.*",
     ),
     "vx_m_s": (
         rf".*\b{AXIS} ?(?:x|0)",
@@ -45,11 +46,11 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
         rf".*{AXIS}.*\bz",
         r".*\blinear z",
     ),
-    "valid": (r".*\b(?:valid|lock|flag)",),
+    "valid": (r".*\b(?:velocity|bottom|dvl)\b.*\b(?:valid|lock)", r".*\b(?:valid|lock|flag)"),
     "roll_rad": (r"roll", r".*\broll"),
     "pitch_rad": (r"pitch", r".*\bpitch"),
     "yaw_rad": (r"yaw", r"heading", r".*\b(?:true heading|heading true)", r".*\b(?:yaw|heading)"),
-    "z_m": (r"depth", r".*\bdepth", r"altitude", r"height", r"z", r".*\bposition z"),
+    "z_m": (r"depth", r".*\bdepth", r"altitude relative", r"altitude", r"height", r"z", r".*\bposition z"),
     "x_m": (r"x", r"north(?:ing)?", r".*\bposition x", r".*\bx", r"x odo\w*"),
     "y_m": (r"y", r"east(?:ing)?", r".*\bposition y", r".*\by", r"y odo\w*"),
     "lat_deg": (r"lat(?:itude)?", r".*\blat(?:itude)?"),
@@ -60,7 +61,11 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
     "beacon": (r"(?:beacon|transponder)(?: id)?",),
     "sound_speed_m_s": (r".*sound.*(?:speed|velocity).*", r".*\bsvp?\b.*"),
 }
-OTHER = re.compile(r"\b(north|east|earth|imu|acc\w*|gyro|angular|water|air)\b")  # no velocity along own axes
+OTHER = {  # names that are something else: no velocity along own axes, no bottom lock
+    "velocity": re.compile(r"\b(north|east|earth|local|ned|enu|map|world|imu|acc\w*|gyro|angular|water|air)\b"),
+    "": re.compile(r"\b(gps|gnss|fix)\b"),
+}
+WISHED = re.compile(r"\b(c|cmd|command(?:ed)?|set ?point|desired|target|goal|way ?point|wpt)\b")  # last, if at all
 WORLD = re.compile(rf"\b{AXIS} (?:north|east)|\b(?:north|east) {AXIS}")  # then down and up are of the world, too
 
 
@@ -89,19 +94,21 @@ def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str |
     >>> guess("vx_m_s", ["Time [s]", "DVL X [m/s]", "V East [m/s]"]), guess("z_m", ["Time [s]"])
     ('DVL X [m/s]', None)
     """
+    return next(iter(guesses(column, names, taken)), None)
+
+
+def guesses(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
+    """All columns of a log that may be a mission column, the most likely first; what was commanded comes last."""
     kind = mission_unit(column)[0]
     fitting = [name for name in names if name not in taken and dimension(header_unit(name)[0]) in ("", kind)]
-    if kind == "velocity":
-        fitting = [name for name in fitting if not OTHER.search(plain(name))]
-        if any(WORLD.search(plain(name)) for name in names):
-            fitting = [name for name in fitting if not {"down", "up"} & set(plain(name).split())]
-    if column in fitting:
-        return column
-    for pattern in PATTERNS.get(column, ()):
-        for name in fitting:
-            if re.fullmatch(pattern, plain(name)):
-                return name
-    return None
+    if column == "valid" or kind == "velocity":
+        fitting = [name for name in fitting if not OTHER[kind].search(plain(name))]
+    if kind == "velocity" and any(WORLD.search(plain(name)) for name in names):
+        fitting = [name for name in fitting if not {"down", "up"} & set(plain(name).split())]
+    fitting.sort(key=lambda name: bool(WISHED.search(plain(name))))
+    out = [column] if column in fitting else []
+    out += [n for pattern in PATTERNS.get(column, ()) for n in fitting if re.fullmatch(pattern, plain(n))]
+    return list(dict.fromkeys(out))
 
 
 def nearest(column: str, name: str, names: Sequence[str]) -> str | None:

@@ -22,16 +22,15 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import GraphFileError, OptionError
-from models.options import did_you_mean, is_number, is_whole
-from nls.io.importing.examples import example
+from models.options import did_you_mean, is_number
+from nls.io.importing.cell import PLACES_ON_EARTH, Cell, none_words, read_cell, stand_for_none
+from nls.io.importing.dates import check_format, is_date
 from nls.io.importing.frames import FRAMES, axes
-from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import SEPARATORS, Missing
-from nls.io.importing.units import dimension, known_units, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
+from nls.io.mission.columns import ANGLES, COLUMNS, PLACE, optional, suffixed
 from nls.io.toml_file import TomlFile
 
-__all__ = ["VELOCITY", "WHOLE", "Cell", "Mapping", "Section", "read_mapping", "required"]
+__all__ = ["VELOCITY", "Mapping", "Section", "read_mapping", "required"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
@@ -51,41 +50,12 @@ OPTIONS = {  # of a section, with what they may be
     "join": "a whole number of lines that are one row",
     "rows": "[first], or [first, last]: rows from one to before another, counted from 0; -1 is the last",
     "missing": "numbers and words that stand for none: one, a list, or a table of them by column",
+    "missing_together": "a table of such by column: rows in which all of them are so have none of them",
+    "date": "the day of the first row, from whose midnight its time counts, such as '2022-08-14'",
+    "time_format": "how times are written, such as '%m/%d/%Y %H:%M:%S'",
 }
-ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
-CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
-PLACES_ON_EARTH = ("lat_deg", "lon_deg")
-FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
-
-
-@dataclass(frozen=True)
-class Cell:
-    """How one column of a mission table is made.
-
-    Attributes
-    ----------
-    columns : of the log; two are a date and a time, or a number and its hemisphere; none for a constant.
-    constant : a number, a word or True or False.
-    unit : of the log, empty where its header says it.
-    scale, offset : what a number is multiplied with and what is added then, in the unit of the mission.
-    scaled : whether a scale is given, which stands in the place of a unit.
-    missing : numbers and words of the log that stand for none.
-    up : whether the axis points up, of a depth; None where it is not said.
-    equals, above : of a flag, when it is true.
-    row : the number of the first row, for a column that numbers them.
-    """
-
-    columns: tuple[str, ...] = ()
-    constant: Any = None
-    unit: str = ""
-    scale: float = 1.0
-    offset: float = 0.0
-    scaled: bool = False
-    missing: Missing = ()
-    up: bool | None = None
-    equals: Any = None
-    above: float | None = None
-    row: int | None = None
+TOGETHER = "missing_together"
+ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows", TOGETHER)))
 
 
 @dataclass
@@ -100,6 +70,7 @@ class Section:
     rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
     groups : the name of the group that a column stands in.
     missing : numbers and words that stand for none, by column, group or rotation.
+    together : columns of the log, or constants, and what they all are in a row that has none of them.
     mapping : that it stands in, for messages.
     part : which of the sections of its table it is.
     """
@@ -110,6 +81,7 @@ class Section:
     rotation: tuple[str, tuple[Any, ...]] | None
     groups: dict[str, str]
     missing: dict[str, Missing]
+    together: list[tuple[Any, Missing]]
     mapping: Mapping = field(repr=False)
     part: int = 0
 
@@ -182,6 +154,10 @@ class Mapping(TomlFile):
         groups: dict[str, str] = {}
         rotation = None
         known = COLUMNS[table]
+
+        def cell(place: str, column: str, value: Any) -> Cell:
+            return read_cell(table, column, value, lambda problem: self._refused(table, place, problem))
+
         for name, value in content.items():
             columns = tuple(column for column in GROUPS.get(name, ()) if column in known)
             if name in OPTIONS:
@@ -191,33 +167,56 @@ class Mapping(TomlFile):
             elif columns:
                 if not isinstance(value, list) or len(value) != len(columns):
                     raise self._refused(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
-                cells |= {column: self._cell(table, name, column, v) for column, v in zip(columns, value, strict=True)}
+                cells |= {column: cell(name, column, v) for column, v in zip(columns, value, strict=True)}
                 groups |= dict.fromkeys(columns, name)
             elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
-                cells[name] = self._cell(table, name, name, value)
+                cells[name] = cell(name, name, value)
             else:
                 advice = _advice(name, value, known)
                 raise self._refused(
                     table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}"
                 )
-        missing = self._missing(table, options.get("missing", ()), [*cells, *groups.values(), *(rotation or ())[:1]])
-        for column, cell in cells.items():
-            if cell.columns and not cell.missing:
-                of_group = missing.get(groups.get(column, ""), ())
-                cells[column] = replace(cell, missing=missing.get(column, of_group))
-        return Section(table, cells, options, rotation, groups, missing, self, self._part)
+        places = {column: [column] for column in cells}
+        for group, columns in GROUPS.items():
+            if (part := [column for column in columns if column in known]) and set(part) <= cells.keys():
+                places[group] = part
+        turned, numbers = rotation or ("", ())
+        keys = [*places, *([turned] if turned else [])]
+        missing = self._none(table, "missing", options.get("missing", ()), keys)
+        for column, one in cells.items():
+            if one.columns and not one.missing:
+                key = next((key for key, part in places.items() if column in part and key in missing), "")
+                cells[column] = replace(one, missing=missing.get(key, ()))
+        together = [
+            (part, values)
+            for key, values in self._none(table, TOGETHER, options.get(TOGETHER, {}), keys).items()
+            for part in ([cells[column].source for column in places[key]] if key in places else numbers)
+        ]
+        self._refuse_times(table, options, any(name.startswith("time_") and one.columns for name, one in cells.items()))
+        return Section(table, cells, options, rotation, groups, missing, together, self, self._part)
 
-    def _missing(self, table: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
+    def _none(self, table: str, option: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
         """What stands for none, by the keys of a section."""
         if not isinstance(value, dict):
-            return dict.fromkeys(keys, _several(value))
+            return dict.fromkeys(keys, none_words(value))
         for key in value:
             if key not in keys:
                 near = did_you_mean(key, keys) or ";"
                 raise self._refused(
-                    table, "missing", f"missing: {key!r} is not mapped here{near} it has {', '.join(keys)}"
+                    table, option, f"{option}: {key!r} is not mapped here{near} it has {', '.join(keys)}"
                 )
-        return {key: _several(part) for key, part in value.items()}
+        return {key: none_words(part) for key, part in value.items()}
+
+    def _refuse_times(self, table: str, options: Mappings[str, Any], timed: bool) -> None:
+        """Refuse how times are written where there are none, and what cannot be read."""
+        for name in ("date", "time_format"):
+            if name in options and not timed and options[name] != self.tree.get(name):
+                raise self._refused(table, name, f"[{table}] has no column of times; leave {name} out")
+        if (form := options.get("time_format")) is not None:
+            try:
+                check_format(form, "date" in options)
+            except ValueError as error:
+                raise self._refused(table, "time_format", f"time_format = {form!r} {error}") from error
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
@@ -231,82 +230,6 @@ class Mapping(TomlFile):
             )
         return tuple(value)
 
-    def _cell(self, table: str, place: str, column: str, value: Any) -> Cell:
-        """One column of a section, whose place is its own name or that of its group."""
-
-        def refuse(problem: str) -> GraphFileError:
-            return self._refused(table, place, f"{column}: {problem}")
-
-        kind = mission_unit(column)[0]
-        if isinstance(value, str) and column not in ("name", "kernel"):
-            return Cell((value,))
-        if isinstance(value, bool) and column != "valid":
-            raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
-        if is_number(value):
-            if not abs(value) < FINITE:
-                raise refuse(f"{value!r:.30} is not possible; expected a finite number or the name of a column")
-            if sigmas_out(column, float(value)):
-                write = f"{column} = {example(table, column)}"
-                raise refuse(f"{value!r} is not possible; expected {sigma_words(column)}; write one, such as {write}")
-        if isinstance(value, str) and "\n" in value:
-            raise refuse(f"{value!r:.30} is not possible; expected one line")
-        if isinstance(value, bool | str) or is_number(value):
-            return Cell(constant=value)
-        if not isinstance(value, dict):
-            raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
-        for key in value:
-            if key not in CELL:
-                raise refuse(
-                    f"{key!r} is no key of a column{did_you_mean(key, CELL) or ';'} expected {', '.join(CELL)}"
-                )
-        numbers = {key: value[key] for key in ("sign", "scale", "offset", "above") if key in value}
-        for key, number in numbers.items():
-            expected = {"sign": "1 or -1", "scale": "a finite number other than 0"}.get(key, "a finite number")
-            numeric = is_number(number) and abs(number) < FINITE
-            if not numeric or (key == "sign" and number not in (-1, 1)) or (key == "scale" and number == 0):
-                raise refuse(f"{key} is {number!r:.30}; expected {expected}")
-        if "missing" in value and not _stand_for_none(value["missing"]):
-            raise refuse(f"missing is {value['missing']!r}; expected a number, a word or a list of them")
-        if not isinstance(value.get("equals", ""), str | bool | int | float):
-            raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
-        unit = value.get("unit", "")
-        if unit and (not kind or dimension(str(unit)) != kind):
-            pressure = "; of a pressure give scale, such as 9.94e-5 for Pa in sea water, and offset"
-            cure = pressure if dimension(str(unit)) == "pressure" and column == "z_m" else ""
-            raise refuse(f"unit {unit!r} is not one of {known_units(kind)}{cure}")
-        if unit and "scale" in value:
-            raise refuse("unit and scale are both given; scale alone stands for both")
-        if "up" in value and (column != "z_m" or not isinstance(value["up"], bool)):
-            raise refuse("up = true is for z_m alone, of a column that is larger where it is higher")
-        if "row" in value:
-            row = value["row"]
-            if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > WHOLE:
-                raise refuse(
-                    f"row is {row!r:.30}; expected the number of the first row, such as {{ row = 0 }}, also with scale "
-                    "and offset"
-                )
-            return Cell(row=value["row"], scale=float(value.get("scale", 1)), offset=float(value.get("offset", 0)))
-        names = value.get("column", ())
-        names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
-        if not names or not all(isinstance(name, str) for name in names):
-            raise refuse("no column of the log; expected { column = ... }")
-        if len(names) > 1 and not (column.startswith("time_") or (column in PLACES_ON_EARTH and len(names) == 2)):
-            raise refuse(
-                "several columns; only a date and a time are joined, and a latitude or longitude with its side"
-            )
-        sign = -1.0 if value.get("up") else float(value.get("sign", 1))
-        return Cell(
-            names,
-            unit=str(unit),
-            scale=sign * float(value.get("scale", 1)),
-            offset=float(value.get("offset", 0)),
-            scaled="scale" in value,
-            missing=_several(value.get("missing", ())),
-            up=value.get("up"),
-            equals=value.get("equals"),
-            above=value.get("above"),
-        )
-
     def _refuse_option(self, table: str, name: str, value: Any) -> None:
         """Refuse an option of a section with a value it cannot have."""
         good = {
@@ -319,7 +242,9 @@ class Mapping(TomlFile):
             "separator": isinstance(value, str) and (value in SEPARATORS or (len(value) == 1 and value not in '"\n\r')),
             "join": isinstance(value, int) and value > 1,
             "rows": isinstance(value, list) and [type(part) for part in value] in ([int], [int, int]),
-            "missing": all(map(_stand_for_none, value.values() if isinstance(value, dict) else [value])),
+            "missing": all(map(stand_for_none, value.values() if isinstance(value, dict) else [value])),
+            "date": is_date(value),
+            TOGETHER: isinstance(value, dict) and all(map(stand_for_none, value.values())),
             "where": isinstance(value, dict) and set(value) == {"column", "equals"},
         }.get(name, isinstance(value, str) and bool(value))
         if not good:
@@ -356,17 +281,6 @@ def _is_frame(value: Any) -> bool:
         return False
 
 
-def _several(value: Any) -> Missing:
-    """A list as it stands, one value as the only one."""
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
-
-
-def _stand_for_none(value: Any) -> bool:
-    """Whether it is a number, a word or a list of them."""
-    parts = _several(value)
-    return bool(parts) and all(isinstance(v, str) or (is_number(v) and abs(v) < FINITE) for v in parts)
-
-
 def _is_section(value: Any) -> bool:
     return isinstance(value, dict) or (isinstance(value, list) and all(isinstance(part, dict) for part in value))
 
@@ -390,6 +304,7 @@ def _toml(value: object) -> str:
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
-def required(table: str) -> list[str]:
+def required(section: Section) -> list[str]:
     """Columns of a table that must be mapped: not those that may be left out, nor the flag of a DVL."""
-    return [name for name in COLUMNS[table] if name not in (*OPTIONAL.get(table, ()), "valid")]
+    table, tables = section.table, [other.table for other in section.mapping.sections]
+    return [name for name in COLUMNS[table] if name not in (*optional(table, tables), "valid")]

@@ -10,17 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.errors import OptionError
+from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from models.listing import several
 from nls.io.files import write_folder
 from nls.io.importing.bags import refuse_no_log
-from nls.io.importing.mapping import WHOLE as LARGEST
+from nls.io.importing.cell import WHOLE as LARGEST
+from nls.io.importing.dates import NANOSECONDS, iso, parse_zero
 from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
-from nls.io.importing.times import NANOSECONDS, iso, parse_zero
-from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
+from nls.io.importing.times import DAY, WEEK
+from nls.io.mission.columns import COLUMNS, needed
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
 
@@ -73,6 +74,9 @@ def import_logs(logs: Sequence[str | Path], mapping: Mapping) -> Imported:
     refuse_no_log(logs)
     sources = Logs(logs)
     parts = [rows_of(section, sources.of(section)) for section in mapping.sections]
+    if logs and not any(section.used for section in mapping.sections):
+        names = ", ".join(sources.paths)
+        raise GraphFileError(f'uses no column of {names}; write the name of one, such as time_s = "Time"', mapping.path)
     notes = [*sources.notes, *dict.fromkeys(note for log in sources.used for note in log.notes)]
     notes += dict.fromkeys(note for part in parts for note in part.notes)
     zero = _zero(mapping, parts, notes)
@@ -117,13 +121,22 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
 
 def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
     """What is subtracted from times since 1970, ns: as the mapping says, else the whole second before the first one."""
-    since = {part.section.table: s for part in parts for s in part.times.values() if s.nanoseconds is not None}
-    own = [part.section for part in parts for s in part.times.values() if s.seconds is not None]
+    since = {part.section.table: s for part in parts for s in part.times.values() if s.since_1970}
+    own = [(part.section, s) for part in parts for s in part.times.values() if not s.since_1970]
+    known = [int(f(s.ns[s.present])) for s in since.values() for f in (np.min, np.max)] or [0]
+    first, last = min(known), max(known)
     if since and own:
-        raise own[0].error(
+        section, stamp = own[0]
+        days, of_day = first // DAY, stamp.ns.max() <= DAY
+        midnight = (days if of_day else days - (days + 4) % 7) * DAY  # of the day, or of the Sunday before
+        fits = stamp.ns.max() <= WEEK and midnight + stamp.ns[0] <= last and midnight + stamp.ns[-1] >= first
+        write = "time_s = { column = ..., offset = SECONDS }"
+        if fits:
+            write = f'`date = "{iso(midnight)[:10]}"`, as they are of the {"day" if of_day else "week of GPS"},'
+        raise section.error(
             "time_s",
-            f"the times of [{own[0].table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
-            "write time_s = { column = ..., offset = SECONDS } for one zero",
+            f"the times of [{section.table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
+            f"write {write} in [{section.table}] of the mapping",
         )
     if mapping.time_zero is not None:
         zero = parse_zero(mapping.time_zero)
@@ -137,15 +150,11 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
         if not since:
             raise mapping.error("", "time_zero", "no time of the logs is since 1970; leave time_zero out")
     elif since:
-        first = min(int(s.nanoseconds[s.present].min()) for s in since.values() if s.nanoseconds is not None)
         zero = first // NANOSECONDS * NANOSECONDS
     else:
         return 0
-    notes.append(
-        f"time_zero {iso(zero)}: {zero / NANOSECONDS:.9g} s since 1970 are subtracted from all times"
-        if zero % NANOSECONDS
-        else f"time_zero {iso(zero)}: {zero // NANOSECONDS} s since 1970 are subtracted from all times"
-    )
+    seconds = f"{zero / NANOSECONDS:.9g}" if zero % NANOSECONDS else f"{zero // NANOSECONDS}"
+    notes.append(f"time_zero {iso(zero)}: {seconds} s since 1970 are subtracted from all times")
     return zero
 
 
@@ -223,13 +232,14 @@ def _cells(column: Array) -> npt.ArrayLike:
 
 def _missing(tables: set[str]) -> str:
     """The note on what a mission still needs."""
-    log_files = [name for name in LOG if name != "depth" or "pressure" not in tables]
-    needed = [] if tables & set(ALONE) else TRACK if tables & set(TRACK) else log_files
     of_sonar = ("contacts", "sonar") if tables & {"contacts", "sonar"} else ()
-    absent = [f"{name}.csv" for name in (*needed, *of_sonar) if name not in tables]
+    absent = [f"{name}.csv" for name in (*needed(tables), *of_sonar) if name not in tables]
     if not absent:
         return ""
-    return f"nls solve needs {', '.join(absent)} besides: give the sections, or the files (nls new writes templates)"
+    walk = "write `sigma_walk_m_sqrt_s = 0.5` in [motion] of the mapping: meters that the vehicle may go in a second"
+    walk = f"; without a DVL {walk}" if "dvl.csv" in absent else ""
+    needs = f"nls solve needs {', '.join(absent)} besides"
+    return f"{needs}: give the sections, or the files (nls new writes templates){walk}"
 
 
 def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequence[str]) -> bytes:

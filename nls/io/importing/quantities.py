@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array
-from nls.io.importing.mapping import Cell, Section
+from nls.io.importing.cell import Cell
+from nls.io.importing.mapping import Section
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.units import convert, dimension, factor, header_unit, mission_unit
 
-__all__ = ["FULL_TURN", "convert_column", "hemispheres"]
+__all__ = ["FULL_TURN", "convert_column", "hemispheres", "unit_of"]
 
 FULL_TURN = 2 * np.pi
 LARGEST = {"lat_deg": 90.0, "lon_deg": 180.0}
@@ -22,7 +23,30 @@ SIDES = {
 LOOKED_AT = 20  # rows in which a column of letters shows itself
 
 
-def convert_column(section: Section, column: str, cell: Cell, log: Log, numbers: Array, notes: list[str]) -> Array:
+def unit_of(section: Section, column: str, log: Log) -> str:
+    """The unit of a column of a mission in the log, by the mapping, its header or a row of units; empty where none is.
+
+    Raises
+    ------
+    GraphFileError
+        The header has a unit of another kind.
+    """
+    kind, own = mission_unit(column)
+    cell = section.cells[column]
+    name = cell.columns[0]
+    named, bracket = header_unit(name)
+    header = log.units.get(name) or named
+    if cell.unit or dimension(header) == kind:
+        return cell.unit or header
+    if (bracket and kind != "time" and len(named) < 8) or dimension(header) not in ("", "fraction"):
+        known = dimension(header) or "an unknown unit"
+        write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
+        cure = f"write {write} if it is" if known != "pressure" else "scale and offset turn a pressure into a depth"
+        raise section.error(column, f"{name!r} is in {header}, {known}; {column} is a {kind}, {own}; {cure}")
+    return ""
+
+
+def convert_column(section: Section, column: str, log: Log, numbers: Array, notes: list[str]) -> Array:
     """Numbers (n,) of a column in the unit of the mission.
 
     Raises
@@ -33,17 +57,11 @@ def convert_column(section: Section, column: str, cell: Cell, log: Log, numbers:
     kind, own = mission_unit(column)
     if not kind:
         return numbers
-    name = cell.columns[0]
-    named, bracket = header_unit(name)
-    header = log.units.get(name) or named
-    if cell.unit and dimension(named) == kind and factor(named, column) != factor(cell.unit, column):
-        notes.append(f"{log.title}: {name!r} is taken to be {cell.unit}, as the mapping says")
-    if not (unit := cell.unit or (header if dimension(header) == kind else "")):
-        if (bracket and len(named) < 8) or dimension(header) not in ("", "fraction"):
-            known = dimension(header) or "an unknown unit"
-            write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
-            cure = f"write {write} if it is" if known != "pressure" else "scale and offset turn a pressure into a depth"
-            raise section.error(column, f"{name!r} is in {header}, {known}; {column} is a {kind}, {own}; {cure}")
+    given, name = section.cells[column].unit, section.cells[column].columns[0]
+    named = header_unit(name)[0]
+    if given and dimension(named) == kind and factor(named, column) != factor(given, column):
+        notes.append(f"{log.title}: {name!r} is taken to be {given}, as the mapping says")
+    if not (unit := unit_of(section, column, log)):
         _refuse_size(section, column, name, numbers, "names no unit and ")
         notes.append(f"{log.title}: {name!r} names no unit; it is taken to be {own}")
         unit = own
@@ -52,7 +70,7 @@ def convert_column(section: Section, column: str, cell: Cell, log: Log, numbers:
     except ValueError as error:
         k, sentence = error.args
         raise log.error(k, f"{name}: {sentence}; correct unit of {column} in the mapping") from error
-    if not cell.unit and kind == "angle":
+    if not given and kind == "angle":
         _refuse_size(section, column, name, converted, "")
     return converted
 

@@ -7,15 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.algebra import Array, Index, Mask, wrap
-from models.errors import GraphFileError, OptionError
+from models.errors import OptionError
 from models.listing import several
+from nls.io.importing.cell import Cell
+from nls.io.importing.dates import EXAMPLE
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
-from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.mapping import Section, required
 from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
 from nls.io.importing.sigmas import sigma_words, sigmas_out
-from nls.io.importing.text_log import MISSING, Log
-from nls.io.importing.times import Stamps, stamps
+from nls.io.importing.text_log import MISSING, Log, blanked, is_number
+from nls.io.importing.times import DAY, WEEK, Stamps, stamps
 from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import ANGLES
 
@@ -24,8 +26,9 @@ __all__ = ["Rows", "rows_of"]
 TIMES = ("time_s", "time_i_s", "time_j_s")
 WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
+FEW, NEARLY = 5, 0.9  # rows of which each is named; the part of a period by which a clock falls that begins anew
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
-FLAGS = {"1": True, "0": False, "true": True, "false": False}
+FLAGS = {"true": 1.0, "false": 0.0}
 
 
 @dataclass
@@ -39,6 +42,8 @@ class Rows:
     numbers : (n,) by column, with units and axes of the mission.
     words : (n,) by column.
     times : (n,) by column.
+    none : (n,) rows in which `Section.together` says that there is none.
+    rows : (n,) of the log.
     notes : what was assumed and left out.
     """
 
@@ -47,6 +52,7 @@ class Rows:
     numbers: dict[str, Array] = field(default_factory=dict)
     words: dict[str, list[str]] = field(default_factory=dict)
     times: dict[str, Stamps] = field(default_factory=dict)
+    none: Mask = field(default_factory=lambda: np.zeros(1, dtype=bool))
     rows: Index = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
     notes: list[str] = field(default_factory=list)
 
@@ -75,11 +81,16 @@ def rows_of(section: Section, log: Log | None) -> Rows:
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
             assert log is not None
-            rows.times[column] = stamps(log, _known(section, column, cell, log), column, rows.notes)
+            _known(section, column, cell, log)
+            rows.times[column] = stamps(section, log, column, rows.notes)
         elif column in WORDS:
             rows.words[column] = _words(section, column, cell, log, count)
         else:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
+    rows.none = np.full(count, bool(section.together))
+    for source, values in section.together:
+        cells = log.words(source) if log is not None and isinstance(source, str) else [str(source)]
+        rows.none &= [not word for word in blanked(cells, values)]
     if section.rotation is not None:
         _rotate(section, log, rows, count)
     rows.rows = np.arange(count)
@@ -101,7 +112,7 @@ def _refuse_missing(section: Section, log: Log | None) -> None:
     given = {*section.cells, *(ANGLES if section.rotation else ())}
     if {"lat_deg", "lon_deg"} & given:
         given |= {"x_m", "y_m"}
-    if absent := [name for name in required(section.table) if name not in given]:
+    if absent := [name for name in required(section) if name not in given]:
         names = log.names if log else []
         near = guess(absent[0], names)
         write = f'{absent[0]} = "{near}"' if near else f'{absent[0]} = "COLUMN OF THE LOG", or a number'
@@ -149,7 +160,7 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
     numbers = log.numbers(name, cell.missing)
     numbers[~np.isfinite(numbers)] = np.nan
     if not cell.scaled:
-        numbers = convert_column(section, column, cell, log, numbers, notes)
+        numbers = convert_column(section, column, log, numbers, notes)
         if column == "z_m" and cell.up is None and cell.scale > 0:
             _refuse_unsaid_height(section, name)
     numbers = hemispheres(section, column, cell, log, numbers * cell.scale + cell.offset)
@@ -192,14 +203,10 @@ def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
 
 def _flag(word: str) -> float | None:
     """The value of a flag; nan of an empty cell, None where it is none."""
-    if word.lower() in MISSING:
+    low = word.lower()
+    if low in MISSING:
         return float("nan")
-    if word.lower() in FLAGS:
-        return float(FLAGS[word.lower()])
-    try:
-        number = float(word)
-    except ValueError:
-        return None
+    number = FLAGS.get(low, float(low.replace(",", ".")) if is_number(low) else None)
     return number if number in (0.0, 1.0) else None
 
 
@@ -213,12 +220,13 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
         parts = np.column_stack([log.numbers(name, section.missing.get(kind, ())) for name in names])
     else:
         parts = np.tile(np.array(names, dtype=float), (count, 1))
-    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)
+    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1) & ~rows.none
     try:
         rpy[present] = angles_of(kind, parts[present])
     except ValueError as error:
         k, sentence = error.args
-        problem = f"{sentence}; is the order of its numbers right?"
+        none = f"write `missing_together = {{ {kind} = 0 }}` in [{section.table}] of the mapping"
+        problem = f"{sentence}; {'is the order of its numbers right?' if parts[present][k].any() else none}"
         if log is None or not isinstance(names[0], str):
             raise section.error(kind, problem) from error
         raise log.error(int(np.flatnonzero(present)[k]), problem) from error
@@ -227,7 +235,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
 
 def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
     """Rows (n,) whose times are there, and rows of which nothing else is missing; makes the flag of a DVL."""
-    timed, whole = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
+    timed, whole = np.ones(count, dtype=bool), ~rows.none
     for stamp in rows.times.values():
         timed &= stamp.present
     flag = rows.numbers.pop("valid", None) if rows.section.table == "dvl" else None
@@ -237,8 +245,7 @@ def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
         whole &= np.array([bool(word) for word in words])
     if rows.section.table == "dvl":
         rows.numbers["valid"] = (whole & (flag == 1 if flag is not None else True)).astype(float)
-        for name in VELOCITY:
-            rows.numbers[name] = np.where(np.isfinite(rows.numbers[name]), rows.numbers[name], 0.0)
+        rows.numbers = {name: np.where(np.isfinite(n), n, 0.0) for name, n in rows.numbers.items()}
         if flag is None:
             rows.notes.append("dvl: no column says valid: rows with a velocity are")
     return timed, whole
@@ -254,10 +261,16 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
                 raise rows.section.error("", f"[{name}] has an empty {problem}")
             first = log.place(int(np.argmax(bad)))
             count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
+            if name == "fixes" and np.isnan(rows.numbers.get("z_m", whole)[bad]).any():
+                effect += "; their places stay where z_m is in [depth], and not in [fixes]"
             rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
-    _take(rows, np.flatnonzero(timed if name == "dvl" else timed & whole))
-    if not len(rows.rows) and log is not None:
-        raise GraphFileError(f"no row has all that [{name}] needs", log.path)
+    kept = timed if name == "dvl" else timed & whole
+    if not kept.any() and log is not None:
+        empty = [column for column, stamp in rows.times.items() if not stamp.present.any()]
+        empty += [column for column, numbers in rows.numbers.items() if np.isnan(numbers).all()]
+        cure = f": {empty[0]} has none; name another column, or a number" if empty else ""
+        raise rows.section.error((*empty, "")[0], f"no row of {log.title} has all that [{name}] needs{cure}")
+    _take(rows, np.flatnonzero(kept))
 
 
 def _take(rows: Rows, index: Index) -> None:
@@ -265,14 +278,7 @@ def _take(rows: Rows, index: Index) -> None:
     rows.rows = rows.rows[index]
     rows.numbers = {name: numbers[index] for name, numbers in rows.numbers.items()}
     rows.words = {name: [words[k] for k in index] for name, words in rows.words.items()}
-    rows.times = {
-        name: Stamps(
-            stamp.present[index],
-            None if stamp.seconds is None else stamp.seconds[index],
-            None if stamp.nanoseconds is None else stamp.nanoseconds[index],
-        )
-        for name, stamp in rows.times.items()
-    }
+    rows.times = {name: stamp.take(index) for name, stamp in rows.times.items()}
 
 
 def _refuse_sigmas(rows: Rows) -> None:
@@ -298,9 +304,7 @@ def _order(rows: Rows) -> None:
     """Rows in the order of time: refused where they are not, unless the mapping says what to do."""
     section, log = rows.section, rows.log
     assert log is not None
-    stamp = rows.times["time_s"]
-    t = stamp.seconds if stamp.nanoseconds is None else stamp.nanoseconds
-    assert t is not None
+    t = rows.times["time_s"].ns
     if section.options.get("sort") and (t[1:] < t[:-1]).any():
         back = int((t[1:] < t[:-1]).sum())
         rows.notes.append(f"{section.table}: sorted by time; {several(back, 'row')} came before the one above")
@@ -310,11 +314,7 @@ def _order(rows: Rows) -> None:
     late = t[1:] < t[:-1]
     if late.any():
         k = int(np.argmax(late)) + 1
-        raise log.error(
-            int(rows.rows[k]),
-            f"the time falls from the row before; write sort = true in [{section.table}] of the mapping if the "
-            "rows are of one clock",
-        )
+        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {_cure_of_fall(rows, t, k)}")
     if section.table not in STRICT:
         return
     again = np.append(False, t[1:] == t[:-1])
@@ -331,6 +331,22 @@ def _order(rows: Rows) -> None:
             f'the time is that of the row before; write duplicates = "first" in [{section.table}] of the mapping to '
             "leave such rows out",
         )
+
+
+def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
+    """What to do about times (n,), ns, that fall at row k."""
+    section, log = rows.section, rows.log
+    assert log is not None
+    fall, own, where = t[k - 1] - t[k], not rows.times["time_s"].since_1970, f"in [{section.table}] of the mapping"
+    for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
+        if own and t.min() >= 0 and t.max() <= period and fall > NEARLY * period:
+            return f'at {event}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
+    below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
+    off = min(below, above, key=np.count_nonzero)
+    if off.sum() <= FEW and 2 * off.sum() < len(t) and fall > np.ptp(t[~off]):
+        lines = ", ".join(str(log.number(row)) for row in rows.rows[off])
+        return f"of a clock of its own: leave out {log.noun}s {lines} of {log.title}"
+    return f"write sort = true {where} if the rows are of one clock"
 
 
 def _turned(rows: Rows) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from nls.io.importing.draft import NOISE
 from nls.io.importing.examples import example
 from nls.io.importing.units import mission_unit
-from nls.io.mission.columns import COLUMNS, LOG, OPTIONAL, TRACK
+from nls.io.mission.columns import COLUMNS, LOG, TRACK, optional
 
 __all__ = ["templates"]
 
@@ -60,7 +60,7 @@ HEAD = """\
 # Several logs:       file = "dvl.csv" in the section, where several have the columns; of a bag topic = "/dvl"
 # Three at once:      velocity, attitude, position, sigma_attitude = ["...", "...", "..."]; quaternion = [x, y, z, w]
 # Axes:               frame = "ENU" (with FLU), "NWU" (with FLU), "FLU" (a body alone), "ENU/FRD"; NED/FRD without it
-# Order of time:      sort = true; duplicates = "first"
+# Times:              time_format = "%d.%m.%Y %H:%M:%S"; date = "2022-08-15", of times of the day; sort = true
 # Reading:            separator = "semicolon", decimal = ",", header = false, skip = 3, where = { column, equals }
 
 # time_s = "Time [s]"   # above all sections: for every table
@@ -83,7 +83,7 @@ def templates(mapping: bool = False) -> dict[str, bytes]:
     """
     files = {
         "mapping.toml": (
-            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "fixes", "contacts", "sonar"))) + "\n" + NOISE
+            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "motion", "fixes", "contacts", "sonar"))) + "\n" + NOISE
         ).encode()
     }
     if not mapping:
@@ -98,8 +98,8 @@ def _template(table: str) -> str:
     about = ABOUT.get(table, "")
     lines = [f"# {table}.csv: {about}.{need}" if about else f"# {table}.csv{need}"]
     lines.append("# " + ", ".join(mission_unit(name)[1] or "-" for name in columns))
-    if optional := [name for name in columns if name in OPTIONAL.get(table, ())]:
-        lines.append(f"# may be left out: {', '.join(optional)}")
+    if left_out := [name for name in columns if name in optional(table, LOG)]:
+        lines.append(f"# may be left out: {', '.join(left_out)}")
     if others := ALTERNATIVES.get(table):
         lines.append(f"# other columns: {', '.join(others)}")
     return "\n".join([*lines, ",".join(columns), "# " + ",".join(example(table, column) for column in columns)]) + "\n"

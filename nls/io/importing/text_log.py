@@ -22,7 +22,7 @@ from nls.io.files import read_bytes
 from nls.io.importing.units import dimension
 from nls.io.text import NUMBER
 
-__all__ = ["MISSING", "Log", "Missing", "TextLog", "blanked"]
+__all__ = ["MISSING", "Log", "Missing", "TextLog", "blanked", "is_number"]
 
 Missing = tuple[str | float, ...]  # words and numbers of cells that stand for none
 
@@ -44,6 +44,8 @@ class Log:
     names : of its columns.
     rows : how many.
     """
+
+    noun = "line"  # a row of the file
 
     def __init__(self, path: str, title: str, names: Sequence[str], rows: int) -> None:
         self.path, self.title, self.names, self.rows = path, title, list(names), rows
@@ -83,9 +85,13 @@ class Log:
         """An error at a row."""
         raise NotImplementedError
 
+    def number(self, row: int) -> int:
+        """The number of a row in the file, from 1."""
+        raise NotImplementedError
+
     def place(self, row: int) -> str:
         """Where a row stands, for notes."""
-        raise NotImplementedError
+        return f"{self.title}{':' if self.noun == 'line' else f', {self.noun} '}{self.number(row)}"
 
     def column(self, name: str) -> str:
         """The name itself.
@@ -99,7 +105,8 @@ class Log:
         if count == 1:
             return name
         if count > 1:
-            raise GraphFileError(f"{self.title} has {count} columns {name!r}; give them names of their own", self.path)
+            cure = "give them names of their own; header = false and skip = 1 of the mapping call them 1, 2, ..."
+            raise GraphFileError(f"{self.title} has {count} columns {name!r}; {cure}", self.path)
         listed = ", ".join(map(repr, self.names[:40])) + (", ..." if len(self.names) > 40 else "")
         near = did_you_mean(name, self.names)
         raise GraphFileError(f"{self.title} has no column {name!r}{near or ';'} it has {listed}", self.path)
@@ -190,7 +197,7 @@ class TextLog(Log):
             self.units = {name: unit for name, unit in units.items() if dimension(unit)}
             self.notes.append(f"{self.title}:{line} is taken for a row of units")
         self._rows = cells
-        self._refuse_counts(head)
+        self._refuse_counts()
         self.decimal = decimal or self._decimal(sign)
 
     def _name(self) -> str:
@@ -200,7 +207,7 @@ class TextLog(Log):
         """The line of names, which is taken out of the rows where it is one of them."""
         first = self._text[kept[0]]
         words = [word.strip() for word in next(_cells([first], _separator(first, separator)))]
-        if not any(_number(word) for word in words):
+        if not any(is_number(word) for word in words):
             kept.pop(0)
             return first
         for k in range(kept[0] - 1, -1, -1):
@@ -209,7 +216,7 @@ class TextLog(Log):
                 line = line.lstrip("#% ")
                 sign = _separator(line, separator)
                 names = next(_cells([line], sign), [])
-                if len(names) == len(next(_cells([first], sign))) and not any(_number(name) for name in names):
+                if len(names) == len(next(_cells([first], sign))) and not any(is_number(name) for name in names):
                     return line
                 break
         raise GraphFileError(
@@ -231,7 +238,7 @@ class TextLog(Log):
             raise GraphFileError("a quotation mark is not closed on its line", self.path, odd + 1)
         return cells
 
-    def _refuse_counts(self, head: str) -> None:
+    def _refuse_counts(self) -> None:
         """Refuse a row with another count of cells; one empty cell too many, behind a last separator, is none."""
         expected = len(self.names)
         for k, row in enumerate(self._rows):
@@ -240,8 +247,8 @@ class TextLog(Log):
             if len(row) == expected + 1 and not row[-1].strip():
                 row.pop()
                 continue
-            cure = "" if head else "; where = { column = ..., equals = ... } takes rows of one kind"
-            raise self.error(k, f"{len(row)} cells, expected {expected}: {', '.join(self.names[:12])}{cure}")
+            cure = "in the mapping where = { column = ..., equals = ... } takes rows of one kind"
+            raise self.error(k, f"{len(row)} cells, expected {expected}: {', '.join(self.names[:12])}; {cure}")
 
     def _decimal(self, sign: str) -> str:
         """A comma where numbers of the first rows have one and it separates nothing."""
@@ -293,12 +300,12 @@ class TextLog(Log):
 
     def error(self, row: int, message: str) -> GraphFileError:
         """See `Log`."""
-        line = int(self.lines[row])
-        return GraphFileError(message, self.path, line + 1, self._text[line].strip())
+        line = self.number(row)
+        return GraphFileError(message, self.path, line, self._text[line - 1].strip())
 
-    def place(self, row: int) -> str:
+    def number(self, row: int) -> int:
         """See `Log`."""
-        return f"{self.title}:{self.lines[row] + 1}"
+        return int(self.lines[row]) + 1
 
 
 def blanked(words: list[str], missing: Missing) -> list[str]:
@@ -316,7 +323,7 @@ def blanked(words: list[str], missing: Missing) -> list[str]:
     none = {
         word
         for word in set(words)
-        if word.lower() in texts or (_number(word) and float(word.replace(",", ".")) in numbers)
+        if word.lower() in texts or (is_number(word) and float(word.replace(",", ".")) in numbers)
     }
     return ["" if word in none else word for word in words]
 
@@ -329,10 +336,10 @@ def _rounded(value: float) -> float:
 
 def _names_units(cells: Sequence[Sequence[str]]) -> bool:
     """Whether the first row has units above numbers, and no number itself."""
-    if len(cells) < 2 or any(_number(cell.strip()) for cell in cells[0]):
+    if len(cells) < 2 or any(is_number(cell.strip()) for cell in cells[0]):
         return False
     return any(
-        dimension(unit.strip(BRACKETS)) and _number(cell.strip())
+        dimension(unit.strip(BRACKETS)) and is_number(cell.strip())
         for unit, cell in zip(cells[0], cells[1], strict=False)
     )
 
@@ -342,7 +349,8 @@ def _counts(line: str) -> bool:
     return bool(start := line.lstrip()[:1]) and start not in COMMENTS
 
 
-def _number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Whether a text is a decimal number, also with a comma."""
     return bool(NUMBER.fullmatch(word.encode())) or bool(DECIMAL_COMMA.fullmatch(word))
 
 

@@ -1,26 +1,36 @@
-"""Times of a log: numbers in any unit, or ISO 8601; those since 1970 stay whole nanoseconds until a zero is known."""
+"""Times of a log: numbers in any unit, or text; those since 1970 stay whole nanoseconds until a zero is known."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.io.importing.mapping import Cell
-from nls.io.importing.text_log import MISSING, Log
-from nls.io.importing.units import dimension, factor, header_unit
+from nls.io.importing.dates import EXAMPLE, NANOSECONDS, formats, since_1970
+from nls.io.importing.mapping import Section
+from nls.io.importing.quantities import unit_of
+from nls.io.importing.text_log import MISSING, Log, is_number
+from nls.io.importing.units import factor
 
-__all__ = ["Stamps", "iso", "stamps"]
+__all__ = ["DAY", "WEEK", "Stamps", "stamps"]
 
-ISO = re.compile(
-    r"((?:19|20|21)\d\d-\d\d-\d\d)[T ]+(\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I
-)
 LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
-NANOSECONDS = 1_000_000_000
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
+DAY, WEEK = 86_400 * NANOSECONDS, 604_800 * NANOSECONDS
+SHORT_STEP = 5e-4  # s, between two rows: no table is as fast, and as many days are 43 s
+ONE_DAY = "1970-01-01"  # that times of the day are of until their date is added
+CLOCKS = (  # numbers from 2000 to 2050, what they count, and the keys that make them seconds since 1970
+    (10957, 29220, "days since 1970", 'unit = "day"'),
+    (36526, 55000, "days of a spreadsheet", 'unit = "day", offset = -2209161600'),
+    (55000, 69808, "modified Julian days", 'unit = "day", offset = -3506716800'),
+    (730486, 748750, "days of MATLAB", 'unit = "day", offset = -62167305600'),
+    (2451544, 2469808, "Julian days", 'unit = "day", offset = -210866760000'),
+    (1.259e17, 1.417e17, "ticks of Windows", "scale = 1e-7, offset = -11644473600"),
+    (6.308e17, 6.467e17, "ticks of .NET", "scale = 1e-7, offset = -62135596800"),
+)
 
 
 @dataclass(frozen=True)
@@ -30,77 +40,85 @@ class Stamps:
     Attributes
     ----------
     present : (n,) where there is one.
-    seconds : (n,) of times with a zero of their own; None of times since 1970.
-    nanoseconds : (n,) since 1970, or None.
+    ns : (n,) nanoseconds, 0 where there is none.
+    since_1970 : whether they are; others have a zero of their own.
     """
 
     present: Mask
-    seconds: Array | None
-    nanoseconds: Index | None
+    ns: Index
+    since_1970: bool
 
     def relative(self, zero: int) -> Array:
         """Seconds since a zero, ns since 1970; as they stand where they have a zero of their own."""
-        if self.nanoseconds is None:
-            assert self.seconds is not None
-            return self.seconds
-        return np.asarray((self.nanoseconds - zero) / NANOSECONDS)
+        return np.asarray((self.ns - zero if self.since_1970 else self.ns) / NANOSECONDS)
+
+    def take(self, index: Index) -> Stamps:
+        """Some of the times."""
+        return Stamps(self.present[index], self.ns[index], self.since_1970)
 
 
-def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
+def stamps(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
     """The times in a column of a log.
 
     Raises
     ------
     GraphFileError
-        A cell that is no time.
+        A cell that is no time; a unit that cannot be.
     """
-    if len(cell.columns) > 1:
-        parts = [log.words(name, cell.missing) for name in cell.columns]
-        return _iso(log, [" ".join(words) for words in zip(*parts, strict=True)], cell, notes)
+    cell = section.cells[column]
+    parts = [log.words(name, cell.missing) for name in cell.columns]
+    present = np.all([[word.lower() not in MISSING for word in words] for words in parts], axis=0)
+    words = [" ".join(words) for words in zip(*parts, strict=True)]
+    first = words[int(np.argmax(present))] if present.any() else "0"
+    if len(parts) > 1 or "time_format" in section.options or (not is_number(first) and any(map(str.isdigit, first))):
+        stamp = Stamps(present, _of_texts(section, log, column, words, present, notes), True)
+    else:
+        stamp = _of_numbers(section, log, column, notes)
+    return _on_day(section, log, stamp, notes) if "date" in section.options else stamp
+
+
+def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> Stamps:
+    """Times that are numbers; whole ones since 1970 stay exact."""
+    cell = section.cells[column]
     (name,) = cell.columns
-    words = log.words(name, cell.missing) if not log.units.get(name) else []
-    first = next((word for word in words if word.lower() not in MISSING), "")
-    if ISO.fullmatch(first) or ":" in first:
-        return _iso(log, words, cell, notes)
     whole = log.whole(name)
     numbers = log.numbers(name, cell.missing)
     present = np.isfinite(numbers)
-    unit, scale = _unit(log, cell, column, numbers[present], notes)
-    if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
-        step = round(NANOSECONDS * factor(unit, "time_s"))
-        _refuse_late(log, np.where(present, whole * factor(unit, "time_s"), 0.0), name)
-        since = whole * step
-        if (np.abs(since[present]) / NANOSECONDS >= EPOCH).any():
-            return Stamps(present, None, since + round(cell.offset * NANOSECONDS))
-    seconds = np.where(present, numbers * scale * cell.scale + cell.offset, np.nan)
-    _refuse_late(log, np.where(present, seconds, 0.0), name)
-    if present.any() and np.abs(seconds[present]).max() >= EPOCH:
-        since = np.zeros(len(seconds), dtype=np.int64)
-        days = np.floor(seconds[present])
-        since[present] = days.astype(np.int64) * NANOSECONDS + np.rint((seconds[present] - days) * 1e9).astype(np.int64)
-        return Stamps(present, None, since)
-    return Stamps(present, seconds, None)
-
-
-def _refuse_late(log: Log, seconds: Array, name: str) -> None:
-    """Refuse times that are no seconds: later than any clock, or before 1970 by as much."""
+    unit, scale = _unit(section, log, column, numbers[present], notes)
+    seconds = np.where(present, numbers * scale * cell.scale + cell.offset, 0.0)
     if (late := np.abs(seconds) >= LATEST).any():
         k = int(np.argmax(late))
-        raise log.error(k, f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit")
+        raise log.error(
+            k,
+            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit of {column} in "
+            f"[{section.table}] of the mapping",
+        )
+    days = np.floor(seconds)
+    ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
+    if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
+        ns = np.where(present, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS), 0)
+    return Stamps(present, ns, bool(np.abs(seconds).max(initial=0.0) >= EPOCH))
 
 
-def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
+def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
     """The unit of times and what one is in seconds: as given, as the header has it, or by size, which is noted."""
+    cell = section.cells[column]
     if cell.scaled:
         return "", 1.0
     (name,) = cell.columns
-    named = header_unit(name)[0]
-    unit = cell.unit or next((u for u in (log.units.get(name), named) if dimension(u or "") == "time"), "")
-    header = log.units.get(name) or named
-    if not unit and dimension(header) not in ("", "fraction"):
-        write = f'{column} = {{ column = "{name}", unit = "s" }}'
-        kind = dimension(header)
-        raise log.error(0, f"{name!r} is in {header}, {kind}; {column} is a time, s; write {write} if it is")
+    unit = unit_of(section, column, log)
+    if unit in ("", "day") and not cell.offset and len(numbers):
+        steps = np.diff(numbers)
+        step = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
+        for low, high, count, keys in CLOCKS:
+            fast = unit == "day" or low > LATEST or step < SHORT_STEP
+            if low <= numbers[0] < high and fast and not (unit and keys == 'unit = "day"'):
+                write = f'`{column} = {{ column = "{name}", {keys} }}`'
+                raise section.error(
+                    column,
+                    f"{name!r} begins with {numbers[0]:.10g}, in steps of {step:.3g}: {count}; write {write} in "
+                    f"[{section.table}] of the mapping",
+                )
     if not unit:
         largest = np.abs(numbers).max(initial=0)
         unit = next((unit for limit, unit in BY_SIZE if largest >= limit), "s")
@@ -110,66 +128,51 @@ def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -
     return next((u for u in ("ns", "us", "ms", "s") if factor(u, "time_s") == scale), unit), scale
 
 
-def _iso(log: Log, words: list[str], cell: Cell, notes: list[str]) -> Stamps:
-    """Times in ISO 8601; without a zone they are of UTC, which is noted."""
-    matches = [
-        None if word.strip(" T").lower() in MISSING else ISO.fullmatch(word) or k for k, word in enumerate(words)
-    ]
-    if (bad := next((match for match in matches if isinstance(match, int)), None)) is not None:
-        raise log.error(
-            bad,
-            f"{words[bad][:40]!r} is no time of ISO 8601; expected such as 2024-12-05T22:12:34.25Z, year first; a date "
-            'and a time of two columns are { column = ["DATE", "TIME"] }',
-        )
-    good = [match for match in matches if isinstance(match, re.Match)]
-    if any(match[3] is None for match in good):
-        notes.append(f"{log.title}: {cell.columns[-1]!r} names no zone; its times are taken to be UTC")
-    present = np.array([match is not None for match in matches])
+def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], present: Mask, notes: list[str]) -> Index:
+    """Times (n,) of texts, ns since 1970; without a zone they are of UTC, which is noted."""
+    cell, options, rows = section.cells[column], section.options, np.flatnonzero(present)
+    day, texts = ONE_DAY if "date" in options else "", [words[k] for k in rows.tolist()]
     since = np.zeros(len(words), dtype=np.int64)
     try:
-        text = [f"{match[1]}T{match[2].replace(',', '.')}" for match in good]
-        since[present] = np.array(text, dtype="datetime64[ns]").astype(np.int64)
+        since[present], zoned = since_1970(texts, options.get("time_format", ""), day)
     except ValueError as error:
-        k = next(k for k, match in zip(np.flatnonzero(present), good, strict=True) if not _date(match))
-        raise log.error(int(k), f"{words[k][:40]!r} is no date: {error}") from error
-    zones = {zone: _zone(zone) for zone in {match[3] for match in good}}
-    since[present] -= np.array([zones[match[3]] for match in good], dtype=np.int64) * NANOSECONDS
-    return Stamps(present, None, since + round(cell.offset * NANOSECONDS))
+        k, problem = error.args
+        raise log.error(int(rows[k]), f"{texts[k][:40]!r} {problem}; {_cure(section, texts, k, day)}") from error
+    if not zoned:
+        notes.append(f"{log.title}: {cell.columns[-1]!r} names no zone; its times are taken to be UTC")
+    return since + round(cell.offset * NANOSECONDS)
 
 
-def _date(match: re.Match[str]) -> bool:
-    try:
-        np.datetime64(f"{match[1]}T{match[2].replace(',', '.')}", "ns")
-    except ValueError:
-        return False
-    return True
+def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
+    """What to write where text k is not read."""
+    where = f"in [{section.table}] of the mapping"
+    for some in (texts, texts[k : k + 1]):
+        if fitting := formats(some, day):
+            lines = [f'`time_format = "{form}"`' for form in fitting]
+            return f"write {' or '.join(lines)} {where}"
+        if formats(some, "" if day else ONE_DAY):
+            other = f'write `date = "{EXAMPLE}"`, the day of the first row, {where}'
+            return f"it has a date; leave date out of [{section.table}]" if day else f"it has no date; {other}"
+    return (
+        f'expected such as 2024-12-05T22:12:34.25Z, or as `time_format = "%d.%m.%Y %H:%M:%S"` {where} says; '
+        f"`missing = {texts[k][:40]!r}` there where it stands for none; a date and a time of two columns are "
+        '{ column = ["DATE", "TIME"] }'
+    )
 
 
-def _zone(zone: str | None) -> int:
-    """Seconds that a zone is ahead of UTC."""
-    if zone is None or zone.upper() in ("Z", "UTC"):
-        return 0
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    return (-1 if zone[0] == "-" else 1) * (3600 * int(digits[:2]) + 60 * int(digits[2:]))
-
-
-def iso(nanoseconds: int) -> str:
-    """A time since 1970 in ISO 8601.
-
-    Examples
-    --------
-    >>> iso(1733436754_250000000)
-    '2024-12-05T22:12:34.250000000Z'
-    """
-    return f"{np.datetime64(nanoseconds, 'ns')}Z"
-
-
-def parse_zero(value: object) -> int | None:
-    """Nanoseconds since 1970 of a time zero in a mapping: ISO 8601 or seconds; None where it is neither."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return round(value * NANOSECONDS)
-    match = ISO.fullmatch(str(value))
-    if match is None or not _date(match):
-        return None
-    since = int(np.datetime64(f"{match[1]}T{match[2].replace(',', '.')}", "ns").astype(np.int64))
-    return since - _zone(match[3]) * NANOSECONDS
+def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stamps:
+    """Times of the day, or of the week of GPS, on their date; where they fall by as much the next has begun."""
+    rows = np.flatnonzero(stamp.present)
+    ns = stamp.ns[rows]
+    period = DAY if ns.max(initial=0) <= DAY else WEEK
+    if (late := np.abs(ns) > period).any():
+        k = int(np.argmax(late))
+        cure = f"leave date out of [{section.table}] of the mapping"
+        raise log.error(int(rows[k]), f"{ns[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; {cure}")
+    if (falls := np.diff(ns) < -period // 2).any():
+        place = log.place(int(rows[1:][np.argmax(falls)]))
+        notes.append(f"{section.table}: the times begin anew at {place}, {period // NANOSECONDS} s later")
+        ns = np.unwrap(ns, period=period).astype(np.int64)
+    since = np.zeros(len(stamp.present), dtype=np.int64)
+    since[rows] = ns + np.datetime64(str(section.options["date"]), "ns").astype(np.int64)
+    return Stamps(stamp.present, since, True)

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from factors import BearingRange, Diagonal, Prior, Range, ScaledRange
+from factors import BearingRange, Diagonal, Prior, Range, ScaledRange, Shifted
 from factors.base import Factor
-from factors.keys import Kind, kinds
+from factors.keys import Keys, Kind, kinds
+from factors.replaced import replaced
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Index, Mask, Numbers
 from models.listing import some as listed
@@ -32,6 +33,7 @@ __all__ = ["Acoustics"]
 x, b, s = kinds("x", "b", "s")
 MOMENT = 0.5  # s, before and after, over which the ship moves
 SCALE = "sound_speed_scale"
+USBL_SCALE, USBL_YAW = "usbl_scale", "usbl_yaw_rad"
 
 
 class Acoustics:
@@ -71,13 +73,25 @@ class Acoustics:
         beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
         self.places = np.full((len(self.numbers), 3), np.nan)
+        self._shifts: dict[str, Keys] = {}
         self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
         self._beacons(tables.get("beacons"))
         if ranges is not None:
             self._ranges(ranges, calibrations, depth)
         if usbl is not None:
-            self._usbl(usbl)
+            self._usbl(usbl, calibrations)
         self._unused()
+
+    def shift(self, calibrations: Calibrations) -> None:
+        """Put the factors of usbl.csv under a `Shifted` of each of its calibrations that is a variable."""
+        for k, source in enumerate(self._report.sources if self._shifts else ()):
+            if source.path != self._tables["usbl"].path:
+                continue
+            for name, variable in self._shifts.items():
+                factor, value = self._graph.factors[k], calibrations.value(name)
+                G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / (1 + value)
+                G = np.broadcast_to(G, factor.z.shape)
+                self._graph.factors[k] = Shifted(replaced(factor, z=factor.z + G * value), G[:, :, None], variable)
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
@@ -174,7 +188,7 @@ class Acoustics:
             c = Profile(profile).mean(at, np.where(unknown, at, to))
         return c * (t - wait) / ways, c * sigma / ways
 
-    def _usbl(self, table: Table) -> None:
+    def _usbl(self, table: Table, calibrations: Calibrations) -> None:
         poses, rows = self._rows[table]
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
@@ -182,6 +196,12 @@ class Acoustics:
             k = int(np.argmax(steep))
             raise table.at(k, f"elevation_rad is {float(z[k, 1])!r}; expected radians, -pi/2 to pi/2, down is positive")
         noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
+        z[:, 0] += calibrations.value(USBL_YAW)
+        z[:, 2] /= 1 + calibrations.value(USBL_SCALE)
+        noise[:, 2] /= 1 + calibrations.value(USBL_SCALE)
+        self._shifts = {
+            name: key for name in (USBL_YAW, USBL_SCALE) if (key := calibrations.variable(name)) is not None
+        }
         if table.has("beacon"):
             beacon = table.integers("beacon")
 
@@ -194,7 +214,7 @@ class Acoustics:
         if mount is not None:
             raise table.at_names(
                 "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
-                "and arm_z_m out, or 0"
+                "and arm_z_m out, or 0, or write positions of the transponder to fixes.csv, which has a lever arm"
             )
         place, rows = self._ship(table, poses[:, 0], rows)
         self._graph.fix(s[np.arange(len(self.ship))])

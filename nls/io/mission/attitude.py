@@ -83,7 +83,7 @@ class Attitude:
 
 
 def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitude:
-    """The attitude of ahrs.csv, or of ahrs.csv without a yaw and gyro.csv.
+    """The attitude of ahrs.csv, or of ahrs.csv without a yaw and gyro.csv; beside motion.csv what is not there is 0.
 
     Raises
     ------
@@ -92,12 +92,13 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     """
     ahrs, gyro = tables["ahrs"], tables.get("gyro")
     t_a = ahrs.rising("time_s")
-    if ahrs.has("yaw_rad"):
+    if ahrs.has("yaw_rad") or "motion" in tables:
         if gyro is not None:
             raise GraphFileError(
                 "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
             )
-        rpy, t_a = np.unwrap(ahrs.attitude(*ANGLES), axis=0), t_a - calibrations.value("ahrs_clock_s")
+        angles = [ahrs.attitude(name) if ahrs.has(name) else np.zeros((len(ahrs), 1)) for name in ANGLES]
+        rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value("ahrs_clock_s")
         return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
         raise GraphFileError(

@@ -31,6 +31,8 @@ NAMES = {  # of a calibration: what it is
     "usbl_clock_s": "times of usbl.csv are late by this",
     "ranges_clock_s": "times of ranges.csv are late by this",
     "declination_rad": "the headings of ahrs.csv are from a north that is this east of true north",
+    "usbl_yaw_rad": "the axes of usbl.csv are turned by this from those of the ship, or of the vehicle, to starboard",
+    "usbl_scale": "ranges of usbl.csv are 1 + this times the distance, as of a sound speed that is too high",
     "sound_speed_scale": "ranges of ranges.csv are 1 + this times the distance, as of a sound speed that is too high",
 }
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-__all__ = ["COLUMNS", "OPTIONAL"]
+from collections.abc import Collection
+
+__all__ = ["COLUMNS", "needed", "optional"]
 
 PLACE = ("x_m", "y_m", "z_m")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
 UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
@@ -40,7 +43,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
     "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid", *LOCK, *WATER_TRACK),
+    "dvl": ("time_s", *VELOCITY, "valid", *LOCK, *WATER_TRACK, "earth_axes"),
     "ahrs": ("time_s", *ANGLES),
     "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),
@@ -70,7 +73,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
     "truth": WHEN,
     "contacts": (*WHEN, "landmark"),
     "zpr": COMPASS,
-    "dvl": ("valid", *LOCK, *WATER_TRACK),
+    "dvl": ("valid", *LOCK, *WATER_TRACK, "earth_axes"),
     "ahrs": ("yaw_rad",),
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
     "water": WATER,
@@ -88,5 +91,27 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth
-ALONE = ("path", "motion")  # or one of these
+ALONE: dict[str, tuple[str, ...]] = {  # or one of these, and files of the raw log that may be there with it
+    "path": (),
+    "motion": ("ahrs", "depth", "pressure", "water", "tide", "noise"),
+}
 BESIDE = ("dvl_mount", "gyro", "pressure", "water", "tide")  # files that are of use beside a raw log alone
+
+
+def optional(table: str, tables: Collection[str]) -> tuple[str, ...]:
+    """Columns of a table that may be left out in a mission with some tables.
+
+    Without a DVL a compass may be alone, and noise.csv has what the tables need: the reader says which it is.
+    """
+    if table in ("ahrs", "noise") and not {"dvl", *TRACK} & set(tables):
+        return tuple(name for name in COLUMNS[table] if name != "time_s")
+    return OPTIONAL.get(table, ())
+
+
+def needed(tables: Collection[str]) -> tuple[str, ...]:
+    """Tables without which a mission with some tables is none."""
+    if "motion" in tables:
+        return ("noise",) if {"ahrs", "depth", "pressure"} & set(tables) else ()
+    if "path" in tables:
+        return ()
+    return TRACK if set(TRACK) & set(tables) else tuple(t for t in LOG if t != "depth" or "pressure" not in tables)

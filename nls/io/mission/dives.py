@@ -191,6 +191,7 @@ def _add_report(report: DivesReport, own: MissionReport, dive: Dive) -> None:
     report.notes += [f"{name}: {note}" for note in own.notes]
     report.warnings += [f"{name}: {note}" for note in own.warnings]
     report.tags |= {f"{name}/{table}": count for table, count in own.tags.items()}
+    report.unmeasured = tuple(dict.fromkeys((*report.unmeasured, *own.unmeasured)))  # of any dive
     if first:
         report.notes.append(f"{name}: pose 0 is x{first}, and so on")
     if own.sonar is not None and report.sonar is None:

@@ -11,7 +11,7 @@ from models.advice import Advice
 from models.errors import GraphFileError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, OPTIONAL, TRACK
+from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, TRACK, needed, optional
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unreadable import unreadable
@@ -26,7 +26,8 @@ NOT_MISSED = (
 )  # for people, and the same graph in one file
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv (or pressure.csv) and noise.csv, or "
-    "path.csv, or motion.csv, with contacts.csv and sonar.csv, both or none of these two; a scan mission is "
+    "path.csv, or motion.csv (and ahrs.csv, depth.csv, and then noise.csv), with contacts.csv and sonar.csv, both or "
+    "none of these two; a scan mission is "
     "keyframes.csv and scans.csv"
 )
 
@@ -56,15 +57,21 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
             files[table] = _regular(path / name)
     _refuse_parts(str(folder), set(files), other_files)
 
-    report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
-    tables = {name: Table(file, COLUMNS[name], OPTIONAL.get(name, ())) for name, file in files.items()}
-    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    tables = {name: Table(file, COLUMNS[name], optional(name, files)) for name, file in files.items()}
+    report = report_of(folder, tables)
     note_comments(report, sum(table.comments for table in tables.values()))
     if tabular := [name for name in other_files if ".csv" in name.lower()]:
         report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
     if ignored_files := [name for name in other_files if name not in tabular and name not in NOT_MISSED]:
         report.notes.append(f"not read: {_listed(ignored_files)}")
     return tables, report
+
+
+def report_of(folder: str | Path, tables: dict[str, Table]) -> MissionReport:
+    """A report that counts the rows of tables."""
+    report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
+    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    return report
 
 
 def _regular(file: Path) -> Path:
@@ -96,14 +103,12 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
         )
     if {"depth", "pressure"} <= files:
         raise GraphFileError("has depth.csv and pressure.csv, the depth twice; leave one of them", folder)
-    for name in ALONE:
-        if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE} - {name})):
+    for name, beside in ALONE.items():
+        if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE, "poses"} - {name, *beside})):
             raise GraphFileError(
                 f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; leave one of them", folder
             )
-    log_files = [name for name in LOG if name != "depth" or "pressure" not in files]
-    needed = () if files & {*ALONE} else TRACK if track else log_files
-    if missing := [name for name in needed if name not in files]:
+    if (missing := [name for name in needed(files) if name not in files]) and "motion" not in files:
         message = f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}"
         raise GraphFileError(message, folder, advice=[Advice("template")])
     for present, name, says in (

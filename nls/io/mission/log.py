@@ -58,9 +58,10 @@ from nls.io.mission.attitude import (
 )
 from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.calibration import Calibrations
-from nls.io.mission.columns import ANGLES, GYRO, MAY_BE_0, PLACE
+from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
+from nls.io.mission.noise import noise_of, one_row
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Times, poses_of_rows, united
@@ -86,7 +87,8 @@ def integrated(
         Times that do not rise, a pose before or after the log, a log that cannot be integrated; a hole in the attitude
         or depth that nothing tells how to bridge.
     """
-    noise, mount = _noise(tables), _mount(tables, report)
+    used = dict.fromkeys(GYRO, "gyro") if "gyro" in tables else {"sigma_yaw_rad": "ahrs"}
+    noise, mount = noise_of(tables["noise"], used), _mount(tables, report)
     attitude = attitude_of(tables, calibrations)
     ahrs, gyro = attitude.ahrs, attitude.gyro
     depth, t_z, depths = depths_of(tables, report)
@@ -197,26 +199,12 @@ def _tilted(roll: Array, pitch: Array) -> Array:
     return np.asarray(euler.to_se3(np.column_stack([roll, pitch, zero, zero, zero, zero])))
 
 
-def _noise(tables: dict[str, Table]) -> dict[str, float]:
-    """The numbers of noise.csv, those that the files of the mission need among them."""
-    table = tables["noise"]
-    noise = _one_row(table)
-    table.positive(*(name for name in noise if name not in MAY_BE_0))
-    for name, number in zip(MAY_BE_0, table.measured(*MAY_BE_0)[0].tolist(), strict=True):
-        if number < 0:
-            raise table.at(0, f"{name} is {number!r}; expected 0 or above")
-    for name in GYRO if "gyro" in tables else ("sigma_yaw_rad",):
-        if name not in noise:
-            raise table.at(0, f"there is no column {name}, which {'gyro' if 'gyro' in tables else 'ahrs'}.csv needs")
-    return noise
-
-
 def _mount(tables: dict[str, Table], report: MissionReport) -> Array:
     """The pose (7,) of the DVL on the vehicle."""
     if (table := tables.get("dvl_mount")) is None:
         report.notes.append("there is no dvl_mount.csv: the DVL is taken to be at the center of the vehicle, aligned")
         return np.asarray(SE3.identity()[0])
-    mounted = _one_row(table)
+    mounted = one_row(table)
     table.measured(*ANGLES, *PLACE)
     return np.asarray(euler.to_se3([mounted[name] for name in (*ANGLES, *PLACE)]))
 
@@ -303,10 +291,3 @@ def _poses(
 
 def _ranges(logs: dict[str, Array]) -> str:
     return ", ".join(f"{name} {float(t[0])!r} to {float(t[-1])!r} s" for name, t in logs.items())
-
-
-def _one_row(table: Table) -> dict[str, float]:
-    """The numbers of a table of one row, by column."""
-    if len(table) > 1:
-        raise table.at(1, "a second row; expected one")
-    return dict(zip(table.names, table.floats(*table.names)[0].tolist(), strict=True))

@@ -7,11 +7,13 @@ alone, with the weights of a Cauchy kernel; with a compass it does not turn.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
 
 from factors import BearingRange, Position, Range, ScaledRange
+from factors.base import Factor
 from factors.keys import Keys, kinds
 from models import SE3, euler
 from models.algebra import Array, Index, Numbers
@@ -22,7 +24,7 @@ from nls.io.mission.calibration import Compass
 from nls.starts.beacons import beacon_of_ranges
 from nls.values import Values
 
-__all__ = ["along_fixes", "place_beacons", "turn_to", "turn_to_measurements"]
+__all__ = ["along_measurements", "place_beacons", "turn_to", "turn_to_measurements"]
 
 PASSES = 10
 x, b, s = kinds("x", "b", "s")
@@ -66,18 +68,24 @@ def turn_to_measurements(graph: FactorGraph, start: Values, places: Array, compa
     return np.asarray(SE3.compose(euler.to_se3([0.0, 0.0, motion[2], *motion[:2], 0.0]), turn)).reshape(-1)
 
 
-def along_fixes(graph: FactorGraph, start: Values) -> None:
-    """Put poses (n,) that nothing moves on the straight lines between those that were measured, in their order."""
-    numbers, places = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
-    for factor in graph.factors:
-        if isinstance(factor, Position):  # of x, y, and z where it is measured
-            numbers.append(factor.keys[0].numbers)
-            places.append(np.pad(factor.z, ((0, 0), (0, 3 - factor.z.shape[1]))))
-    k, p = np.concatenate(numbers), np.concatenate(places)
+def along_measurements(graph: FactorGraph, start: Values, places: Array, compass: Compass | None) -> None:
+    """Put poses (n,) that nothing moves on the straight lines between those that were measured, in their order.
+
+    Parameters are those of `turn_to_measurements`; a compass says the yaw of its poses.
+    """
+    X = euler.from_se3(start[x])
+    if compass is not None:
+        X[start.stack(x).index(compass[0]), 2] = compass[1]
+    start[x] = euler.to_se3(X)
+    numbers, away = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+    for factor, u, v in [*_positions(graph, start), *_directions(graph, start, places)]:
+        numbers.append(factor.keys[factor.keys[0].kind == s.name].numbers)
+        away.append(u - v)
+    k, p = np.concatenate(numbers), np.concatenate(away)
     if len(k):
-        order, X = np.argsort(k, kind="stable"), np.array(start[x])
-        X[:, :3] = np.column_stack([np.interp(start.stack(x).numbers, k[order], c) for c in p[order].T])
-        start[x] = X
+        order = np.argsort(k, kind="stable")
+        X[:, 3:] += np.column_stack([np.interp(start.stack(x).numbers, k[order], c) for c in p[order].T])
+        start[x] = euler.to_se3(X)
 
 
 def _motion(u: Array, v: Array, w: Array, compass: bool) -> Array:
@@ -91,15 +99,9 @@ def _motion(u: Array, v: Array, w: Array, compass: bool) -> Array:
 def _pairs(graph: FactorGraph, start: Values, places: Array) -> tuple[Array, Array]:
     """u and v (n, 2)."""
     u, v = [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for factor in graph.factors:
-        if isinstance(factor, Position) and (factor.components or ("x", "y"))[:2] == ("x", "y"):
-            model, X = start.gather(factor)
-            u.append(model.z[:, :2])
-            v.append(factor.predict(model.manifolds, *X)[0][:, :2])
-        elif isinstance(factor, BearingRange) and factor.keys[0].kind == s.name:
-            model, X = start.gather(factor)
-            u.append(factor.locate(SE3, X[0], model.z)[:, :2])
-            v.append(SE3.position(X[1])[:, :2])
+    for _, measured, predicted in _positions(graph, start):
+        u.append(measured[:, :2])
+        v.append(predicted[:, :2])
     known = np.isfinite(places).all(axis=1)
     if known.any():
         at, rows = _beacons(graph, start, places)
@@ -107,6 +109,28 @@ def _pairs(graph: FactorGraph, start: Values, places: Array) -> tuple[Array, Arr
         u.append(np.repeat(places[use, :2], rows[use], axis=0))
         v.append(np.repeat(at[use, :2], rows[use], axis=0))
     return np.concatenate(u), np.concatenate(v)
+
+
+def _positions(graph: FactorGraph, start: Values) -> Iterator[tuple[Factor, Array, Array]]:
+    """Factors that say where the vehicle is, the places (n, 3), and those of the start, as z may be."""
+    for factor in graph.factors:
+        if isinstance(factor, Position) and (factor.components or ("x", "y"))[:2] == ("x", "y"):
+            model, X = start.gather(factor)
+            v = SE3.act(X[0], np.zeros(3) if factor.offset is None else factor.offset)
+            yield factor, np.hstack([model.z, v[:, model.z.shape[1] :]]), v
+        elif isinstance(factor, BearingRange) and factor.keys[0].kind == s.name:
+            model, X = start.gather(factor)
+            yield factor, factor.locate(SE3, X[0], model.z), SE3.position(X[1])
+
+
+def _directions(graph: FactorGraph, start: Values, places: Array) -> Iterator[tuple[Factor, Array, Array]]:
+    """Directions from the vehicle to beacons of known place, the places (n, 3) and where the start heard them."""
+    for factor in graph.factors:
+        if isinstance(factor, BearingRange) and factor.keys[1].kind == b.name:
+            u = places[start.stack(b).index(factor.keys[1])]
+            if np.isfinite(u).all():
+                model, X = start.gather(factor)
+                yield factor, u, factor.locate(SE3, factor.sensor_pose(SE3, X[0]), model.z)
 
 
 def place_beacons(graph: FactorGraph, start: Values, places: Array) -> None:

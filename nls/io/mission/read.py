@@ -21,7 +21,7 @@ from nls.io.mission.columns import LEVEL, suffixed
 from nls.io.mission.contacts import add_contacts, add_unnamed_contacts, are_named
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
-from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
+from nls.io.mission.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
@@ -127,6 +127,7 @@ def graph_of(
         compare_landmarks(report, points)
     with stage("read start"):
         start = _start(graph, numbers, points, first, compass, calibrations, acoustics, report)
+    acoustics.shift(calibrations)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
@@ -172,7 +173,7 @@ def _start(
         turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
     if "motion.csv" in report.tags:
-        along_fixes(graph, start)
+        along_measurements(graph, start, acoustics.places, compass)
     place_beacons(graph, start, acoustics.places)
     return first_sighting(graph, start) if len(points) else start
 

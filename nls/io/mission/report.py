@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.findings import Implausible
+from nls.io.mission.checks.findings import Explained, Implausible
 from nls.io.report import LoadReport
 from nls.values import Values
 
@@ -27,11 +27,13 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    unmeasured : components of a pose, such as ``yaw``, that nothing measures: held at 0, their cells are empty.
     compass : whether a sensor measures the heading in the world.
     elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
     world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     findings : what is implausible in the tables, each also a warning.
+    explained : what explains chi2 where it was implausible; None where it was not asked.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
@@ -39,6 +41,7 @@ class MissionReport(LoadReport):
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    unmeasured: tuple[str, ...] = ()
     compass: bool = False
     elsewhere: Table | None = field(default=None, compare=False, repr=False)
     world: list[str] = field(default_factory=list)
@@ -46,6 +49,7 @@ class MissionReport(LoadReport):
     plane: LocalPlane | None = None
     calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Implausible] = field(default_factory=list)
+    explained: Explained | None = None
 
     @property
     def anchored(self) -> bool:

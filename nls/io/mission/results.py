@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,8 +50,12 @@ class Extra:
 NOTHING = Extra()
 
 
-def trajectory_text(values: Values, marginals: Marginals | None, extra: Extra = NOTHING) -> bytes:
+def trajectory_text(
+    values: Values, marginals: Marginals | None, extra: Extra = NOTHING, unmeasured: Collection[str] = ()
+) -> bytes:
     """trajectory.csv: the Euler 6-vector of every pose and its standard deviations, empty where a pose has none.
+
+    Both are empty in the columns that nothing measures.
 
     Raises
     ------
@@ -62,8 +67,9 @@ def trajectory_text(values: Values, marginals: Marginals | None, extra: Extra = 
     if marginals is not None and (known := determined(marginals, x, stack.numbers)).any():
         Sigma = marginals.covariance(x[stack.numbers[known]], view="euler")
         sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
-    names = (*TRAJECTORY, *extra.names)
-    return csv_text(names, stack.numbers, euler.from_se3(stack.X), _or_empty(sigmas), *extra.columns())
+    state = np.hstack([euler.from_se3(stack.X), sigmas])
+    state[:, [name.split("_")[0] in unmeasured for name in POSE[1:]] * 2] = np.nan
+    return csv_text((*TRAJECTORY, *extra.names), stack.numbers, _or_empty(state), *extra.columns())
 
 
 def beacons_text(values: Values, marginals: Marginals | None, extra: Extra = NOTHING) -> bytes:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,7 @@ class Table(Text):
     columns : names of all its columns.
     optional : those of them that may be left out.
     needed : whether the file itself may not be left out.
+    data : what stands in the file, where it need not be read.
 
     Attributes
     ----------
@@ -75,9 +77,15 @@ class Table(Text):
     """
 
     def __init__(
-        self, path: str | Path, columns: Sequence[str], optional: Sequence[str] = (), needed: bool = False
+        self,
+        path: str | Path,
+        columns: Sequence[str],
+        optional: Sequence[str] = (),
+        needed: bool = False,
+        data: bytes | None = None,
     ) -> None:
-        self._data = read_bytes(path)
+        self._data = read_bytes(path) if data is None else data
+        self._other: dict[str, Array] = {}
         super().__init__(self._data.replace(b",", b" "), str(path))
         self.lines, self.comments = self._split()
         expected = ",".join(columns)
@@ -173,7 +181,36 @@ class Table(Text):
         GraphFileError
             A cell that is no finite decimal number.
         """
-        return self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
+        numbers = self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
+        for k, name in enumerate(names):
+            if name in self._other:
+                numbers[:, k] = self._other[name]
+        return numbers
+
+    def with_numbers(self, names: Sequence[str], numbers: Array) -> Table:
+        """The same table with other numbers (n, k) in some of its columns; lines and text stay.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder, "depth.csv")
+        ...     _ = file.write_text("time_s,z_m\\n0,-2.5\\n1,-2.75\\n")
+        ...     table = Table(file, ["time_s", "z_m"])
+        >>> table.with_numbers(["z_m"], -table.floats("z_m")).floats("time_s", "z_m")
+        array([[0.  , 2.5 ],
+               [1.  , 2.75]])
+        """
+        other = copy(self)
+        other._other = self._other | dict(zip(names, numbers.T, strict=True))
+        return other
+
+    def every(self, step: int) -> Table:
+        """The same table with the first row of every so many."""
+        other = copy(self)
+        other.lines = self.lines[::step]
+        other._other = {name: numbers[::step] for name, numbers in self._other.items()}
+        return other
 
     def measured(self, *names: str, rows: Mask | None = None) -> Array:
         """Numbers (n, k) of columns, each within what its unit allows, see `LIMITS`.

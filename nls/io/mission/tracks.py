@@ -1,30 +1,26 @@
-r"""Tracks without a raw log: the path of another program, and a vehicle whose motion no sensor measures.
+r"""The track of a mission: its poses and the factors between and at them, and which files say them.
 
 `path.csv` holds poses that a program or a vehicle has reckoned, which drift. What it says are the steps between them,
 
     XYH = h(X_i, X_i+1),    ZPR = (z, pitch, roll),
 
-with the standard deviations of a step in the row it leads to. Columns that are not there are 0 and known: a vehicle on
+with the standard deviations of a step in the row it leads to. Columns that are not there are held at 0: a vehicle on
 the surface, or at a depth that does not matter.
-
-`motion.csv` is for a log of fixes or ranges alone. Between them the vehicle may be anywhere it can have gone: a random
-walk of density s, m/sqrt(s), axes parallel to those of the world,
-
-    X_i+1 = X_i Exp(d),    d ~ N(0, s^2 (t_i+1 - t_i))  in x, y and z.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from factors import XYH, ZPR, Between, Diagonal, Heading, Prior, SqrtInformation
+from factors import XYH, ZPR, Diagonal, Heading
 from factors.base import Factor
 from factors.keys import kinds
-from models import SE3, euler
+from models import euler
 from models.algebra import Array, Numbers, wrap
 from models.sensors import levelled
 from nls.io.mission.calibration import Calibrations
-from nls.io.mission.columns import ANGLES, ARM, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
+from nls.io.mission.columns import ANGLES, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
+from nls.io.mission.motion import walking
 from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import columns_together
 from nls.io.mission.table import Table
@@ -57,7 +53,7 @@ def track(
     if "path" in tables:
         return _reckoned(tables, times, report)
     if "motion" in tables:
-        return _walking(tables, times, report)
+        return walking(tables, calibrations, times, report)
     from nls.io.mission.log import integrated
 
     return integrated(tables, report, calibrations, times)
@@ -124,7 +120,8 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
         raise path.at(0, "one pose; a track has at least two")
     absent = [name for name in UPRIGHT if not path.has(name)]
     if absent:
-        report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0, within 1 mm and 1 mrad")
+        report.unmeasured = tuple(name.split("_")[0] for name in absent)
+        report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0 and empty in the results")
     t = united(t_p, float(t_p[-1]), times, tables)
     numbers = np.arange(len(t))
     row = np.searchsorted(t_p, t)  # the first one that is not before
@@ -150,43 +147,3 @@ def _column(path: Table, name: str, absent: float) -> Array:
         return path.positive(name)[:, 0]
     column = path.attitude(name)[:, 0]
     return np.unwrap(column) if name in ANGLES else column
-
-
-def _walking(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses at the times of other files, rising, and the random walk between them.
-
-    Raises
-    ------
-    GraphFileError
-        A second row; fewer than two times.
-    """
-    motion = tables["motion"]
-    if len(motion) > 1:
-        raise motion.at(1, "a second row; expected one")
-    rows = np.concatenate([np.zeros(0), *(rows.ravel() for rows in times.values())])
-    t = united(rows.min(keepdims=True), float(rows.max()), times, tables) if len(rows) else rows
-    if len(t) < 2:
-        raise motion.at(0, "fewer than two times of fixes or ranges; a track has at least two poses")
-    for name in times:
-        if name == "usbl" and tables[name].has("beacon"):
-            raise tables[name].at(
-                0, "is a direction from the vehicle, whose heading nothing measures beside motion.csv"
-            )
-        if tables[name].has(*ARM) and tables[name].measured(*ARM).any():
-            raise tables[name].at(
-                0, "has a lever arm, and nothing measures the heading beside motion.csv; leave the arm out"
-            )
-    density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
-    numbers, W = np.arange(len(t)), np.zeros((len(t) - 1, 6, 6))
-    W[:, range(3), range(3)] = 1 / (density * np.sqrt(np.diff(t)))[:, None]  # of x, y and z alone
-    report.vertex_times["x"] = t
-    report.sources += [motion.source(np.zeros(len(W), dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
-    report.notes.append(
-        f"no sensor measures the motion: {len(t)} poses at the times of the measurements, each within {density:g} m "
-        "times the root of the seconds since the one before; the vehicle is taken to head north and level"
-    )
-    stay = np.broadcast_to(SE3.identity(), (len(W), SE3.size))
-    return numbers, [
-        Between(x[numbers[:-1]], x[numbers[1:]], stay, SqrtInformation(W)),
-        Prior(x[numbers], SE3.identity(), Diagonal([LEVEL_SIGMA] * 3), components=("roll", "pitch", "yaw")),
-    ]

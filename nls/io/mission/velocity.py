@@ -1,5 +1,6 @@
 r"""The velocities of dvl.csv: which rows count, how good each is, and what the track through the water adds.
 
+A row with `earth_axes` 1 has the velocity north, east and down. It is turned by the inverse of the attitude.
 A row counts that is marked valid, has three beams or more on the bottom, and an altitude above 0. It must lie within a
 gate of the median of five rows. All this as far as the file has these columns.
 
@@ -29,13 +30,13 @@ from models.manifolds.so3 import rotation3
 from nls.io.mission.attitude import Attitude
 from nls.io.mission.bottom_lock import bottom_lock, locked_rows
 from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import VELOCITY
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
 __all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]
 
 NEIGHBOURS = 5  # rows whose median a velocity is compared with, itself among them
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 WATER = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s")
 
 
@@ -74,6 +75,9 @@ def velocities(
     """
     t, valid = dvl.rising("time_s"), bottom_lock(dvl, report.notes)
     v = np.where(valid[:, None], dvl.measured(*VELOCITY, rows=valid), 0.0)
+    if dvl.has("earth_axes"):
+        earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
+        v = np.where(earth[:, None], apply(orientation(t, attitude, mount).mT, v), v)
     if "gate_v_m_s" in noise:
         valid &= _within_gate(dvl, v, valid, noise["gate_v_m_s"], report)
     if (count := int(valid.sum())) < 2:

@@ -174,7 +174,7 @@ def explained(
 
 def _scored(log: Log, windows: Comparison, alternatives: Sequence[Alternative]) -> list[tuple[float, Alternative]]:
     """S of every alternative."""
-    return [(score(misfits(a.apply(log), windows), windows.noise), a) for a in alternatives]
+    return [(score(misfits(a.on_log(log), windows), windows.noise), a) for a in alternatives]
 
 
 def doubtful(m: tuple[float, float], windows: Comparison) -> tuple[int, float]:

@@ -18,6 +18,7 @@ class Cause(StrEnum):
     SIGN = "sign"
     SWAPPED = "swapped"  # two columns are exchanged
     AXES = "axes"  # x ahead, y to port, z up
+    EARTH = "earth"  # along north, east and down
     TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
@@ -30,8 +31,9 @@ class Cause(StrEnum):
     SIGMA = "sigma"  # too small by `factor`
     FAR = "far"
     PRESSURE = "pressure"  # absolute, in a unit that is `factor` times smaller than a decibar
-    WORLD = "world"  # along axes of the world, and not of the vehicle
     STALE = "stale"  # repeated, of a vehicle that moves
+    CALIBRATION = "calibration"  # the row of calibration.csv has `factor`
+    KERNEL = "kernel"  # the part `factor` of the rows is to be ignored
     WAYS = "ways"  # one way and both ways are mixed up
     UNKNOWN = "unknown"
 
@@ -74,6 +76,44 @@ class Implausible:
     def place(self) -> str:
         """``dvl.csv:2``."""
         return f"{self.file}:{self.line}"
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Fields by name; a cause by its identifier."""
+        plain: dict[str, Any] = finite_or_none(asdict(self))
+        return plain
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A reading that the solver has tried, with what it leaves of chi2.
+
+    Attributes
+    ----------
+    reading : a calibration, other columns, or a kernel whose column is the type of measurement.
+    sigma : of the factor of a calibration; 0 of others.
+    chi2, dof : of its optimum; under a kernel of the rows that this does not ignore.
+    """
+
+    reading: Reading
+    sigma: float
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What the solver says of a chi2 that is implausible.
+
+    Attributes
+    ----------
+    chi2, dof : of the mission as it is.
+    trials : what explains it, the least chi2 first; nothing tells them apart. Empty where none of those tried does.
+    """
+
+    chi2: float
+    dof: int
+    trials: tuple[Trial, ...]
 
     @property
     def numbers(self) -> dict[str, Any]:

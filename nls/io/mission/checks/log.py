@@ -18,7 +18,7 @@ from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.checks.findings import Cause, Reading
-from nls.io.mission.columns import ANGLES, PLACE
+from nls.io.mission.columns import ANGLES, PLACE, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]
@@ -80,11 +80,19 @@ class Log:
         chosen = np.arange(0, len(t), max(1, int(STEP / step)))[:MOST]
         return replace(self, t_v=t[chosen], v=v[chosen], valid=np.ones(len(chosen), dtype=bool), z=middle(self.z))
 
+    def _attitude(self) -> Array:
+        """Attitude (n, 4) at the times of the DVL."""
+        rpy = np.column_stack([np.interp(self.t_v, self.t_a, angle) for angle in np.unwrap(self.rpy, axis=0).T])
+        return quaternion_from_angles(rpy)
+
+    def axes(self) -> Array:
+        """Rotations (n, 3, 3) of the axes of the DVL into north, east and down."""
+        q = self._attitude()
+        return np.asarray(rotation3(SO3.compose(q, np.broadcast_to(self.mount[3:], q.shape))))
+
     def way(self) -> Array:
         """North, east and down (n, 3) by the DVL at each of its times, m, from the first."""
-        rpy = np.column_stack([np.interp(self.t_v, self.t_a, angle) for angle in np.unwrap(self.rpy, axis=0).T])
-        q = quaternion_from_angles(rpy)
-        w = apply(rotation3(SO3.compose(q, np.broadcast_to(self.mount[3:], q.shape))), self.v)
+        q, w = self._attitude(), apply(self.axes(), self.v)
         steps = 0.5 * (w[1:] + w[:-1]) * np.diff(self.t_v)[:, None]
         arm = apply(rotation3(q), np.broadcast_to(self.mount[:3], (len(q), 3)))
         return np.asarray(np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) - (arm - arm[0]))
@@ -122,11 +130,11 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     valid = bottom_lock(dvl, [])
     mount = tables["dvl_mount"].floats(*ANGLES, *PLACE)[0] if "dvl_mount" in tables else np.zeros(6)
     noise = tables["noise"]
-    v, rpy, z = dvl.floats("vx_m_s", "vy_m_s", "vz_m_s"), ahrs.floats(*ANGLES), depth.floats("z_m")
+    v, rpy, z = dvl.floats(*VELOCITY), ahrs.floats(*ANGLES), depth.floats("z_m")
     largest = max(float(np.abs(y).max()) for y in (v[valid], rpy, z, mount) if len(y)) if valid.any() else np.inf
     if min(len(t_v[valid]), len(t_a), len(t_z)) < FEWEST or not largest < LARGEST:
         return None
-    return Log(
+    log = Log(
         t_v,
         np.where(valid[:, None] | (np.abs(v) < LARGEST), v, 0.0),
         valid,
@@ -138,6 +146,10 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
         dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)),
         read_fixes(tables.get("fixes"), plane),
     )
+    if not dvl.has("earth_axes"):
+        return log
+    earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
+    return replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))
 
 
 def read_fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:

@@ -1,124 +1,179 @@
-"""Other readings of a raw log: each a mistake that is made with units, signs, frames and clocks, undone."""
+"""Other readings of a mission: each a mistake that is made with units, signs, frames and clocks, undone.
+
+A reading takes the numbers y of some columns of a file as A y + c. It is one thing for the quick checks, which try it
+on a `Log`, and for the trials by the solver, which try it on the tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, apply
 from nls.io.mission.checks.findings import Cause, Reading
-from nls.io.mission.checks.log import Log
+from nls.io.mission.checks.log import Log, read_log
+from nls.io.mission.columns import ANGLES, GEODETIC, TILT, VELOCITY
+from nls.io.mission.table import Table
 
-__all__ = ["SPEED_UNITS", "Alternative", "alternatives"]
+__all__ = ["SPEED_UNITS", "Alternative", "alternatives", "readings"]
 SPEED_UNITS = (1000.0, 100.0, 1.9438, 3.2808, 3.6)  # mm/s, cm/s, knots, ft/s and km/h in a m/s
 LENGTH_UNITS = (100.0, 3.2808, 10.0, 0.001, 0.1, 0.01)  # cm, feet, kPa (of a depth), km, bar, kPa to dm
+PLACE_UNITS = (1000.0, 100.0, 3.2808, 0.001)
+TIME_UNITS = (1e3, 1e6, 2.0, 0.5)  # ms and us in a second; both ways, and one of two
 DEGREES = 180 / np.pi
 LAGS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)  # s
+LEVEL = ("x_m", "y_m")
+LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the columns of the numbers
+    "dvl.csv": ("v", "t_v", VELOCITY),
+    "ahrs.csv": ("rpy", "t_a", ANGLES),
+    "depth.csv": ("z", "t_z", ("z_m",)),
+    "fixes.csv": ("p", "t", LEVEL),
+}
+OF_TABLES: dict[str, tuple[tuple[tuple[str, ...], Iterable[float]], ...]] = {  # vectors of one unit; what that may be
+    "fixes": ((LEVEL, PLACE_UNITS),),
+    "odometry": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,))),
+    "path": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,)), (("z_m",), LENGTH_UNITS)),
+    "zpr": tuple(((name,), (DEGREES,) if name.endswith("_rad") else LENGTH_UNITS) for name in TILT),
+    "closures": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,))),
+    "contacts": ((("azimuth_rad",), (DEGREES,)), (("range_m",), PLACE_UNITS)),
+    "usbl": ((("bearing_rad", "elevation_rad"), (DEGREES,)), (("range_m",), PLACE_UNITS)),
+    "ranges": ((("range_m",), (*PLACE_UNITS, 2.0, 0.5)), (("travel_time_s",), TIME_UNITS)),
+    "ship": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,)), (("z_m",), ())),
+    "beacons": ((LEVEL, PLACE_UNITS), (("z_m",), ())),
+}
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A reading, and the log that was meant."""
+    """A reading; A (k, k) and c (k,) make of the numbers of its columns those that were meant."""
 
     reading: Reading
-    apply: Callable[[Log], Log]
+    A: Array
+    c: Array
+
+    @property
+    def columns(self) -> list[str]:
+        return self.reading.column.split(", ")
+
+    def on_log(self, log: Log) -> Log:
+        """The log that was meant."""
+        if self.reading.cause is Cause.EARTH:
+            return replace(log, v=apply(log.axes().mT, log.v))
+        numbers, times, names = LOGGED[self.reading.file]
+        held: Any = log.fixes if self.reading.file == "fixes.csv" else log
+        if self.columns == ["time_s"]:
+            held = replace(held, **{times: getattr(held, times) + self.c[0]})
+        else:
+            read, k = getattr(held, numbers), [names.index(name) for name in self.columns]
+            y = np.array(read).reshape(len(read), -1)
+            y[:, k] = self._meant(y[:, k])
+            held = replace(held, **{numbers: y.reshape(read.shape)})
+        return replace(log, fixes=held) if self.reading.file == "fixes.csv" else held
+
+    def on_tables(self, tables: dict[str, Table]) -> dict[str, Table]:
+        """The tables that were meant; latitudes and longitudes are exchanged in all of them. Empty without the file."""
+        if self.reading.cause is Cause.EARTH:
+            log = read_log(tables, None) if "dvl" in tables else None
+            return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
+        names = tables if self.columns == [*GEODETIC] else [self.reading.file.removesuffix(".csv")]
+        tables_read = {name: tables[name] for name in names if name in tables and tables[name].has(*self.columns)}
+        meant = {
+            name: table.with_numbers(self.columns, self._meant(table.floats(*self.columns)))
+            for name, table in tables_read.items()
+        }
+        return tables | meant if meant else {}
+
+    def _meant(self, y: Array) -> Array:
+        return np.asarray(y @ self.A.T + self.c)
 
 
 def alternatives(log: Log) -> list[Alternative]:
     """All that are tried for a log."""
-    return [*_of_velocities(), *_of_angles(), *_of_depths(), *_of_clocks(log), *(_of_fixes() if log.fixes else [])]
+    fixes = _of_table("fixes") if log.fixes else ()
+    return [*_of_velocities(), *_of_angles(), *_of_depths(), *_of_clocks(log), *fixes]
+
+
+def readings() -> list[Alternative]:
+    """All that are tried for tables: not the clocks and turns that are calibrations."""
+    steady = [a for a in (*_of_velocities(), *_of_angles(), *_of_depths()) if a.reading.cause is not Cause.TURNED]
+    geodetic = _read(Cause.SWAPPED, "fixes.csv", GEODETIC, [[0, 1], [1, 0]])
+    return [*steady, *(a for name in OF_TABLES for a in _of_table(name)), geodetic]
+
+
+def _read(
+    cause: Cause, file: str, columns: Iterable[str], A: npt.ArrayLike, factor: float = 1.0, c: npt.ArrayLike = 0.0
+) -> Alternative:
+    A = np.atleast_2d(np.asarray(A, dtype=float))
+    return Alternative(Reading(cause, file, ", ".join(columns), factor), A, np.broadcast_to(c, len(A)))
+
+
+def _units(file: str, columns: tuple[str, ...], factors: Iterable[float]) -> list[Alternative]:
+    return [_read(Cause.UNIT, file, columns, np.eye(len(columns)) / f, f) for f in factors]
+
+
+def _signs(file: str, columns: Iterable[str]) -> list[Alternative]:
+    return [_read(Cause.SIGN, file, [name], -1, -1.0) for name in columns]
+
+
+def _exchanged(file: str, *pairs: tuple[str, str]) -> list[Alternative]:
+    return [_read(Cause.SWAPPED, file, pair, [[0, 1], [1, 0]]) for pair in pairs]
 
 
 def _of_velocities() -> list[Alternative]:
-    def velocity(cause: Cause, columns: str, factor: float, A: npt.ArrayLike) -> Alternative:
-        return Alternative(Reading(cause, "dvl.csv", columns, factor), partial(_velocities, np.asarray(A, dtype=float)))
+    file, (x, y, z) = "dvl.csv", VELOCITY
+    turns = ((turn, np.radians(turn)) for turn in (90.0, -90.0, 180.0, 45.0, -45.0, 135.0, -135.0))
+    return [
+        *_units(file, VELOCITY, SPEED_UNITS),
+        *_signs(file, VELOCITY),
+        *_exchanged(file, (x, y), (x, z), (y, z)),
+        _read(Cause.EARTH, file, VELOCITY, np.eye(3)),
+        _read(Cause.AXES, file, VELOCITY, np.diag([1.0, -1.0, -1.0])),
+        *(
+            _read(Cause.TURNED, file, (x, y), [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]], turn)
+            for turn, a in turns
+        ),
+    ]
 
-    names = ("vx_m_s", "vy_m_s", "vz_m_s")
-    out = [velocity(Cause.UNIT, ", ".join(names), f, np.eye(3) / f) for f in SPEED_UNITS]
-    out += [velocity(Cause.SIGN, name, -1.0, _other_sign(k)) for k, name in enumerate(names)]
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        order = np.arange(3)
-        order[[a, b]] = b, a
-        out.append(velocity(Cause.SWAPPED, f"{names[a]}, {names[b]}", 1.0, np.eye(3)[order]))
-    out.append(velocity(Cause.AXES, ", ".join(names), 1.0, np.diag([1.0, -1.0, -1.0])))
-    for turn in (90.0, -90.0, 180.0, 45.0, -45.0, 135.0, -135.0):
-        c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-        out.append(velocity(Cause.TURNED, "vx_m_s, vy_m_s", turn, [[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    return out
+
+def _north(file: str) -> Alternative:
+    return _read(Cause.NORTH, file, ["yaw_rad"], -1, 90.0, np.pi / 2)
 
 
 def _of_angles() -> list[Alternative]:
-    def angle(cause: Cause, columns: str, factor: float, A: npt.ArrayLike, yaw: float = 0.0) -> Alternative:
-        apply = partial(_angles, np.asarray(A, dtype=float), yaw)
-        return Alternative(Reading(cause, "ahrs.csv", columns, factor), apply)
-
-    names, same = ("roll_rad", "pitch_rad", "yaw_rad"), np.eye(3)
-    out = [angle(Cause.SIGN, name, -1.0, _other_sign(k)) for k, name in enumerate(names)]
-    out.append(angle(Cause.SWAPPED, "roll_rad, pitch_rad", 1.0, same[[1, 0, 2]]))
-    out.append(angle(Cause.NORTH, "yaw_rad", 90.0, _other_sign(2), np.pi / 2))
-    out += [angle(Cause.TURNED, "yaw_rad", turn, same, -np.radians(turn)) for turn in (90.0, -90.0, 180.0)]
-    for columns in ((2,), (1,), (0,), (0, 1)):
-        scale = np.diag([1 / DEGREES if k in columns else 1.0 for k in range(3)])
-        out.append(angle(Cause.UNIT, ", ".join(names[k] for k in columns), DEGREES, scale))
-    return out
+    file, (roll, pitch, yaw) = "ahrs.csv", ANGLES
+    return [
+        *_signs(file, ANGLES),
+        *_exchanged(file, (roll, pitch)),
+        _north(file),
+        _read(Cause.NORTH, file, (pitch, yaw), np.diag([-1, -1]), 90.0, (0.0, np.pi / 2)),
+        *(_read(Cause.TURNED, file, [yaw], 1, turn, -np.radians(turn)) for turn in (90.0, -90.0, 180.0)),
+        *(a for names in ((yaw,), (pitch,), (roll,), (roll, pitch)) for a in _units(file, names, [DEGREES])),
+    ]
 
 
 def _of_depths() -> list[Alternative]:
-    factors = [(Cause.SIGN, -1.0), *((Cause.UNIT, factor) for factor in LENGTH_UNITS)]
-    return [Alternative(Reading(cause, "depth.csv", "z_m", f), partial(_depths, f)) for cause, f in factors]
+    return [*_signs("depth.csv", ["z_m"]), *_units("depth.csv", ("z_m",), LENGTH_UNITS)]
 
 
 def _of_clocks(log: Log) -> list[Alternative]:
     """Each sensor late by up to ten seconds, or early."""
-    sensors = {"ahrs.csv": "t_a", "depth.csv": "t_z", "dvl.csv": "t_v"} | ({"fixes.csv": "fixes"} if log.fixes else {})
-    return [
-        Alternative(Reading(Cause.CLOCK, file, "time_s", lag), partial(_earlier, name, lag))
-        for lag in (*LAGS, *(-lag for lag in LAGS))
-        for file, name in sensors.items()
-    ]
+    files = ["ahrs.csv", "depth.csv", "dvl.csv", *["fixes.csv"] * (log.fixes is not None)]
+    lags = (*LAGS, *(-lag for lag in LAGS))
+    return [_read(Cause.CLOCK, file, ["time_s"], 1, lag, -lag) for lag in lags for file in files]
 
 
-def _of_fixes() -> list[Alternative]:
-    """North and east of the fixes."""
-
-    def fix(cause: Cause, columns: str, factor: float, A: npt.ArrayLike) -> Alternative:
-        return Alternative(Reading(cause, "fixes.csv", columns, factor), partial(_fixes, np.asarray(A, dtype=float)))
-
-    return [
-        fix(Cause.SWAPPED, "x_m, y_m", 1.0, [[0, 1], [1, 0]]),
-        fix(Cause.SIGN, "x_m", -1.0, [[-1, 0], [0, 1]]),
-        fix(Cause.SIGN, "y_m", -1.0, [[1, 0], [0, -1]]),
-        *(fix(Cause.UNIT, "x_m, y_m", f, np.eye(2) / f) for f in (1000.0, 100.0, 3.2808, 0.001)),
-    ]
-
-
-def _other_sign(k: int) -> Array:
-    return np.diag(np.where(np.arange(3) == k, -1.0, 1.0))
-
-
-def _velocities(A: Array, log: Log) -> Log:
-    return replace(log, v=log.v @ A.T)
-
-
-def _angles(A: Array, yaw: float, log: Log) -> Log:
-    return replace(log, rpy=log.rpy @ A.T + np.array([0.0, 0.0, yaw]))
-
-
-def _depths(factor: float, log: Log) -> Log:
-    return replace(log, z=log.z / factor)
-
-
-def _earlier(name: str, lag: float, log: Log) -> Log:
-    if name != "fixes":
-        return replace(log, **{name: getattr(log, name) - lag})
-    assert log.fixes is not None
-    return replace(log, fixes=replace(log.fixes, t=log.fixes.t - lag))
-
-
-def _fixes(A: Array, log: Log) -> Log:
-    assert log.fixes is not None
-    return replace(log, fixes=replace(log.fixes, p=log.fixes.p @ A.T))
+def _of_table(name: str) -> Iterator[Alternative]:
+    """Columns of a table without a raw log, or beside it: units, signs, exchange, a heading from east."""
+    file = f"{name}.csv"
+    for columns, factors in OF_TABLES[name]:
+        if len(columns) == 2:
+            yield from _exchanged(file, (columns[0], columns[1]))
+        if not columns[0].startswith(("range", "travel")):
+            yield from _signs(file, columns)
+        if columns == ("yaw_rad",):
+            yield _north(file)
+        yield from _units(file, columns, factors)

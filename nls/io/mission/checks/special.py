@@ -21,11 +21,10 @@ from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.checks.alone import FASTEST
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log
-from nls.io.mission.columns import ANGLES, GEODETIC
+from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["meant", "special_values", "stale", "without"]
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 NINES, WHOLE = (999, 9999, 99999, 999999, 9999999), (32767, 32768, 65535, 2147483647, 2147483648)
 NUMBERS = np.array([*NINES, *WHOLE], dtype=float)  # that loggers write for none, of either sign
 UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission

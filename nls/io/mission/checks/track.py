@@ -17,6 +17,7 @@ from models.algebra import Array
 from nls.io.mission.checks.alone import FASTEST, FEW_ROWS, depth_of, step_of, tilt_of, turn_of
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log
+from nls.io.mission.columns import VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["of_heading", "of_track"]
@@ -63,8 +64,8 @@ def of_heading(log: Log) -> list[Implausible]:
     v, yaw = log.v[log.valid], np.interp(log.t_v[log.valid], log.t_a, np.unwrap(log.rpy[:, 2]))
     course = np.arctan2(v[:, 1], v[:, 0])
     others = {
-        Reading(Cause.WORLD, "dvl.csv", "vx_m_s, vy_m_s", 1.0): course - yaw,
-        Reading(Cause.WORLD, "dvl.csv", "vx_m_s, vy_m_s", -1.0): np.pi / 2 - course - yaw,
+        Reading(Cause.EARTH, "dvl.csv", ", ".join(VELOCITY)): course - yaw,
+        Reading(Cause.EARTH, "dvl.csv", ", ".join(VELOCITY), -1.0): np.pi / 2 - course - yaw,
     }
     return list(_heads(course, others, np.linalg.norm(v[:, :2], axis=1)))
 

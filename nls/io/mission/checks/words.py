@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from models.listing import several
-from nls.io.mission.checks.findings import Cause, Implausible, Reading
+from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
 from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
+COARSE = 0.1  # rad, and ten times that in s: sigma of a turn or a lag that is one of a list
+CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
 LISTED = 6  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
@@ -50,7 +53,6 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "way between fixes": "fixes and DVL disagree about the way by {percent} of it; expected below {limit_percent}",
 }
 CAUSES = {
-    Cause.SWAPPED: "{column} of {file} look exchanged: exchange the names of the columns",
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
     Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
@@ -62,8 +64,10 @@ CAUSES = {
 }
 
 
-def sentence(finding: Implausible) -> str:
+def sentence(finding: Implausible | Explained) -> str:
     """A finding in words: where, which number, what is expected, what the cause is and what to do."""
+    if isinstance(finding, Explained):
+        return _explained(finding)
     measured, limit = (f"{number:.4g} {finding.unit}".strip() for number in (finding.measured, finding.limit))
     numbers = NUMBERS[finding.check].format(
         measured=measured,
@@ -78,7 +82,7 @@ def sentence(finding: Implausible) -> str:
     return f"{finding.place}: {finding.column} is implausible: {numbers}. Probable cause: {causes}"
 
 
-def record(finding: Implausible) -> dict[str, Any]:
+def record(finding: Implausible | Explained) -> dict[str, Any]:
     """A finding for programs, and in words."""
     return finding.numbers | {"sentence": sentence(finding)}
 
@@ -122,9 +126,14 @@ def _unit(r: Reading) -> str:
     looks = f"looks like {name}" if name else "looks like another unit"
     if len(r.column.split(", ")) > 1:
         looks = looks.replace("looks", "look")
-    act = f"divide by {r.factor:.5g}" if r.factor > 1 else f"multiply by {1 / r.factor:.5g}"
-    mapping = f', or unit = "{name}" in the mapping of nls import' if name else ""
+    act = f"divide {r.column} by {r.factor:.5g}" if r.factor > 1 else f"multiply {r.column} by {1 / r.factor:.5g}"
+    mapping = _mapped(r, f'unit = "{name}"', r.column) if name else ""
     return f"{r.column} of {r.file} {looks}: {act}{mapping}"
+
+
+def _mapped(r: Reading, key: str, column: str = "") -> str:
+    """The key of a mapping that cures as well."""
+    return f", or write `{key}`{f' for {column}' if column else ''} in [{r.file.removesuffix('.csv')}] of the mapping"
 
 
 def _sign(r: Reading) -> str:
@@ -140,32 +149,40 @@ def _sign(r: Reading) -> str:
         "y_m": "y is east",
         "lat_deg": "latitudes are north",
         "lon_deg": "longitudes are east",
-    }[r.column]
-    return f"{r.column} of {r.file} looks as if it had the other sign: multiply by -1; {positive}"
+    }.get(r.column, "")
+    return (
+        f"{r.column} of {r.file} looks as if it had the other sign: multiply {r.column} by -1"
+        f"{_mapped(r, 'sign = -1', r.column)}{f'; {positive}' if positive else ''}"
+    )
+
+
+def _swapped(r: Reading) -> str:
+    origin = ", in origin.csv as well" if r.column.startswith("lat_deg") else ""
+    return f"{r.column} of {r.file} look exchanged: exchange the names of {r.column}{origin}"
 
 
 def _axes(r: Reading) -> str:
-    return (
-        f"{r.column} of {r.file} look like axes ahead, port and up: change the sign of the second and third, or "
-        'frame = "FLU" in the mapping of nls import'
-    )
+    act = f"multiply {r.column.partition(', ')[2]} by -1, or " if ", " in r.column else ""
+    return f"{r.column} of {r.file} look like axes ahead, port and up: {act}{_frame(r, 'FLU')}"
 
 
 def _turned(r: Reading) -> str:
+    angle = r.factor * 3.141592653589793 / 180
     if r.file == "dvl.csv":
-        return f"the axes of the DVL look turned by {r.factor:.3g} deg: write yaw_rad {_rad(r)} in dvl_mount.csv"
-    return f"{r.column} of {r.file} looks {r.factor:.3g} deg too large: subtract {_rad(r)}"
-
-
-def _rad(r: Reading) -> str:
-    return f"{r.factor * 3.141592653589793 / 180:.4f}"
+        return f"the axes of the DVL look turned by {r.factor:.3g} deg: {_row('dvl_yaw_rad', angle, COARSE)}"
+    return f"{r.column} of {r.file} looks {r.factor:.3g} deg too large: {_row('declination_rad', -angle, COARSE)}"
 
 
 def _north(r: Reading) -> str:
-    return (
-        f"{r.column} of {r.file} looks counted from east, counterclockwise: write pi/2 - yaw, or "
-        'frame = "ENU" in the mapping of nls import'
-    )
+    looks = "looks" if r.column == "yaw_rad" else "look"
+    east = f"{r.column} of {r.file} {looks} counted from east, counterclockwise"
+    if r.column != "yaw_rad":  # the pitch has its sign, too
+        return f"{east}, as of axes ENU and FLU: {_frame(r, 'ENU')}"
+    return f"{east}: multiply yaw_rad by -1, then add 1.5708 to it{_mapped(r, 'sign = -1, offset = 1.5708', 'yaw_rad')}"
+
+
+def _frame(r: Reading, frame: str) -> str:
+    return _mapped(r, f'frame = "{frame}"').removeprefix(", or ")
 
 
 def _pressure(r: Reading) -> str:
@@ -177,17 +194,62 @@ def _pressure(r: Reading) -> str:
     )
 
 
-def _world(r: Reading) -> str:
-    north, east = ("vx", "vy") if r.factor > 0 else ("vy", "vx")
+def _earth(r: Reading) -> str:
+    axes, act = "north, east and down", ""
+    if r.factor < 0:
+        axes, act = "east, north and up", "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and "
     return (
-        f"{north} and {east} of {r.file} look like north and east, not ahead and to starboard: log axes of "
-        f"the vehicle, or {north} cos(yaw) + {east} sin(yaw) as vx_m_s, {east} cos(yaw) - {north} sin(yaw) as vy_m_s"
+        f"{r.column} of {r.file} look like velocities {axes}: {act}write `earth_axes = 1` in [dvl] of the mapping, or "
+        f"give {r.file} a column earth_axes of 1"
     )
 
 
 def _clock(r: Reading) -> str:
     late, act = ("late", "subtract") if r.factor > 0 else ("early", "add")
-    return f"times of {r.file} look about {abs(r.factor):.3g} s {late}: {act} {abs(r.factor):.3g} s, or set both clocks"
+    looks = f"times of {r.file} look about {abs(r.factor):.3g} s {late}"
+    if (file := r.file.removesuffix(".csv")) in CLOCKS:
+        return f"{looks}: {_row(f'{file}_clock_s', r.factor, 10 * COARSE)}"
+    prefix = "to" if act == "add" else "from"
+    return f"{looks}: {act} {abs(r.factor):.3g} s {prefix} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
+
+
+def _row(name: str, value: float, sigma: float) -> str:
+    """A row of calibration.csv, with as many digits as sigma has two of."""
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    row = f"write `{name},{value:.{digits}f},{sigma:.{digits}f}` in calibration.csv"
+    if not name.endswith("_clock_s"):
+        return row
+    file = name.removesuffix("_clock_s") + ".csv"
+    return row + _mapped(Reading(Cause.CLOCK, file, "time_s"), f"offset = {-value:.{digits}f}", "time_s")
+
+
+def _explained(finding: Explained) -> str:
+    """What explains chi2, in words, with the line to write."""
+    if not finding.trials:
+        return f"no single constant and no single table explains chi2 ({_size(finding.chi2)}, {finding.dof:,} expected)"
+    best = finding.trials[0]
+    one = "one constant explains" if len(finding.trials) == 1 else "each of these constants explains"
+    left = f"chi2 ({_size(finding.chi2)} -> {_size(best.chi2)}, {best.dof:,} expected)"
+    if best.reading.cause is Cause.KERNEL:
+        rows = f"{100 * best.reading.factor:.2g} % of the rows of {best.reading.file}"
+        one = f"no single constant explains chi2; without {rows} all others fit:"
+    several = "" if len(finding.trials) == 1 else ", and nothing tells them apart"
+    return f"{one} {left}{several}: {'; or '.join(map(_tried, finding.trials))}"
+
+
+def _size(chi2: float) -> str:
+    return f"{chi2:,.0f}" if chi2 >= 100 else f"{chi2:.3g}"
+
+
+def _tried(trial: Trial) -> str:
+    r = trial.reading
+    if r.cause is Cause.KERNEL:
+        return f"look at these rows, or solve with --robust {r.column}=cauchy:1"
+    if r.cause is not Cause.CALIBRATION:
+        return cause(r)
+    digits = max(0, 1 - math.floor(math.log10(trial.sigma)))
+    value = f"{r.column} {r.factor:.{digits}f} +- {trial.sigma:.{digits}f}"
+    return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
 
 
 def _zone(r: Reading) -> str:
@@ -204,11 +266,12 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
+    Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
+    Cause.EARTH: _earth,
     Cause.TURNED: _turned,
     Cause.NORTH: _north,
     Cause.CLOCK: _clock,
     Cause.PRESSURE: _pressure,
-    Cause.WORLD: _world,
     Cause.ZONE: _zone,
 }

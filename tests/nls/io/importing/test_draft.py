@@ -88,3 +88,44 @@ def test_the_sonar_of_a_draft_is_that_of_its_template(tmp_path: Path) -> None:
     names, values = templates()["templates/sonar.csv"].decode().splitlines()[-2:]
     row = next(csv.reader([values.removeprefix("# ")]))
     assert dict(zip(names.split(","), row, strict=True)) == {name: str(value) for name, value in section.items()}
+
+
+def test_a_log_without_a_dvl_is_of_fixes_and_a_walk(tmp_path: Path) -> None:
+    """Its EKF's velocities north, east and down are no DVL, the lock of its GPS no bottom lock."""
+    log = tmp_path / "rov.csv"
+    log.write_text(
+        "Timestamp,roll,pitch,heading,altitudeRelative,gps.lat,gps.lon,gps.lock,localPosition.vx,localPosition.vy,"
+        "localPosition.vz,headingSetpoint\n2022-08-15 09:56:00.8,4,5,190,-2,54.1,10.2,3,.1,.2,.3,7\n"
+        "2022-08-15 09:56:01.8,4,5,190,-2,54.1,10.2,3,.1,.2,.3,7\n"
+    )
+    sections = tomllib.loads(draft([log]))
+    assert {*sections} == {"ahrs", "depth", "fixes", "motion", "noise"}
+    assert {*sections["noise"]} == {"sigma_roll_rad", "sigma_pitch_rad", "sigma_yaw_rad", "sigma_z_m"}
+    assert sections["depth"]["z_m"] == {"column": "altitudeRelative", "up": True}
+
+
+def test_measured_columns_come_before_commanded_ones(tmp_path: Path) -> None:
+    """A Slocum glider: stamps since 1970 before times of a mission, degrees and minutes by their size."""
+    log = tmp_path / "glider.csv"
+    log.write_text(
+        "m_climb_tot_time,c_heading,c_pitch,c_wpt_lat,m_present_time,m_heading,m_pitch,m_roll,m_gps_lat,m_gps_lon\n"
+        "-1,1,1,3306,1774571917.1,2.9,.6,0,3305.7966,-11746.4556\n"
+    )
+    sections = tomllib.loads(draft([log]))
+    assert sections["fixes"]["time_s"] == sections["ahrs"]["time_s"] == "m_present_time"
+    assert sections["fixes"]["lat_deg"] == {"column": "m_gps_lat", "unit": "ddmm"}
+    assert [sections["ahrs"][name]["column"] for name in ("yaw_rad", "pitch_rad")] == ["m_heading", "m_pitch"]
+
+
+def test_the_height_over_the_bottom_is_no_depth(tmp_path: Path) -> None:
+    log = tmp_path / "dvl.csv"
+    log.write_text("time,timestamp,vx,vy,vz,altitude,beam_1_valid,velocity_valid\n202.9,1639747615.3,0,0,0,4.7,0,1\n")
+    sections = tomllib.loads(draft([log]))
+    assert {*sections} == {"dvl", "noise"}
+    assert (sections["dvl"]["time_s"], sections["dvl"]["valid"]) == ("timestamp", "velocity_valid")
+
+
+def test_columns_without_a_time_are_named(tmp_path: Path) -> None:
+    log = tmp_path / "boat.csv"
+    log.write_text("Latitude,Longitude,Depth_in_Feet\n17.97,-67.01,10.5\n")
+    assert "# [fixes]   # 'Latitude', 'Longitude': no column looks like their time" in draft([log]).splitlines()

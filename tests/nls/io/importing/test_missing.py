@@ -82,3 +82,48 @@ def test_a_row_of_other_words_is_left_out_by_the_line_that_the_refusal_says(tmp_
     with pytest.raises(GraphFileError, match=r"log\.csv:2: .* or rows = \[1\] for a row of units"):
         imported(tmp_path, DEPTH.format(z='"z"'), log=log)
     assert table(imported(tmp_path, DEPTH.format(z='"z"') + "rows = [1]\n", log=log), "depth")["z_m"].tolist() == [1, 2]
+
+
+@for_all(
+    case=[
+        ("missing_together = { attitude = 0 }", [1, 2, 4]),
+        ("missing_together = { roll_rad = 0, yaw_rad = [0, 90] }", [1, 2]),
+        ("missing_together = { yaw_rad = 0 }", [1, 4]),
+        ('missing_together = { attitude = 0, time_s = "0" }', [1, 2, 3, 4]),
+        ('missing_together = { yaw_rad = "n/o", roll_rad = 0 }', [0, 1, 2, 3, 4]),
+    ]
+)
+def test_zeros_that_stand_for_none_together(case: tuple[str, list[int]], tmp_path: Path) -> None:
+    """A zero beside other numbers stays one, and a constant counts as such."""
+    log = "t,r [deg],y [deg]\n0,0,0\n1,0.1,90\n2,0.1,0\n3,-0.0,0.00\n4,0,90\n"
+    for columns in ('attitude = ["r [deg]", 0, "y [deg]"]', 'roll_rad = "r [deg]"\npitch_rad = 0\nyaw_rad = "y [deg]"'):
+        result = imported(tmp_path, f'[ahrs]\ntime_s = "t"\n{columns}\n{case[0]}\n', log=log)
+        assert table(result, "ahrs")["time_s"].tolist() == case[1]
+        assert any("ahrs: " in note and "left out" in note for note in result.notes) == (len(case[1]) < 5)
+
+
+def test_a_place_a_velocity_and_a_quaternion_of_zeros(tmp_path: Path) -> None:
+    """The first row with a place is the origin; a DVL keeps its row; numbers of a quaternion may be 0 each."""
+    log = "t,a,b,c,d\n0,0,0,0,0\n1,0,0,0,1\n2,54.1,10.2,0,0\n"
+    fixes = '[fixes]\ntime_s = "t"\nlat_deg = "a"\nlon_deg = "b"\nsigma_x_m = 1\nsigma_y_m = 1\n'
+    result = imported(tmp_path, fixes + "missing_together = { lat_deg = 0, lon_deg = 0 }\n", log=log)
+    assert table(result, "origin")["lat_deg"].tolist() == [54.1]
+    dvl = '[dvl]\ntime_s = "t"\nvelocity = ["a", "b", "d"]\nmissing_together = { velocity = 0 }\n'
+    assert table(imported(tmp_path, dvl, log=log), "dvl")["valid"].tolist() == [0, 1, 1]
+    ahrs = '[ahrs]\ntime_s = "t"\nquaternion = ["a", "b", "c", "d"]\nmissing_together = { quaternion = 0 }\n'
+    result = imported(tmp_path, ahrs + "rows = [0, 2]\n", log=log)
+    assert table(result, "ahrs")["time_s"].tolist() == [1]
+
+
+@for_all(
+    case=[
+        ("missing_together = 0", "missing_together is 0; expected a table of such by column"),
+        ("missing_together = { attitude = 0 }", "missing_together: 'attitude' is not mapped here"),
+        ("missing_together = { z = 0 }", "missing_together: 'z' is not mapped here; did you mean 'z_m'?"),
+    ]
+)
+def test_what_cannot_be_none_together_is_refused(case: tuple[str, str], tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError) as error:
+        imported(tmp_path, DEPTH.format(z='"z"') + case[0] + "\n", log="t,z\n0,1\n")
+    assert str(error.value).startswith("mapping.toml:4: ")
+    assert case[1] in str(error.value)

@@ -180,3 +180,43 @@ def test_many_rows(tmp_path: Path) -> None:
     rows = table(imported(tmp_path, 'depth = { time_s = "t_ms", z_m = "z [mm]" }', log=log), "depth")
     assert np.array_equal(rows["z_m"], (t % 997) * 1e-3)
     assert rows["time_s"][-1] == pytest.approx(999.995)
+
+
+def test_a_dvl_without_lock_may_have_empty_cells_everywhere(tmp_path: Path) -> None:
+    mapping = 'dvl = { time_s = "t", velocity = ["v", 0, 0], beams = "b", altitude_m = "h", sigma_v_m_s = "s" }'
+    rows = table(imported(tmp_path, mapping, log="t,v,b,h,s\n0,1,4,9,0.1\n1,,,,\n2,1,,,0.1\n"), "dvl")
+    assert (rows["valid"].tolist(), rows["altitude_m"].tolist()) == ([1, 0, 0], [9, 0, 0])
+
+
+def test_fixes_without_a_depth_stay_where_no_depth_is_mapped(tmp_path: Path) -> None:
+    mapping = 'fixes = {{ time_s = "t", x_m = 0, y_m = 0, sigma_x_m = 1, sigma_y_m = 1{} }}'
+    result = imported(tmp_path, mapping.format(', z_m = "z", sigma_z_m = 1'), log="t,z\n0,\n1,5\n")
+    note = "fixes: 1 row of 2 without a number, log.csv:2 the first: left out; their places stay where z_m is in "
+    assert any(line.startswith(note) for line in result.notes)
+    assert len(table(imported(tmp_path, mapping.format(""), log="t,z\n0,\n1,5\n"), "fixes")["time_s"]) == 2
+
+
+@for_all(
+    case=[
+        ("t,z\n0,1,5\n", r"log\.csv:2: 3 cells, expected 2: t, z; in the mapping where = "),
+        ("t,z,z\n0,1,2\n", r"log\.csv has 2 columns 'z'; .* header = false and skip = 1 of the mapping call them 1, 2"),
+        ("t,z\n0,\n1,nan\n", r"mapping\.toml:3: no row of log\.csv has all that \[depth\] needs: z_m has none"),
+        ("t,z\n,1\n", r"mapping\.toml:2: no row of log\.csv has all that \[depth\] needs: time_s has none"),
+    ]
+)
+def test_a_log_that_does_not_fit_is_refused_with_its_key(case: tuple[str, str], tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=case[1]):
+        imported(tmp_path, '[depth]\ntime_s = "t"\nz_m = "z"\n', log=case[0])
+
+
+def test_a_quaternion_of_zeros_is_cured_by_the_line_that_is_printed(tmp_path: Path) -> None:
+    mapping, log = '[ahrs]\ntime_s = "t"\nquaternion = ["a", "b", "c", "d"]\n', "t,a,b,c,d\n0,0,0,0,0\n1,0,0,0,1\n"
+    with pytest.raises(GraphFileError, match=r"write `missing_together = .* in \[ahrs\] of the mapping") as error:
+        imported(tmp_path, mapping, log=log)
+    line = str(error.value).split("`")[1]
+    assert table(imported(tmp_path, mapping + line, log=log), "ahrs")["time_s"].tolist() == [1]
+
+
+def test_columns_of_one_name_are_numbered(tmp_path: Path) -> None:
+    mapping = 'depth = { time_s = "1", z_m = "3", header = false, skip = 1 }'
+    assert table(imported(tmp_path, mapping, log="t,z,z\n0,1,2\n"), "depth")["z_m"].tolist() == [2]

@@ -34,6 +34,7 @@ def test_the_mapping_is_one_when_uncommented() -> None:
         "ahrs",
         "depth",
         "path",
+        "motion",
         "fixes",
         "contacts",
         "sonar",

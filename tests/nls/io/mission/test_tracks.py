@@ -36,6 +36,7 @@ def test_the_poses_of_a_path_are_its_rows_and_its_steps_count(tmp_path: Path) ->
     assert isinstance(steps.noise, Diagonal)
     assert steps.noise.sigmas[0] == pytest.approx([0.1, 0.2, 0.03])
     assert any("no z_m, roll_rad, pitch_rad: taken as 0" in note for note in report.notes)
+    assert report.unmeasured == ("z", "roll", "pitch")
     assert report.place(0, 0).endswith("path.csv:3")  # the row a step leads to
 
 

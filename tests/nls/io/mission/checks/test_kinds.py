@@ -164,7 +164,7 @@ def earth(log: Log, east_first: bool) -> Log:
 def test_velocities_in_axes_of_the_world(east_first: bool, seed: int, tmp_path: Path) -> None:
     files = with_fixes(earth(clean(seed, drop_outs=False), east_first))
     found = findings(tmp_path / f"{east_first}{seed}", files)
-    assert [entry.readings[0].cause for entry in found] == [Cause.WORLD]
+    assert [entry.readings[0].cause for entry in found] == [Cause.EARTH]
     assert found[0].readings[0].factor == (-1.0 if east_first else 1.0)
 
 

@@ -1,0 +1,209 @@
+r"""Which one constant explains chi2 of a mission? The solver tries each of them, and then a kernel for one table.
+
+A calibration of calibration.csv is a variable c with a wide prior, which is solved again where it came out:
+
+    c_0 = each begin,    c_k+1 = argmin chi2(X, c; linear about c_k)
+
+Angles begin at quarter turns, clocks at several lags. Another reading of columns (`readings`) is solved as it is. The
+rows that the track covers may become more with a clock and never fewer. Constants explain chi2 by the rule of
+`nls.analysis.calibrations`. Those that nothing tells apart are all found.
+
+Where no constant explains, a Cauchy kernel is tried on one type of measurement at a time. That is the cure where it
+ignores few of them and noise explains all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from factors.keys import Kind
+from factors.robust import Cauchy
+from models.errors import GraphFileError
+from nls.analysis.alternatives import HALF, Fit, expected, nearest, solved
+from nls.analysis.calibrations import explains
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.io.mission.calibration import NAMES
+from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
+from nls.io.mission.checks.readings import readings
+from nls.io.mission.columns import COLUMNS
+from nls.io.mission.determination import LEFT
+from nls.io.mission.folder import report_of
+from nls.io.mission.read import graph_of
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table, csv_text
+from nls.io.mission.timeline import TIMED
+from nls.stages import announce
+from nls.values import Values
+
+__all__ = ["explained", "worth_trying"]
+
+Tables = dict[str, Table]
+QUARTER = np.pi / 2
+BEGINS = {  # of a constant by the end of its name: where it begins, sigma of its prior
+    "_rad": ((0.0, QUARTER, -QUARTER, np.pi), 1.0),
+    "_s": ((0.0, 4.0, -4.0, 12.0, -12.0, 30.0, -30.0), 10.0),
+    "_scale": ((0.0,), 0.3),
+}
+LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
+MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
+KERNEL = 30  # iterations under a kernel, from every start
+BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
+ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
+IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
+
+
+def explained(tables: Tables, chi2: float, dof: int, elevation: str = "hinge") -> Explained:
+    """The constants that explain chi2 of a mission, else the one table that a kernel cures; `Explained` may be empty.
+
+    Parameters
+    ----------
+    tables : of the mission, as `nls.io.mission.folder.read_tables` has them.
+    chi2, dof : of its optimum, implausible.
+    elevation : as of `nls.io.mission.read.read_mission`.
+
+    Raises
+    ------
+    GraphFileError
+        The tables as they are cannot be read.
+    """
+    whole = _mission(tables, elevation, chi2, dof)
+    few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
+    thinned = any(len(table) < len(tables[name]) for name, table in few.items())
+    mission = _mission(few, elevation) if thinned else whole
+    trials = [] if expected(mission) else _best(mission, [*_calibrations(mission), *_readings(mission)])
+    if thinned:
+        trials = _best(whole, [trial for earlier in trials for trial in _again(whole, earlier)])
+    return Explained(chi2, dof, tuple(trials or _kernels(whole)))
+
+
+def worth_trying(findings: Sequence[Implausible]) -> bool:
+    """Whether the solver may tell more than the findings of the tables: none is of special values or units."""
+    return all(reading.cause in (*LATER, Cause.SIGN) for finding in findings for reading in finding.readings)
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Tables as they are, their graph and dead reckoning, and chi2 and dof of their optimum."""
+
+    tables: Tables
+    elevation: str
+    graph: FactorGraph
+    start: Values
+    report: MissionReport
+    chi2: float
+    dof: int
+
+    def optimum(self, tables: Tables) -> Fit | None:
+        """The optimum of other tables; None where dead reckoning fits worse than here, or fewer rows count."""
+        try:
+            graph, start, _ = _read(tables, self.elevation)
+        except GraphFileError:  # tables that the reader refuses are no answer
+            return None
+        limit = self.graph.chi2(self.start) * (1 + SETTLED)
+        fit = solved(graph, start, start=False, iterations=BRIEF, limit=limit)
+        return fit if fit is not None and fit.dof >= self.dof else None
+
+
+def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) -> Mission:
+    """A mission with chi2 and dof as given, or as solved."""
+    graph, start, report = _read(tables, elevation)
+    if not dof and (fit := solved(graph, start, start=False, iterations=BRIEF)) is not None:
+        chi2, dof = fit.chi2, fit.dof
+    return Mission(tables, elevation, graph, start, report, chi2, dof)
+
+
+def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionReport]:
+    report = report_of(next(iter(tables.values())).path, tables)
+    return (*graph_of(tables, report, elevation), report)
+
+
+def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
+    """Those of least chi2, of as many rows, which nothing tells apart."""
+    alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
+    return [t for t in sorted(trials, key=lambda t: t.chi2 - t.dof) if t.reading in alike]
+
+
+def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
+    """A trial of fewer rows with all of them."""
+    if trial.reading.cause is Cause.CALIBRATION:
+        yield from _calibration(mission, trial.reading.column, (trial.reading.factor,))
+    else:
+        yield from _readings(mission, trial.reading)
+
+
+def _calibrations(mission: Mission) -> Iterator[Trial]:
+    table = mission.tables.get("calibration")
+    for name in NAMES:
+        if table is None or name not in table.text_of("name"):
+            yield from _calibration(mission, name)
+
+
+def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) -> Iterator[Trial]:
+    announce(f"trying {name}")
+    usual, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
+
+    def at(value: float) -> Fit | None:
+        return mission.optimum(mission.tables | {"calibration": _with_row(mission.tables, name, value, wide)})
+
+    fits = [(fit, value) for value in begins or usual if (fit := at(value)) is not None]
+    fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
+    if fit is None or fit.chi2 > HALF * mission.chi2:
+        return
+    for _ in range(ROUNDS):
+        before, value = value, float(fit.values[Kind(name)[0]][0])
+        if abs(value - before) < SETTLED * wide or (fit := at(value)) is None:
+            break
+    if fit is None or not explains(fit, mission.chi2, mission.dof):
+        return
+    sigma = float(np.sqrt(Marginals(fit.graph, fit.values).covariance(Kind(name)[0])[0, 0]))
+    if sigma < LEFT * wide:  # else nothing measures it
+        yield Trial(Reading(Cause.CALIBRATION, "calibration.csv", name, value), sigma, fit.chi2, fit.dof)
+
+
+def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
+    """calibration.csv with one more row."""
+    old = tables.get("calibration")
+    names = old.text_of("name") if old else []
+    numbers = old.floats("value", "sigma") if old else np.zeros((0, 2))
+    data = csv_text(COLUMNS["calibration"], [*names, name], np.vstack([numbers, [value, sigma]]))
+    return Table("calibration.csv", COLUMNS["calibration"], data=data)
+
+
+def _readings(mission: Mission, reading: Reading | None = None) -> Iterator[Trial]:
+    """Other readings, or one of them."""
+    for alternative in readings():
+        if reading in (None, alternative.reading) and (other := alternative.on_tables(mission.tables)):
+            announce(f"trying {alternative.reading.cause} of {alternative.reading.column}")
+            if (fit := mission.optimum(other)) is not None and explains(fit, mission.chi2, mission.dof):
+                yield Trial(alternative.reading, 0.0, fit.chi2, fit.dof)
+
+
+def _kernels(mission: Mission) -> Iterator[Trial]:
+    """The tables of which a kernel ignores few rows, and noise explains the rest."""
+    graph, report = mission.graph, mission.report
+    files = {f"{name}.csv" for name in TIMED if name != "contacts"}  # which are judged one by one
+    files_of = [Path(source.path).name.removesuffix(".gz") for source in report.sources]
+    types = {factor.name: file for factor, file in zip(graph.factors, files_of, strict=True) if file in files}
+    for name, file in types.items():
+        announce(f"trying a kernel for {file}")
+        robust = [f.robust(Cauchy(1.0)) if f.name == name else f for f in graph.factors]
+        fit = solved(FactorGraph(robust, graph.fixed), mission.start, iterations=KERNEL)
+        if fit is None:
+            continue
+        kept = [factor.weights(fit.values) > IGNORED for factor in robust]
+        rest = sum(float(f.chi2(fit.values)[rows].sum()) for f, rows in zip(robust, kept, strict=True))
+        lost = [
+            (int((~rows).sum()), len(rows), fit.values.gather(f)[0].space.dim)
+            for f, rows in zip(robust, kept, strict=True)
+            if f.name == name
+        ]
+        share = sum(some for some, *_ in lost) / sum(every for _, every, _ in lost)
+        dof = fit.dof - sum(some * size for some, _, size in lost)
+        trial = Trial(Reading(Cause.KERNEL, file, name, share), 0.0, rest, dof)
+        if share <= FEW and expected(trial):
+            yield trial
