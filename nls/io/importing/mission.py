@@ -162,13 +162,14 @@ def _origin(parts: Sequence[Rows], notes: list[str]) -> LocalPlane | None:
     """The plane at [origin], else at the first latitude and longitude."""
     candidates = [part for part in parts if {"lat_deg", "lon_deg"} <= part.numbers.keys()]
     for part in sorted(candidates, key=lambda part: part.section.table != "origin"):
-        lat, lon = (float(part.numbers[name][0]) for name in ("lat_deg", "lon_deg"))
+        places = np.column_stack([part.numbers[name] for name in ("lat_deg", "lon_deg")])
+        lat, lon = places[np.argmax(places.any(axis=1))].tolist()  # a receiver without a fix writes 0, 0
         try:
             plane = LocalPlane(lat, lon)
         except OptionError as error:
             raise part.section.error("lat_deg", str(error)) from error
         if part.section.table != "origin" or part.log is not None:
-            notes.append(f"the origin x = y = 0 is the first row of [{part.section.table}]: {lat!r}, {lon!r} deg")
+            notes.append(f"the origin x = y = 0 is the first place of [{part.section.table}]: {lat!r}, {lon!r} deg")
         return plane
     for part in parts:
         if {"lat_deg", "lon_deg"} & part.numbers.keys():

@@ -11,7 +11,7 @@ from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
-from models.errors import OptionError
+from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
@@ -60,7 +60,8 @@ def read_mission(
     Raises
     ------
     GraphFileError
-        No mission, or one that cannot be right; says which file and line.
+        No mission, or one that cannot be right; says which file and line, and what is implausible, which may be its
+        cause.
     OptionError
         No such treatment of the elevation.
     """
@@ -71,7 +72,14 @@ def read_mission(
     report.findings = implausible(tables, _plane(tables.get("origin")))
     for finding in report.findings:
         report.warn(sentence(finding))
-    return (*graph_of(tables, report, elevation, anchored, alone), report)
+    try:
+        return (*graph_of(tables, report, elevation, anchored, alone), report)
+    except GraphFileError as error:
+        if not report.findings:
+            raise
+        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
+        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
 
 
 def graph_of(

@@ -17,7 +17,6 @@ from factors.base import Factor
 from factors.keys import kinds
 from models import euler
 from models.algebra import Array, Numbers, wrap
-from models.errors import GraphFileError
 from models.sensors import levelled
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
@@ -55,7 +54,9 @@ def track(
         return _reckoned(tables, times, report)
     if "motion" in tables:
         return walking(tables, calibrations, times, report)
-    return _log(tables, calibrations, times, report)
+    from nls.io.mission.log import integrated
+
+    return integrated(tables, report, calibrations, times)
 
 
 def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
@@ -101,23 +102,6 @@ def _times(poses: Table, numbers: Numbers) -> Array:
             len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
         )
     return t[np.argsort(ids)]
-
-
-def _log(
-    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
-) -> tuple[Numbers, list[Factor]]:
-    """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
-    from nls.io.mission.checks.words import sentence
-    from nls.io.mission.log import integrated
-
-    try:
-        return integrated(tables, report, calibrations, times)
-    except GraphFileError as error:
-        if not report.findings:
-            raise
-        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
-        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
-        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
 
 
 def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:

@@ -11,7 +11,7 @@ from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log, middle
 from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
 
-__all__ = ["ALONE"]
+__all__ = ["ALONE", "depth_of", "step_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
 USUAL = 0.05, 5.0  # m/s
 STEEPEST, LONG = np.radians(30.0), 0.2  # rad, and the part of a log that may be beyond
@@ -23,6 +23,9 @@ SHARE, FAR = 0.015, 10.0  # part of the rows that may be outliers, and sigmas fr
 CALM = 0.3  # m/s and m: deviations that are no outliers
 ROUGH = 8.0  # times the stated sigma
 FEW_ROWS = 20
+DAY = 86400.0  # s
+AIR, WEATHER = 10.1325, 0.06  # dbar at the surface, about m of water, and how much it changes
+PRESSURES = (1.0, 10.0, 100.0, 1e4)  # dbar, kPa, hPa and Pa in a dbar
 
 
 def _at(check: str, column: str, row: int, measured: float, limit: float, unit: str, *causes: Reading) -> Implausible:
@@ -41,24 +44,6 @@ def speeds(log: Log) -> Iterator[Implausible]:
         yield _at("speed", names[int(np.argmax(np.abs(log.v[row])))], row, median, FASTEST, "m/s", *causes)
 
 
-def zeros(log: Log) -> Iterator[Implausible]:
-    """Rows of zeros that count as valid, between rows of a vehicle that moves."""
-    speed = np.linalg.norm(log.v, axis=1)
-    zero = (speed == 0) & log.valid
-    moving = np.flatnonzero(~zero & log.valid)
-    if not zero.any() or len(moving) < FEW_ROWS:
-        return
-    usual = float(np.median(speed[moving]))
-    rows = np.flatnonzero(zero)
-    after = np.searchsorted(moving, rows)
-    inside = rows[(after > 0) & (after < len(moving))]
-    after = np.searchsorted(moving, inside)
-    inside = inside[np.minimum(speed[moving[after - 1]], speed[moving[after]]) > usual / 2]
-    if len(inside) and usual > USUAL[0]:
-        cause = Reading(Cause.ZEROS, "dvl.csv", "valid")
-        yield _at("zeros", "valid", int(inside[0]), len(inside), 0, "rows", cause)
-
-
 def locks(log: Log) -> Iterator[Implausible]:
     """Most rows have no bottom lock, and they are the smooth ones: 0 and 1 are exchanged."""
     if log.valid.mean() < 0.5 and (~log.valid).sum() > FEW_ROWS:
@@ -71,56 +56,78 @@ def locks(log: Log) -> Iterator[Implausible]:
 
 
 def tilts(log: Log) -> Iterator[Implausible]:
-    """Roll or pitch are beyond 30 degrees for long: degrees in a column of radians, or another frame."""
+    """Roll and pitch of ahrs.csv."""
     for k, column in enumerate(("roll_rad", "pitch_rad")):
-        steep = np.abs(log.rpy[:, k]) > STEEPEST
-        if steep.mean() > LONG:
-            median = float(np.median(np.abs(log.rpy[:, k])))
-            degrees = Reading(Cause.UNIT, "ahrs.csv", column, DEGREES)
-            axes = Reading(Cause.AXES, "ahrs.csv", column)
-            upside = abs(median - np.pi) < STEEPEST and np.std(np.abs(log.rpy[:, k])) < STEEPEST
-            size = float(np.quantile(np.abs(log.rpy[:, k]), 1 - LONG))
-            yield _at("tilt", column, int(np.argmax(steep)), size, STEEPEST, "rad", axes if upside else degrees)
+        yield from tilt_of("ahrs.csv", column, log.rpy[:, k])
+
+
+def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
+    """Roll or pitch are beyond 30 degrees for long: degrees in a column of radians, or another frame."""
+    size = np.abs(angles)
+    if (steep := size > STEEPEST).mean() > LONG:
+        upside = abs(float(np.median(size)) - np.pi) < STEEPEST and np.std(size) < STEEPEST
+        cause = Reading(Cause.AXES, file, column) if upside else Reading(Cause.UNIT, file, column, DEGREES)
+        yield _at("tilt", column, int(np.argmax(steep)), np.quantile(size, 1 - LONG), STEEPEST, "rad", cause)
 
 
 def turns(log: Log) -> Iterator[Implausible]:
-    """The heading turns faster than a vehicle for long: degrees in a column of radians."""
-    if len(log.t_a) < FEW_ROWS:
+    """The heading of ahrs.csv."""
+    yield from turn_of("ahrs.csv", log.t_a, log.rpy[:, 2])
+
+
+def turn_of(file: str, t: Array, yaw: Array) -> Iterator[Implausible]:
+    """The heading turns faster than a vehicle for long: degrees, or hundredths of one, in a column of radians."""
+    if len(t) < FEW_ROWS:
         return
-    rate = np.abs(np.diff(np.unwrap(log.rpy[:, 2])) / np.diff(log.t_a))
+    rate = np.abs(np.diff(np.unwrap(yaw)) / np.diff(t))
     if (fast := float(np.quantile(rate, 0.9))) > FASTEST_TURN:
-        cause = Reading(Cause.UNIT, "ahrs.csv", "yaw_rad", DEGREES)
+        cause = Reading(Cause.UNIT, file, "yaw_rad", DEGREES * (100 if np.abs(yaw).max() > 360 else 1))
         yield _at("turn rate", "yaw_rad", int(np.argmax(rate > FASTEST_TURN)) + 1, fast, FASTEST_TURN, "rad/s", cause)
 
 
 def depths(log: Log) -> Iterator[Implausible]:
-    """Depths above the surface, below any sea, that change too fast, or never."""
-    z, smooth = log.z, middle(log.z)
-    if np.median(z) < HIGHEST and np.mean(smooth < 0) > 0.9:
-        cause = Reading(Cause.SIGN, "depth.csv", "z_m", -1.0)
-        yield _at("depth", "z_m", int(np.argmax(z < 0)), np.median(z), 0.0, "m", cause)
-    if np.max(np.abs(smooth)) > DEEPEST:
-        causes = [Reading(Cause.UNIT, "depth.csv", "z_m", f) for f in (1e4, 1e3, 100.0)]  # Pa, mm, cm
-        yield _at("depth", "z_m", int(np.argmax(np.abs(z) > DEEPEST)), np.abs(smooth).max(), DEEPEST, "m", *causes)
-    steps = max(1, int(5.0 / float(np.median(np.diff(log.t_z))))) if len(z) > 1 else len(z)
-    if len(z) > 2 * steps:
-        rate = np.abs((smooth[steps:] - smooth[:-steps]) / (log.t_z[steps:] - log.t_z[:-steps]))
-        if (fast := float(np.quantile(rate, 0.99))) > FASTEST_DIVE:
-            causes = [Reading(Cause.UNIT, "depth.csv", "z_m", f) for f in (100.0, 1000.0)]
-            yield _at("depth rate", "z_m", int(np.argmax(rate > FASTEST_DIVE)), fast, FASTEST_DIVE, "m/s", *causes)
-    if len(z) > FEW_ROWS and np.ptp(z) == 0 and np.ptp(log.thinned().way()[:, 2]) > 1.0:
+    """The depth of depth.csv, also one that never changes."""
+    yield from depth_of("depth.csv", log.z, log.t_z)
+    if len(log.z) > FEW_ROWS and np.ptp(log.z) == 0 and np.ptp(log.thinned().way()[:, 2]) > 1.0:
         yield _at("depth", "z_m", 0, 0.0, 1.0, "m", Reading(Cause.STUCK, "depth.csv", "z_m"))
 
 
+def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausible]:
+    """Depths (n,) above the surface, below any sea, or that change too fast, where their times (n,) are given."""
+    smooth = middle(z)
+    top = float(smooth.min())
+    air = [Reading(Cause.PRESSURE, file, "z_m", unit) for unit in PRESSURES if abs(top / (unit * AIR) - 1) < WEATHER]
+    if np.median(z) < HIGHEST and np.mean(smooth < 0) > 0.9:
+        cause = Reading(Cause.SIGN, file, "z_m", -1.0)
+        yield _at("depth", "z_m", int(np.argmax(z < 0)), np.median(z), 0.0, "m", cause)
+    if np.max(np.abs(smooth)) > DEEPEST:
+        causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in (1e4, 1e3, 100.0)]  # Pa, mm, cm
+        yield _at("depth", "z_m", int(np.argmax(np.abs(z) > DEEPEST)), np.abs(smooth).max(), DEEPEST, "m", *causes)
+        return
+    steps = max(1, int(5.0 / float(np.median(np.diff(t))))) if t is not None and len(z) > 1 else len(z)
+    if t is not None and len(z) > 2 * steps:
+        rate = np.abs((smooth[steps:] - smooth[:-steps]) / (t[steps:] - t[:-steps]))
+        if (fast := float(np.quantile(rate, 0.99))) > FASTEST_DIVE:
+            causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in (100.0, 1000.0)]
+            yield _at("depth rate", "z_m", int(np.argmax(rate > FASTEST_DIVE)), fast, FASTEST_DIVE, "m/s", *causes)
+
+
 def steps(log: Log) -> Iterator[Implausible]:
-    """Times between rows that are no seconds."""
+    """Times between rows of dvl.csv, ahrs.csv and depth.csv."""
     for file, t in (("dvl.csv", log.t_v), ("ahrs.csv", log.t_a), ("depth.csv", log.t_z)):
-        step = float(np.median(np.diff(t))) if len(t) > FEW_ROWS else 1.0
-        if step > SLOWEST_LOG:
-            factor = next((f for f in (1e3, 1e6, 1e9) if step / f < SLOWEST_LOG), 1e9)
-            yield _at("time step", "time_s", 1, step, SLOWEST_LOG, "s", Reading(Cause.UNIT, file, "time_s", factor))
-        elif step < FASTEST_LOG:
-            yield _at("time step", "time_s", 1, step, FASTEST_LOG, "s", Reading(Cause.UNKNOWN, file, "time_s"))
+        yield from step_of(file, t)
+
+
+def step_of(file: str, t: Array) -> Iterator[Implausible]:
+    """Times between rows that are no seconds."""
+    step = float(np.median(np.diff(t))) if len(t) > FEW_ROWS else 1.0
+    if step > SLOWEST_LOG:
+        factor = next((f for f in (1e3, 1e6, 1e9) if step / f < SLOWEST_LOG), 1e9)
+        yield _at("time step", "time_s", 1, step, SLOWEST_LOG, "s", Reading(Cause.UNIT, file, "time_s", factor))
+    elif step < FASTEST_LOG:
+        days = 1e-3 < step * DAY < SLOWEST_LOG
+        cause = Reading(Cause.UNIT, file, "time_s", 1 / DAY) if days else Reading(Cause.UNKNOWN, file, "time_s")
+        yield _at("time step", "time_s", 1, step, FASTEST_LOG, "s", cause)
 
 
 def outliers(log: Log) -> Iterator[Implausible]:
@@ -166,4 +173,4 @@ def scatter(log: Log) -> Iterator[Implausible]:
             yield Implausible("scatter", file, 0, column, measured, ROUGH * log.sigmas[sigma], "", (cause,))
 
 
-ALONE = (steps, speeds, locks, zeros, tilts, turns, depths, outliers, scatter)
+ALONE = (steps, speeds, locks, tilts, turns, depths, outliers, scatter)

@@ -22,12 +22,16 @@ class Cause(StrEnum):
     TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
+    ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
     INVERTED = "inverted"
-    ZEROS = "zeros"
+    NONE = "none"  # the number `factor` stands for none
+    ZEROS = "zeros"  # 0 in all columns does
     STUCK = "stuck"
     OUTLIERS = "outliers"
     SIGMA = "sigma"  # too small by `factor`
     FAR = "far"
+    PRESSURE = "pressure"  # absolute, in a unit that is `factor` times smaller than a decibar
+    STALE = "stale"  # repeated, of a vehicle that moves
     CALIBRATION = "calibration"  # the row of calibration.csv has `factor`
     KERNEL = "kernel"  # the part `factor` of the rows is to be ignored
     WAYS = "ways"  # one way and both ways are mixed up
@@ -55,6 +59,7 @@ class Implausible:
     measured, limit : the number, and the limit it is beyond.
     unit : of both; empty for a ratio.
     readings : what explains it, the most probable first; more than one where the log does not tell them apart.
+    lines : of all rows that show it, where these are to be left out.
     """
 
     check: str
@@ -65,6 +70,7 @@ class Implausible:
     limit: float
     unit: str
     readings: tuple[Reading, ...]
+    lines: tuple[int, ...] = ()
 
     @property
     def place(self) -> str:

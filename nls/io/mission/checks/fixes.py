@@ -22,15 +22,13 @@ def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
 
 
 def _far(fixes: Fixes) -> Iterator[Implausible]:
-    """Fixes beyond the plane: another origin, or latitude and longitude exchanged."""
+    """Fixes beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost."""
     away = np.linalg.norm(fixes.p, axis=1)
     if (distance := float(np.median(away))) <= FARTHEST:
         return
-    columns, cause = ", ".join(fixes.columns), Cause.FAR
-    if fixes.exchanged is not None and np.median(np.linalg.norm(fixes.exchanged, axis=1)) < FARTHEST:
-        cause = Cause.SWAPPED
+    near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < FARTHEST]
+    reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
     row = int(fixes.rows[np.argmax(away > FARTHEST)])
-    reading = Reading(cause, "fixes.csv", columns)
     yield Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, FARTHEST, "m", (reading,))
 
 

@@ -11,11 +11,13 @@ from models.geodesy import LocalPlane
 from nls.io.mission.checks.acoustics import of_ranges, sound_speeds
 from nls.io.mission.checks.agreement import WRONG, compared, doubtful, explained
 from nls.io.mission.checks.alone import ALONE
+from nls.io.mission.checks.clocks import of_clocks
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.fixes import jumping, of_fixes
-from nls.io.mission.checks.log import Log, read_log
+from nls.io.mission.checks.log import Log, read_fixes, read_log
 from nls.io.mission.checks.readings import alternatives
-from nls.io.mission.checks.track import of_track
+from nls.io.mission.checks.special import special_values, stale, without
+from nls.io.mission.checks.track import of_heading, of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]
@@ -35,12 +37,35 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
     GraphFileError
         A cell that is no number, as when the tables are read.
     """
+    first = special_values(tables)
+    special = [_placed(entry, tables) for entry in first]
+    tables = without(tables, first)
+    if clocks := of_clocks(tables):  # nothing is compared at other times
+        return special + [_placed(entry, tables) for entry in clocks]
     log = read_log(tables, plane) if "dvl" in tables else None
-    out = of_track(tables) if log is None else of_log(log)
+    old = stale(log, read_fixes(tables.get("fixes"), plane), _way(tables, log))
+    if old:
+        special += [_placed(entry, tables) for entry in old]
+        tables = without(tables, old)
+        log = read_log(tables, plane) if "dvl" in tables else None
+    if log is None:
+        fixes = read_fixes(tables.get("fixes"), plane)
+        out = of_track(tables) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
+    else:
+        out = of_log(log)
     if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):
         out = of_ranges(tables, log.thinned(), _start(tables, log.thinned()))
     out += sound_speeds(tables.get("sound-speed"))
-    return [_placed(entry, tables) for entry in out]
+    return special + [_placed(entry, tables) for entry in out]
+
+
+def _way(tables: dict[str, Table], log: Log | None) -> tuple[Array, Array] | None:
+    """Times and places of the vehicle by its DVL or its path."""
+    if log is not None:
+        return log.thinned().t_v, log.thinned().way()
+    if (path := tables.get("path")) is not None:
+        return path.floats("time_s")[:, 0], path.floats("x_m", "y_m")
+    return None
 
 
 def _start(tables: dict[str, Table], log: Log) -> Array:
@@ -54,7 +79,8 @@ def _start(tables: dict[str, Table], log: Log) -> Array:
 def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
     """With the line of its row, and the name of the file as it is."""
     table = tables[entry.file.removesuffix(".csv")]
-    return replace(entry, line=int(table.lines[entry.line]) + 1)
+    lines = tuple((table.lines[list(entry.lines)] + 1).tolist())
+    return replace(entry, line=int(table.lines[entry.line]) + 1, lines=lines)
 
 
 def of_log(log: Log) -> list[Implausible]:
@@ -71,7 +97,7 @@ def of_log(log: Log) -> list[Implausible]:
     named = {(r.cause, r.file) for r in readings}
     if any(_names(entry, named) for entry in alone):  # one sensor alone shows it, and the others say which unit it is
         return [_narrowed(entry, readings) if _names(entry, named) else entry for entry in alone]
-    return alone + (together or of_fixes(thin.fixes, wild))
+    return alone + (of_heading(thin) or together or of_fixes(thin.fixes, wild))
 
 
 def _names(entry: Implausible, causes: set[tuple[Cause, str]]) -> bool:

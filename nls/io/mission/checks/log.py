@@ -17,10 +17,11 @@ from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.bottom_lock import bottom_lock
+from nls.io.mission.checks.findings import Cause, Reading
 from nls.io.mission.columns import ANGLES, PLACE, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = ["Fixes", "Log", "read_log"]
+__all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]
 STEP = 1.0  # s: samples of the DVL between which none is needed
 FEWEST = 5  # rows of each file
 LARGEST = 1e9  # of a number, as the reader has it
@@ -31,7 +32,7 @@ MOST = 10_000  # samples of the DVL that are compared with depth and fixes
 class Fixes:
     """Positions: times t (n,), p (n, 2) north and east, m, standard deviation (n,), m; and the columns of p.
 
-    `exchanged` has latitude and longitude in each other's place, (n, 2), m; `rows` are those of the table.
+    `rows` are those of the table; `others` places (n, 2), m, with latitude and longitude exchanged, or of another side.
     """
 
     t: Array
@@ -39,12 +40,12 @@ class Fixes:
     sigma: Array
     columns: tuple[str, str]
     rows: Index
-    exchanged: Array | None = None
+    others: tuple[tuple[Reading, Array], ...] = ()
 
     def part(self, which: Mask) -> Fixes:
         """Some of the fixes (n,)."""
-        exchanged = None if self.exchanged is None else self.exchanged[which]
-        return Fixes(self.t[which], self.p[which], self.sigma[which], self.columns, self.rows[which], exchanged)
+        others = tuple((reading, p[which]) for reading, p in self.others)
+        return Fixes(self.t[which], self.p[which], self.sigma[which], self.columns, self.rows[which], others)
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
         z[:, 0],
         euler.to_se3(mount),
         dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)),
-        _fixes(tables.get("fixes"), plane),
+        read_fixes(tables.get("fixes"), plane),
     )
     if not dvl.has("earth_axes"):
         return log
@@ -151,7 +152,7 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     return replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))
 
 
-def _fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:
+def read_fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:
     """Positions with times; None without any, or where only the numbers of poses are given."""
     if table is None or not table.has("time_s"):
         return None
@@ -163,5 +164,9 @@ def _fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:
     if not table.has("lat_deg", "lon_deg") or plane is None:
         return None
     lat, lon = table.floats("lat_deg", "lon_deg")[order].T
-    p, exchanged = plane.local(lat, lon), plane.local(lon, lat)
-    return Fixes(t[order], p, sigma[order], ("lat_deg", "lon_deg"), order, exchanged)
+    others = (
+        (Reading(Cause.SWAPPED, "fixes.csv", "lat_deg, lon_deg"), plane.local(lon, lat)),
+        (Reading(Cause.SIGN, "fixes.csv", "lon_deg", -1.0), plane.local(lat, -lon)),
+        (Reading(Cause.SIGN, "fixes.csv", "lat_deg", -1.0), plane.local(-lat, lon)),
+    )
+    return Fixes(t[order], plane.local(lat, lon), sigma[order], ("lat_deg", "lon_deg"), order, others)

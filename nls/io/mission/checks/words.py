@@ -3,31 +3,46 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
+from models.listing import several
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
+from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
 COARSE = 0.1  # rad, and ten times that in s: sigma of a turn or a lag that is one of a list
 CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
+LISTED = 6  # runs of lines
+PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
+LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 10.0: "kPa", 1e4: "Pa", 0.1: "bar", 0.001: "km", 0.01: "hm"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
-    "_rad": {180 / 3.141592653589793: "deg"},
+    "_rad": {180 / 3.141592653589793: "deg", 18000 / 3.141592653589793: "cdeg"},
+    "_pa": {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
-    "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns"},
+    "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
 NUMBERS = {  # of a check: what was measured, and what its limit is
     "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
-    "zeros": "{measured} with bottom lock have a velocity of 0, between others that move",
+    "special value": "{rows} with {measured} are far from the rows around them",
     "bottom lock": "valid is 1 in {percent} of the rows, and the rows of 0 are smooth",
+    "heading": "the vehicle goes ahead by {percent}, of its way beside its heading; expected above {limit_percent}",
+    "stale": "{rows} repeat a fix while the vehicle goes {measured}",
+    "repeated": "{rows} repeat a number, {measured} long, while the vehicle moves",
     "tilt": "a fifth of the log is beyond {measured}; a vehicle stays within {limit}",
     "turn rate": "a tenth of the log turns faster than {measured}; a vehicle stays below {limit}",
     "depth": "a depth of {measured}; expected {side} {limit}",
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
     "time step": "the middle time between two rows is {measured}; expected {side} {limit}",
+    "span": "its times span {measured} times those of the track; expected about 1, or less",
+    "late": "it begins {measured} after the track; expected within the track",
+    "under water": "{measured} fixes are more than 2 m under water at their times; expected none of a receiver",
+    "surface": "the vehicle has fixes where it is {measured}, and none deeper; expected below {limit}",
     "outliers": "{percent} of the rows are far from the rows beside them; expected below {limit_percent}",
     "scatter": "its rows scatter by {measured}, {ratio} times the sigma stated in noise.csv; expected below {limit}",
     "sound speed": "it is {measured}; water has 1400 to 1600 m/s",
@@ -38,10 +53,8 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "way between fixes": "fixes and DVL disagree about the way by {percent} of it; expected below {limit_percent}",
 }
 CAUSES = {
-    Cause.EARTH: "{column} of {file} look like velocities north, east and down: write `earth_axes = 1` in [dvl] of the "
-    "mapping, or give {file} a column earth_axes of 1",
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
-    Cause.ZEROS: "rows of {file} without bottom lock count as valid: write {column} 0 there",
+    Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
     Cause.OUTLIERS: "{column} of {file} has outliers: delete these rows, or give them no weight",
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small: a variance, or degrees?",
@@ -63,8 +76,9 @@ def sentence(finding: Implausible | Explained) -> str:
         limit_percent=f"{100 * finding.limit:.3g} %",
         side="below" if finding.measured > finding.limit else "above",
         ratio=f"{finding.readings[0].factor:.3g}",
+        rows=several(len(finding.lines), "row"),
     )
-    causes = "; or ".join(cause(reading) for reading in finding.readings)
+    causes = "; or ".join(cause(reading, lines(finding.lines)) for reading in finding.readings)
     return f"{finding.place}: {finding.column} is implausible: {numbers}. Probable cause: {causes}"
 
 
@@ -73,10 +87,37 @@ def record(finding: Implausible | Explained) -> dict[str, Any]:
     return finding.numbers | {"sentence": sentence(finding)}
 
 
-def cause(reading: Reading) -> str:
-    """The cause and what to do."""
-    of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}"}
+def lines(numbers: Sequence[int]) -> str:
+    """Lines of a file: the first of their runs, and how many more there are.
+
+    Examples
+    --------
+    >>> lines([7, 8, 9, 10, 14]), lines([3])
+    ('lines 7 to 10, 14', 'line 3')
+    """
+    runs = np.split(np.array(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs[:LISTED]]
+    more = sum(map(len, runs[LISTED:]))
+    return f"line{'s' * (len(numbers) > 1)} {', '.join(words)}{f' and {more} more' if more else ''}"
+
+
+def cause(reading: Reading, rows: str = "") -> str:
+    """The cause and what to do; rows are the lines that it is about."""
+    if reading.cause in (Cause.NONE, Cause.ZEROS):
+        return f"{_none(reading)}, or leave out {rows} of {reading.file}"
+    of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}", "lines": rows}
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
+
+
+def _none(r: Reading) -> str:
+    names = r.column.split(", ")
+    numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
+    keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
+    key, table = (
+        "missing" if r.cause is Cause.NONE or len(names) == 1 else "missing_together",
+        r.file.removesuffix(".csv"),
+    )
+    return f"no {r.column} was measured there: write `{key} = {{ {keys} }}` in [{table}] of the mapping"
 
 
 def _unit(r: Reading) -> str:
@@ -106,6 +147,8 @@ def _sign(r: Reading) -> str:
         "yaw_rad": "yaw is clockwise from north",
         "x_m": "x is north",
         "y_m": "y is east",
+        "lat_deg": "latitudes are north",
+        "lon_deg": "longitudes are east",
     }.get(r.column, "")
     return (
         f"{r.column} of {r.file} looks as if it had the other sign: multiply {r.column} by -1"
@@ -140,6 +183,25 @@ def _north(r: Reading) -> str:
 
 def _frame(r: Reading, frame: str) -> str:
     return _mapped(r, f'frame = "{frame}"').removeprefix(", or ")
+
+
+def _pressure(r: Reading) -> str:
+    air, name = f"{10.1325 * r.factor:.6g}", UNITS["_pa"][r.factor]
+    divide, scale = (f" and divide by {r.factor:g}", f"`scale = {1 / r.factor:g}` and ") if r.factor > 1 else ("", "")
+    return (
+        f"z_m of {r.file} looks like absolute pressure in {name}: subtract {air} from z_m{divide}, or write {scale}"
+        f"`offset = -10.1325` for z_m in [{r.file.removesuffix('.csv')}] of the mapping"
+    )
+
+
+def _earth(r: Reading) -> str:
+    axes, act = "north, east and down", ""
+    if r.factor < 0:
+        axes, act = "east, north and up", "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and "
+    return (
+        f"{r.column} of {r.file} look like velocities {axes}: {act}write `earth_axes = 1` in [dvl] of the mapping, or "
+        f"give {r.file} a column earth_axes of 1"
+    )
 
 
 def _clock(r: Reading) -> str:
@@ -190,12 +252,26 @@ def _tried(trial: Trial) -> str:
     return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
 
 
+def _zone(r: Reading) -> str:
+    size, words = f"{abs(r.factor):.9g} s", LEAPS.get(abs(r.factor), "")
+    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
+    words = words or next(periods, "by the depth")
+    late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
+    return (
+        f"the clock of {r.file} looks {size} {late} ({words}): {act} time_s, or write `offset = {-r.factor:.9g}` for "
+        f"time_s in [{r.file.removesuffix('.csv')}] of the mapping"
+    )
+
+
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
+    Cause.EARTH: _earth,
     Cause.TURNED: _turned,
     Cause.NORTH: _north,
     Cause.CLOCK: _clock,
+    Cause.PRESSURE: _pressure,
+    Cause.ZONE: _zone,
 }

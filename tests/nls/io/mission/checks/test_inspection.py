@@ -105,15 +105,20 @@ def test_fixes_that_jump_are_no_disagreement_of_sensors() -> None:
     assert finding.readings == (Reading(Cause.OUTLIERS, "fixes.csv", "x_m, y_m"),)
 
 
-def test_fixes_far_away_may_have_latitude_and_longitude_exchanged() -> None:
-    log = clean(2)
+@for_all(seed=[2, 3])
+def test_fixes_far_away_may_have_latitude_and_longitude_exchanged_or_of_another_side(seed: int) -> None:
+    log = clean(seed)
     assert log.fixes is not None
     away = log.fixes.p + np.array([4e6, -4e6])
-    columns = ("lat_deg", "lon_deg")
-    exchanged = replace(log.fixes, p=away, exchanged=log.fixes.p, columns=columns)
-    elsewhere = replace(log.fixes, p=away, exchanged=away, columns=columns)
-    causes = {of_log(replace(log, fixes=fixes))[-1].readings[0].cause for fixes in (exchanged, elsewhere)}
-    assert causes == {Cause.SWAPPED, Cause.FAR}
+    others = (
+        Reading(Cause.SWAPPED, "fixes.csv", "lat_deg, lon_deg"),
+        Reading(Cause.SIGN, "fixes.csv", "lon_deg", -1.0),
+    )
+    for near in (*others, None):
+        read = tuple((reading, log.fixes.p if reading == near else away) for reading in others)
+        fixes = replace(log.fixes, p=away, others=read, columns=("lat_deg", "lon_deg"))
+        reading = of_log(replace(log, fixes=fixes))[-1].readings[0]
+        assert reading == near or (near is None and reading.cause is Cause.FAR)
 
 
 @pytest.mark.parametrize("name", list(SPOILS))

@@ -16,23 +16,12 @@ from nls.io.mission.checks.words import sentence
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import write_mission
 from tests.combinations import for_all
+from tests.nls.io.mission.checks.missions import files_of
 from tests.nls.io.mission.checks.spoils import SPOILS
 from tests.nls.io.mission.checks.vehicle import clean
-from tests.nls.io.mission.mission_files import RAW, TINY, folder
+from tests.nls.io.mission.mission_files import TINY, folder
 
 BEACONS = np.array([[200.0, -150.0, 60.0], [-300.0, 100.0, 55.0]])
-
-
-def files_of(log: Log, extra: dict[str, str] | None = None) -> dict[str, str]:
-    """The files of a log; `extra` ones beside them."""
-    names = list(log.sigmas)
-    tables = {
-        "dvl": csv_text(RAW["dvl"], log.t_v, log.v, log.valid.astype(int)),
-        "ahrs": csv_text(RAW["ahrs"], log.t_a, log.rpy),
-        "depth": csv_text(RAW["depth"], log.t_z, log.z),
-        "noise": csv_text(names, np.array([[log.sigmas[name] for name in names]])),
-    }
-    return {name: text.decode() for name, text in tables.items()} | (extra or {})
 
 
 def ranges(log: Log, factor: float, column: str = "range_m") -> dict[str, str]:
@@ -77,7 +66,7 @@ def test_ranges_in_another_unit(case: tuple[float, str, str], tmp_path: Path) ->
     factor, column, cause = case
     log = clean(1, minutes=6.0, drop_outs=False)
     start = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0.0,0,0,1,1\n"  # where the ranges are from
-    files = files_of(log, ranges(log, factor, column))
+    files = files_of(log) | ranges(log, factor, column)
     path = folder(tmp_path / f"{factor}{column}", files | {"fixes": start})
     findings = findings_of(path)
     assert len(findings) == (1 if cause else 0)
@@ -139,7 +128,7 @@ def test_an_error_of_the_reader_names_the_unit(tmp_path: Path, capsys: pytest.Ca
     assert fixes is not None
     sigma = np.column_stack([fixes.sigma, fixes.sigma]) / np.sqrt(2)
     text = csv_text(["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"], fixes.t, fixes.p, sigma).decode()
-    assert main(["solve", str(folder(tmp_path / "m", files_of(log, {"fixes": text})))]) == 2
+    assert main(["solve", str(folder(tmp_path / "m", files_of(log) | {"fixes": text}))]) == 2
     error = capsys.readouterr().err
     assert "expected radians, -2 pi to 2 pi" in error
     assert "yaw_rad of ahrs.csv looks like deg: divide yaw_rad by 57.296" in error
