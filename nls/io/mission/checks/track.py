@@ -64,6 +64,7 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
             out += tilt_of(file, column, table.floats(column)[:, 0]) if table.has(column) else ()
         for column in (*ANGLES, "z_m") if name in ("ahrs", "depth") and not out else ():
             y = table.floats(column)[:, 0] if table.has(column) else np.zeros(0)
+            y = y[np.abs(y) < LARGEST]
             out += scatter_of(file, column, y, sigmas)
             out += stuck_of(file, column, y) if moves and np.any(y) else ()
     if not out and "path" in tables:
