@@ -6,6 +6,7 @@ the data cannot tell two causes apart, such as a declination from a DVL that is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -44,14 +45,23 @@ class Mistake:
     tables : that a mission needs for it.
     spoil : does it to a copy.
     right : patterns, any of which names the cause.
-    unmeasured : missions where no other sensor measures these numbers, and the wrong ones are as plausible.
     """
 
     name: str
     tables: tuple[str, ...]
     spoil: Change
     right: tuple[str, ...]
-    unmeasured: tuple[str, ...] = ()
+
+    @property
+    def quantities(self) -> set[str]:
+        """What of its table is wrong, in the words of the program for what nothing checks."""
+        table = self.tables[0] if self.tables else ""
+        if table == "depth":
+            return {"depth of depth.csv", *["zero of the depth of depth.csv"] * ("too deep" in self.name)}
+        if table == "fixes":
+            clock = re.search("late|early|fast|times of", self.name)
+            return {f"{'clock' if clock else 'arm' if 'arm' in self.name else 'place'} of fixes.csv"}
+        return {"heading of ahrs.csv"} if self.name.startswith("ahrs") and "heading" in self.name else set()
 
 
 def change(table: str, columns: list[str], function: Callable[[Array], Any]) -> Change:

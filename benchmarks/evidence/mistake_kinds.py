@@ -93,17 +93,15 @@ def words(table: str, column: str, word: str) -> Change:
 
 def of_rows() -> Iterator[Mistake]:
     for table in ("dvl", "ahrs", "depth", "fixes", "usbl", "ship"):
-        lone = ("rov",) if table == "depth" else ()
         for name, seconds in CLOCKS.items():
-            yield Mistake(f"{table}: {name} late", (table,), late(table, seconds), clock_of(table), lone)
-        yield Mistake(f"{table}: 18 s early", (table,), late(table, -18.0), clock_of(table), lone)
+            yield Mistake(f"{table}: {name} late", (table,), late(table, seconds), clock_of(table))
+        yield Mistake(f"{table}: 18 s early", (table,), late(table, -18.0), clock_of(table))
         yield Mistake(f"{table}: times in ms", (table,), timed(table, lambda t: 1e3 * t), (*clock_of(table), "ms"))
         yield Mistake(
             f"{table}: clock 1 % fast",
             (table,),
             timed(table, lambda t: START + 1.01 * (t - START)),
             clock_of(table),
-            lone,
         )
         back = (*clock_of(table), "clock of its own", f"leave out lines .*{table}")
         yield Mistake(f"{table}: one row a week back", (table,), one_row(table, -604800.0), back)

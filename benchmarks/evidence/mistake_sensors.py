@@ -201,25 +201,23 @@ def radians_header(survey: Survey) -> None:
 
 
 def of_depths() -> Iterator[Mistake]:
-    def of(name: str, function: Callable[[Array], Any], right: tuple[str, ...], *unmeasured: str) -> Mistake:
-        return Mistake(f"depth: {name}", ("depth",), change("depth", [DEPTH], function), right, unmeasured)
+    def of(name: str, function: Callable[[Array], Any], right: tuple[str, ...]) -> Mistake:
+        return Mistake(f"depth: {name}", ("depth",), change("depth", [DEPTH], function), right)
 
     yield of("negative", lambda z: -z, named([DEPTH], "-1", "sign", "up = true"))
     for name, factor in {"cm": 100.0, "mm": 1000.0, "ft": FOOT, "fathom": FOOT / 6}.items():
-        lone = ("rov",) if factor < 10 else ()
-        yield of(f"in {name}", lambda z, f=factor: f * z, unit([DEPTH], name, factor), *lone)
+        yield of(f"in {name}", lambda z, f=factor: f * z, unit([DEPTH], name, factor))
     yield of("in kPa", lambda z: 10.05 * z, named([DEPTH], "kPa", "pressure", "10"))
     yield of(
         "absolute pressure in dbar",
         lambda z: 1.005 * z + 10.13,
         named([DEPTH], "pressure", "atmosphere", "10", "offset"),
-        "rov",
     )
     yield of("absolute pressure in hPa", lambda z: 100.5 * z + 1013.0, named([DEPTH], "hPa", "mbar", "pressure"))
     yield of("absolute pressure in Pa", lambda z: 10050 * z + 101300.0, named([DEPTH], "Pa", "pressure"))
-    yield of("3 m too deep", lambda z: z + 3.0, named([DEPTH], "offset", "surface", "deep", "subtract"), "rov")
-    yield of("altitude", lambda z: 30.0 - z, named([DEPTH], "altitude", "-1", "sign", "height"), "rov")
-    yield of("scale 1.03", lambda z: 1.03 * z, named([DEPTH], "scale", "density", "divide"), "rov")
+    yield of("3 m too deep", lambda z: z + 3.0, named([DEPTH], "offset", "surface", "deep", "subtract"))
+    yield of("altitude", lambda z: 30.0 - z, named([DEPTH], "altitude", "-1", "sign", "height"))
+    yield of("scale 1.03", lambda z: 1.03 * z, named([DEPTH], "scale", "density", "divide"))
     yield of("stuck", lambda z: 0 * z + 7.0, named([DEPTH], "stuck", "constant", "same", "repeat"))
     yield of("stuck for 60 s", frozen(0.4, 0.5), named([DEPTH], "stuck", "constant", "same", "repeat"))
     for value in (-9999.0, 9999.0, 0.0, -32768.0):

@@ -63,8 +63,8 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - Error: root mean square of the positions over the track, against the truth.
 - harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
   that is larger. cured: the same after a cure. still loud: another exit status, or no answer in
-  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, where no other sensor of the mission
-  measures these numbers, as the depth of the rov, and the wrong ones are as plausible.
+  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that nothing checks
+  this quantity of this table, as the depth of the rov.
 - Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
   what is harmless or unmeasured."""
 
@@ -80,6 +80,13 @@ class Answer:
     def statements(self) -> list[str]:
         """Lines that say what is wrong, or what to do: all but the rows of the table."""
         return [line for line in self.lines if line.strip() and not (ROW.match(line) and not cures_of(line))]
+
+    @property
+    def unchecked(self) -> set[str]:
+        """Quantities of tables that nothing checks, whatever the size of the error, such as ``depth of depth.csv``."""
+        said = next((line for line in self.lines if line.startswith("unchecked ")), "").partition(" the ")[2]
+        tables = [table.partition(":")[0].rpartition(" of ")[::2] for table in said.split("; ")]
+        return {f"{name} of {file}" for names, file in tables for name in names.removeprefix("the ").split(", the ")}
 
     @property
     def alarm(self) -> bool:
@@ -206,7 +213,7 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     said = first.statements
     right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
     within = run.error <= WORSE * max(clean.error, clean.sigma)
-    wrong = UNMEASURED if clean.survey.mission in mistake.unmeasured else SILENT
+    wrong = UNMEASURED if not followed and run.answer.unchecked & mistake.quantities else SILENT
     kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
     numbers = (clean.error, before, run.error)
     words = tuple(followed), " / ".join(said)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +14,12 @@ import numpy as np
 from factors import Position, RangeAzimuth
 from factors.keys import Kind, kinds
 from models.errors import OptionError, UnderconstrainedError
+from models.finite import finite_or_none
 from models.listing import some
 from nls.cli.covariances import covariances
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.redundancy import position_checks, sigma_at_the_end
+from nls.io.mission.redundancy import hidden_errors, position_checks, sigma_at_the_end
 from nls.io.mission.results import undetermined
 from nls.metrics import cep, drms2
 
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 
+SIZES = {"heading": "rad", "zero of the depth": "m", "place": "m", "clock": "s", "arm": "m"}
 x, l = kinds("x", "l")
 
 
@@ -124,6 +127,14 @@ class Solved:
         return position_checks(self.graph, self.values, self.result.dof)
 
     @cached_property
+    def unchecked(self) -> list[dict[str, Any]]:
+        """Errors of whole tables that nothing shows; none where nothing checks dead reckoning, or at no optimum."""
+        if not (self.checks and self.result.converged):
+            return []
+        r = self.result
+        return [finite_or_none(asdict(e)) for e in hidden_errors(self.graph, r.values, *r.believed, self.report)]
+
+    @cached_property
     def end_sigma(self) -> float | None:
         """Standard deviation of the last position, m; None where it has none."""
         marginals, _ = self._covariances
@@ -196,6 +207,7 @@ class Solved:
             "judge": self.judge,
             "distance_m": distance,
             "checks": self.checks,
+            "unchecked": self.unchecked,
         }
         if not self.checks:
             end = self.end_sigma
@@ -245,8 +257,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
         f"{mission['contacts']} contacts" + (f" by the sonar {mission['sonar']}" if mission["sonar"] else ""),
     ]
-    if not mission["checks"]:
-        out += _unchecked(mission)
+    out += _unchecked(mission)
     if mission["judge"] is not None:
         drift, ate = _drift(mission)
         out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})"]
@@ -288,8 +299,21 @@ def _held(anchor: str) -> str:
     return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
 
 
+def of_tables(errors: list[dict[str, Any]]) -> str:
+    """Which errors of whole tables are hidden, in words; empty where none is."""
+    by_file: dict[str, list[str]] = {}
+    for error in errors:
+        size = "" if error["below"] is None else f" (below {error['below']:.2g} {SIZES[error['quantity']]})"
+        by_file.setdefault(error["file"], []).append(f"the {error['quantity']}{size}")
+    tables = [f"{', '.join(names)} of {file}" for file, names in by_file.items()]
+    return f"{'; '.join(tables)}: no other measurement would show an error" if tables else ""
+
+
 def _unchecked(mission: dict[str, Any]) -> list[str]:
-    """Lines of a mission whose dead reckoning nothing checks."""
+    """Lines of what nothing checks: dead reckoning, else single tables."""
+    if mission["checks"]:
+        tables = of_tables(mission["unchecked"])
+        return [f"unchecked   {tables}"] if tables else []
     known = mission["end_sigma_m"] is not None
     sigma = f"{_short(mission['end_sigma_m'])} m" if known else "not known"
     if mission["end_sigma_percent"] is not None:

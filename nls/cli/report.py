@@ -64,8 +64,10 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
 def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
     """Where the solution comes from, by name."""
     import nls
+    from nls.cli.mission import Solved, of_tables
 
     options, report = job.options, job.report
+    unchecked = of_tables(job.solved.unchecked) if isinstance(job.solved, Solved) else ""
     facts = {
         "file": report.path,
         "format": f"{report.format}, {report.dimension}",
@@ -76,6 +78,7 @@ def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
         "linear solver": getattr(result, "linear_solver", ""),
         "robust kernel": options.robust or "",
         "held": ", ".join(f"all {kind}" for kind in options.hold),
+        "unchecked": unchecked,
         "notes": "; ".join(report.notes),
         "version": f"leadline {nls.__version__}",
     }

@@ -116,3 +116,10 @@ def test_a_mistake_spoils_its_own_table_alone(script: Callable[[str], Any]) -> N
 
 def text(survey: Any, name: str) -> str:
     return survey.lines.get(name, "") + repr({key: list(column) for key, column in survey.logs[name].items()})
+
+
+def test_what_the_program_calls_unchecked_is_read(script: Callable[[str], Any]) -> None:
+    table = "the depth of depth.csv; the place, the clock (below 4 s), the arm of fixes.csv: no other measurement"
+    answer = script("mistakes").Answer(0, [f"unchecked   {table}"])
+    sized = "clock (below 4 s) of fixes.csv"
+    assert answer.unchecked == {"depth of depth.csv", "place of fixes.csv", sized, "arm of fixes.csv"}

@@ -72,7 +72,7 @@ def walking(
         logs[cell] = (*depths_of(tables, report), ("z_m",))
     elif stray := [name for name in ("water", "tide") if name in tables]:
         raise tables[stray[0]].at(0, "is for pressure.csv, which is not there; leave it out")
-    t = _times(motion, [t_log for _, t_log, _, _ in logs.values()], times, tables)
+    t = _times(motion, {name: t_log for name, (_, t_log, _, _) in logs.items()}, times, tables)
     n, measured = len(t), dict[str, Column]()
     for name, log in logs.items():
         measured |= _interpolated(t, name, log, tables.get("noise"), report)
@@ -109,15 +109,17 @@ def walking(
     return numbers, [walk, zpr, heading, *rise]
 
 
-def _times(motion: Table, logs: list[Array], times: Times, tables: dict[str, Table]) -> Array:
+def _times(motion: Table, logs: Times, times: Times, tables: dict[str, Table]) -> Array:
     """Times (n,) of the poses, s: those of the rows of other files while all logs last."""
     t = np.concatenate([np.zeros(0), *(rows.ravel() for rows in times.values())])
-    for t_log in logs:
+    for t_log in logs.values():
         t = t[(t >= t_log[0]) & (t <= t_log[-1])]
     t = united(t.min(keepdims=True), float(t.max()), times, tables) if len(t) else t
     if len(t) < 2:
         while_all = f" while all {len(logs)} logs of sensors last" if logs else ""
-        raise motion.at(0, f"fewer than two times of fixes or ranges{while_all}; a track has at least two poses")
+        spans = "".join(f"; {name}.csv has {y.min():.10g} to {y.max():.10g} s" for name, y in (logs | times).items())
+        problem = f"fewer than two times of fixes or ranges{while_all}; a track has at least two poses{spans}"
+        raise motion.at(0, problem)
     return t
 
 

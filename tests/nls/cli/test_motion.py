@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nls.io.poses import read_poses
-from tests.nls.cli.shell import Shell
+from tests.nls.cli.shell import Shell, row
 
 ROWS = [f"{k},{48 + k * 1e-5},-123.0,{263 + k},{10 + k / 10}\n" for k in range(5)]
 PLACES = """
@@ -112,3 +112,14 @@ def test_each_of_several_dives_has_its_own_empty_cells(log: Shell) -> None:
     assert not {"world_z_z", "world_yaw_yaw"} & _filled(log, "c.csv")  # of none, as one dive has none
     assert _filled(log, "s/a/trajectory.csv") == PLACED
     assert _filled(log, "s/b/trajectory.csv") == PLACED | {"z_m", "yaw_rad", "sigma_z_m", "sigma_yaw_rad"}
+
+
+def test_what_nothing_checks_is_in_the_table_the_report_and_the_page(log: Shell) -> None:
+    (log / "map.toml").write_text(PLACES + COMPASS)
+    log("import log.csv --map map.toml -o m")
+    out = log("solve m --json r.json --report page.html")
+    words = "the depth of depth.csv; the heading of ahrs.csv; the place, the clock of fixes.csv"
+    assert row(out, "unchecked") == f"{words}: no other measurement would show an error"
+    assert words in (log / "page.html").read_text()
+    unchecked = json.loads((log / "r.json").read_text())["mission"]["unchecked"]
+    assert [entry["quantity"] for entry in unchecked] == ["depth", "heading", "place", "clock"]

@@ -6,18 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log, middle
 from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
 
-__all__ = ["ALONE", "depth_of", "step_of", "tilt_of", "turn_of"]
+__all__ = ["ALONE", "depth_of", "outliers_of", "scatter_of", "step_of", "stuck_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
 USUAL = 0.05, 5.0  # m/s
 STEEPEST, LONG = np.radians(30.0), 0.2  # rad, and the part of a log that may be beyond
 GLIDING = np.radians(60.0)  # rad, of a vehicle that never turns over
 FASTEST_TURN = 1.5  # rad/s, exceeded by a tenth of the log
-DEEPEST, FASTEST_DIVE = 11_000.0, 3.0  # m, m/s
+DEEPEST, FASTEST_DIVE = 11_000.0, 2.0  # m, m/s
+SLOW_DIVE = 0.14  # m/s, the middle of what vehicles have, 0.01 to 2
+DEPTH_UNITS = (100.0, 1e3, 10.0, 1e4)  # cm, mm, kPa and Pa in a meter of water
 HIGHEST = -2.0  # m: waves, and a zero that is not the surface
 SLOWEST_LOG, FASTEST_LOG = 20.0, 1e-4  # s between rows
 SHARE, FAR = 0.015, 10.0  # part of the rows that may be outliers, and sigmas from which one is
@@ -90,8 +92,8 @@ def turn_of(file: str, t: Array, yaw: Array) -> Iterator[Implausible]:
 def depths(log: Log) -> Iterator[Implausible]:
     """The depth of depth.csv, also one that never changes."""
     yield from depth_of("depth.csv", log.z, log.t_z)
-    if len(log.z) > FEW_ROWS and np.ptp(log.z) == 0 and np.ptp(log.thinned().way()[:, 2]) > 1.0:
-        yield _at("depth", "z_m", 0, 0.0, 1.0, "m", Reading(Cause.STUCK, "depth.csv", "z_m"))
+    if np.ptp(log.thinned().way()[:, 2]) > 1.0:
+        yield from stuck_of("depth.csv", "z_m", log.z)
 
 
 def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausible]:
@@ -102,16 +104,25 @@ def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausibl
     if np.median(z) < HIGHEST and np.mean(smooth < 0) > 0.9:
         cause = Reading(Cause.SIGN, file, "z_m", -1.0)
         yield _at("depth", "z_m", int(np.argmax(z < 0)), np.median(z), 0.0, "m", cause)
-    if np.max(np.abs(smooth)) > DEEPEST:
-        causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in (1e4, 1e3, 100.0)]  # Pa, mm, cm
-        yield _at("depth", "z_m", int(np.argmax(np.abs(z) > DEEPEST)), np.abs(smooth).max(), DEEPEST, "m", *causes)
-        return
     steps = max(1, int(5.0 / float(np.median(np.diff(t))))) if t is not None and len(z) > 1 else len(z)
+    rate = np.zeros(1)
     if t is not None and len(z) > 2 * steps:
         rate = np.abs((smooth[steps:] - smooth[:-steps]) / (t[steps:] - t[:-steps]))
-        if (fast := float(np.quantile(rate, 0.99))) > FASTEST_DIVE:
-            causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in (100.0, 1000.0)]
-            yield _at("depth rate", "z_m", int(np.argmax(rate > FASTEST_DIVE)), fast, FASTEST_DIVE, "m/s", *causes)
+    fast = float(np.quantile(rate, 0.99))
+    units = sorted(DEPTH_UNITS, key=lambda f: abs(np.log(fast / f / SLOW_DIVE))) if fast else DEPTH_UNITS[1:2]
+    causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in units if np.abs(smooth).max() < f * DEEPEST][:2]
+    if np.max(np.abs(smooth)) > DEEPEST:
+        yield _at("depth", "z_m", int(np.argmax(np.abs(z) > DEEPEST)), np.abs(smooth).max(), DEEPEST, "m", *causes)
+    elif fast > FASTEST_DIVE:
+        yield _at("depth rate", "z_m", int(np.argmax(rate > FASTEST_DIVE)), fast, FASTEST_DIVE, "m/s", *causes)
+
+
+def stuck_of(file: str, column: str, y: Array) -> Iterator[Implausible]:
+    """All numbers y (n,) of a column are one, of a vehicle that moves."""
+    if len(y) > FEW_ROWS and np.ptp(y) == 0:
+        yield _at(
+            "stuck", column, 0, float(y[0]), 0.0, "m" if column == "z_m" else "rad", Reading(Cause.STUCK, file, column)
+        )
 
 
 def steps(log: Log) -> Iterator[Implausible]:
@@ -133,21 +144,22 @@ def step_of(file: str, t: Array) -> Iterator[Implausible]:
 
 
 def outliers(log: Log) -> Iterator[Implausible]:
-    """Single rows far from their neighbors, more of them than a sensor has."""
+    """Single rows of dvl.csv and depth.csv far from their neighbors."""
     rows = np.flatnonzero(log.valid)
-    series = [
-        ("dvl.csv", name, log.v[rows, k], rows, log.sigmas["sigma_v_m_s"])
-        for k, name in enumerate(("vx_m_s", "vy_m_s", "vz_m_s"))
-    ]
-    series.append(("depth.csv", "z_m", log.z, np.arange(len(log.z)), log.sigmas["sigma_z_m"]))
-    for file, column, y, places, sigma in series:
-        if len(y) < FEW_ROWS:
-            continue
-        away, spread = _deviation(y)
-        wild = away > max(FAR * spread, FAR * sigma, CALM)
-        if wild.mean() > SHARE:
-            cause = Reading(Cause.OUTLIERS, file, column)
-            yield _at("outliers", column, int(places[np.argmax(wild)]), wild.mean(), SHARE, "of the rows", cause)
+    for k, name in enumerate(("vx_m_s", "vy_m_s", "vz_m_s")):
+        yield from outliers_of("dvl.csv", name, log.v[rows, k], log.sigmas["sigma_v_m_s"], rows)
+    yield from outliers_of("depth.csv", "z_m", log.z, log.sigmas["sigma_z_m"], np.arange(len(log.z)))
+
+
+def outliers_of(file: str, column: str, y: Array, sigma: float, rows: Index) -> Iterator[Implausible]:
+    """Single numbers of y (n,) far from their neighbors, more of them than a sensor has; rows (n,) of the table."""
+    if len(y) < FEW_ROWS:
+        return
+    away, spread = _deviation(y)
+    wild = away > max(FAR * spread, FAR * sigma, CALM)
+    if wild.mean() > SHARE:
+        cause, at = Reading(Cause.OUTLIERS, file, column), tuple(rows[wild].tolist())
+        yield Implausible("outliers", file, at[0], column, float(wild.mean()), SHARE, "of the rows", (cause,), at)
 
 
 def _deviation(y: Array) -> tuple[Array, float]:
@@ -158,21 +170,24 @@ def _deviation(y: Array) -> tuple[Array, float]:
 
 
 def scatter(log: Log) -> Iterator[Implausible]:
-    """Rows scatter far more than the noise that noise.csv states."""
-    for file, column, sigma, y in (
-        ("ahrs.csv", "roll_rad", "sigma_roll_rad", log.rpy[:, 0]),
-        ("ahrs.csv", "pitch_rad", "sigma_pitch_rad", log.rpy[:, 1]),
-        ("ahrs.csv", "yaw_rad", "sigma_yaw_rad", np.unwrap(log.rpy[:, 2])),
-        ("depth.csv", "z_m", "sigma_z_m", log.z),
-        ("dvl.csv", "vx_m_s", "sigma_v_m_s", log.v[log.valid, 0]),
-    ):
-        if len(y) < FEW_ROWS or not log.sigmas[sigma] > 0:
-            continue
-        third = np.abs(y[3:] - 3 * y[2:-1] + 3 * y[1:-2] - y[:-3])
-        measured = 1.4826 * float(np.median(third)) / np.sqrt(20.0)  # 1 + 9 + 9 + 1
-        if (ratio := measured / log.sigmas[sigma]) > ROUGH:
-            cause = Reading(Cause.SIGMA, "noise.csv", sigma, ratio)
-            yield Implausible("scatter", file, 0, column, measured, ROUGH * log.sigmas[sigma], "", (cause,))
+    """Rows of ahrs.csv, depth.csv and dvl.csv scatter far more than noise.csv states."""
+    for k, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad")):
+        yield from scatter_of("ahrs.csv", name, log.rpy[:, k], log.sigmas)
+    yield from scatter_of("depth.csv", "z_m", log.z, log.sigmas)
+    yield from scatter_of("dvl.csv", "vx_m_s", log.v[log.valid, 0], log.sigmas, "sigma_v_m_s")
+
+
+def scatter_of(file: str, column: str, y: Array, sigmas: dict[str, float], sigma: str = "") -> Iterator[Implausible]:
+    """The numbers y (n,) of a column scatter far more than the sigma that is stated by its name."""
+    sigma = sigma or f"sigma_{column}"
+    if len(y) < FEW_ROWS or not sigmas.get(sigma, 0.0) > 0:
+        return
+    y = np.unwrap(y) if column.endswith("_rad") else y
+    third = np.abs(y[3:] - 3 * y[2:-1] + 3 * y[1:-2] - y[:-3])
+    measured = 1.4826 * float(np.median(third)) / np.sqrt(20.0)  # 1 + 9 + 9 + 1
+    if (ratio := measured / sigmas[sigma]) > ROUGH:
+        cause = Reading(Cause.SIGMA, "noise.csv", sigma, ratio)
+        yield Implausible("scatter", file, 0, column, measured, ROUGH * sigmas[sigma], "", (cause,))
 
 
 ALONE = (steps, speeds, locks, tilts, turns, depths, outliers, scatter)

@@ -1,8 +1,9 @@
 r"""Checks of the times of the tables beside each other, and of fixes under water.
 
-The times of a table (b, e) beside those of the track (B, E) are in another unit where (e - b) / (E - B) is a thousand
-or so. They are late by whole weeks, days or hours where only that brings them over the track. A sensor that begins some
-seconds after the others and ends by as much after them is late by these.
+The track (B, E) is that of the table with which the others have most time in common. The times of a table (b, e)
+beside it are in another unit where (e - b) / (E - B) is a thousand or so. They are late by whole weeks, days or hours
+where only that brings them over the track. A sensor that begins some seconds after the others and ends by as much after
+them is late by these.
 
 A receiver of satellites has no fix under water. Where fixes are deep at their times, and all at the surface some leap
 seconds earlier, or the time by which both b and e are late, their clock is off. Fixes by sound stay deep at any time.
@@ -39,7 +40,8 @@ def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
     track = np.array([[t.min(), t.max()] for name, t in times.items() if name in TRACK])
     if not len(track):
         return []
-    span = np.sort(track, axis=0)[len(track) // 2]
+    every = np.array([[t.min(), t.max()] for t in times.values()])
+    span = max([np.sort(track, axis=0)[len(track) // 2], *track], key=lambda span: _agreement(every, span))
     out = [entry for name, t in times.items() for entry in _apart(f"{name}.csv", t, span)]
     if len(track) > 2:
         out = out or [entry for name in TRACK if name in times for entry in _shifted(f"{name}.csv", times[name], span)]
@@ -47,6 +49,13 @@ def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
     if not out and "fixes" in times and file is not None:
         out += _at_depth(times["fixes"], span, f"{file}.csv", times[file], tables[file].floats("z_m")[:, 0])
     return out
+
+
+def _agreement(spans: Array, span: Array) -> float:
+    """Of spans (n, 2) with one: the parts that both have of what either has, in all."""
+    both = np.minimum(spans[:, 1], span[1]) - np.maximum(spans[:, 0], span[0])
+    either = np.maximum(spans[:, 1], span[1]) - np.minimum(spans[:, 0], span[0])
+    return float(np.sum(np.maximum(both, 0.0) / np.maximum(either, 1e-9)))
 
 
 def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:

@@ -50,7 +50,7 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
         log = read_log(tables, plane) if "dvl" in tables else None
     if log is None:
         fixes = read_fixes(tables.get("fixes"), plane)
-        out = of_track(tables) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
+        out = of_track(tables, fixes) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
     else:
         out = of_log(log)
     if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):

@@ -4,7 +4,9 @@ A vehicle goes ahead most of the time: the directions c of its way, less its hea
 
     R = |sum w exp(i (c - yaw))| / sum w
 
-near 1. Where R is not, and one of its columns read otherwise makes it so, that reading is named.
+near 1. Where R is not, and one of its columns read otherwise makes it so, that reading is named. From fix to fix the
+heading is that of a way at an even speed. A heading counted counterclockwise and a longitude of the other side turn c
+against the heading alike, so both are named.
 """
 
 from __future__ import annotations
@@ -14,21 +16,37 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Array
-from nls.io.mission.checks.alone import FASTEST, FEW_ROWS, depth_of, step_of, tilt_of, turn_of
+from nls.io.mission.checks.alone import (
+    FAR,
+    FASTEST,
+    FEW_ROWS,
+    depth_of,
+    outliers_of,
+    scatter_of,
+    step_of,
+    stuck_of,
+    tilt_of,
+    turn_of,
+)
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
-from nls.io.mission.checks.log import Log
-from nls.io.mission.columns import VELOCITY
+from nls.io.mission.checks.log import Fixes, Log
+from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["of_heading", "of_track"]
 LARGEST = 1e9  # m, as the reader has it
-AHEAD, ASIDE = 0.95, 0.8  # R of a vehicle that goes ahead; at most that of one that does not
+AHEAD, ASIDE = 0.9, 0.8  # R of a vehicle that goes ahead; at most that of one that does not
+CLEAR = 6.0  # sigmas of a fix that the middle way from one to the next has
+TURNED, MANY = 2 * np.pi, 40  # rad, of at most so many headings: less is by chance
 STRAIGHT = np.radians(20.0)  # the middle direction of one that goes ahead
 
 
-def of_track(tables: dict[str, Table]) -> list[Implausible]:
-    """Implausible numbers in the tables of a mission without a raw log; lines are rows of the table."""
+def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]:
+    """Implausible numbers in the tables of a mission without a raw log, and its fixes; lines are rows of the table."""
     out: list[Implausible] = []
+    moves = fixes is not None and np.ptp(fixes.p, axis=0).max() > FAR * np.median(fixes.sigma)
+    noise = tables.get("noise")
+    sigmas = dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)) if noise else {}
     for name in ("path", "zpr", "fixes", "ahrs", "depth"):
         if (table := tables.get(name)) is None:
             continue
@@ -39,11 +57,20 @@ def of_track(tables: dict[str, Table]) -> list[Implausible]:
                 return steps
             out += turn_of(file, t, table.floats("yaw_rad")[:, 0]) if table.has("yaw_rad") else ()
         if table.has("z_m"):
-            out += depth_of(file, table.floats("z_m")[:, 0], t)
+            z = table.floats("z_m")[:, 0]
+            out += depth_of(file, z, t)
+            out += outliers_of(file, "z_m", z, sigmas.get("sigma_z_m", 0.0), np.arange(len(z)))
         for column in ("roll_rad", "pitch_rad"):
             out += tilt_of(file, column, table.floats(column)[:, 0]) if table.has(column) else ()
+        for column in (*ANGLES, "z_m") if name in ("ahrs", "depth") and not out else ():
+            y = table.floats(column)[:, 0] if table.has(column) else np.zeros(0)
+            y = y[np.abs(y) < LARGEST]
+            out += scatter_of(file, column, y, sigmas)
+            out += stuck_of(file, column, y) if moves and np.any(y) else ()
     if not out and "path" in tables:
         out += _course(tables["path"])
+    if not out and fixes is not None and "ahrs" in tables and tables["ahrs"].has("yaw_rad"):
+        out += _between_fixes(fixes, tables["ahrs"])
     return [*out, *_steps(tables["odometry"], tables.get("poses"))] if "odometry" in tables else out
 
 
@@ -57,6 +84,34 @@ def _course(path: Table) -> Iterator[Implausible]:
         Reading(Cause.SWAPPED, "path.csv", columns): np.pi / 2 - course,
     }
     yield from _heads(course - yaw, {reading: c - yaw for reading, c in others.items()}, np.linalg.norm(step, axis=1))
+
+
+def _between_fixes(fixes: Fixes, ahrs: Table) -> Iterator[Implausible]:
+    """The way from fix to fix turns against the heading: one of the two has another sign, or begins at east."""
+    t, file, (north, east) = ahrs.rising("time_s"), "fixes.csv", fixes.columns
+    ahead = np.exp(1j * ahrs.floats("yaw_rad")[:, 0])
+    way = np.append(0.0, np.cumsum((ahead[1:] + ahead[:-1]) / 2 * np.diff(t)))
+    inside = np.flatnonzero((fixes.t >= t[0]) & (fixes.t <= t[-1]))
+    while len(inside) > FEW_ROWS:
+        steps = np.diff(fixes.p[inside], axis=0) @ [1, 1j]
+        if np.median(np.abs(steps)) > CLEAR * np.median(fixes.sigma):
+            break
+        inside = inside[::2]
+    else:
+        return
+    course = np.angle(steps)
+    yaw = np.angle(np.diff(np.interp(fixes.t[inside], t, way)))
+    if np.abs(np.diff(np.unwrap(yaw[:: len(yaw) // MANY + 1]))).sum() < TURNED:
+        return
+    side = Cause.SIDE if north in GEODETIC else Cause.SIGN
+    others = {
+        Reading(Cause.SIGN, "ahrs.csv", "yaw_rad", -1.0): course + yaw,
+        Reading(side, file, east, -1.0): -course - yaw,
+        Reading(Cause.NORTH, "ahrs.csv", "yaw_rad", 90.0): course + yaw - np.pi / 2,
+        Reading(Cause.SWAPPED, file, f"{north}, {east}"): np.pi / 2 - course - yaw,
+        Reading(side, file, north, -1.0): np.pi - course - yaw,
+    }
+    yield from _heads(course - yaw, others, np.abs(steps))
 
 
 def of_heading(log: Log) -> list[Implausible]:
@@ -74,12 +129,11 @@ def _heads(angles: Array, others: dict[Reading, Array], weights: Array) -> Itera
     """The reading that lets a vehicle go ahead, which does not as its tables are read; angles (n,) off ahead."""
     if len(angles) < FEW_ROWS or not weights.sum() > 0:
         return
-    mean = abs(np.average(np.exp(1j * angles), weights=weights))
-    for reading, other in others.items():
-        r = np.average(np.exp(1j * other), weights=weights)
-        if mean < ASIDE and abs(r) > AHEAD and abs(np.angle(r)) < STRAIGHT:
-            column = reading.column.split(", ")[0]
-            yield Implausible("heading", reading.file, 0, column, float(mean), AHEAD, "", (reading,))
+    r, *rs = (np.average(np.exp(1j * c), weights=weights) for c in (angles, *others.values()))
+    near = [k for k, r_k in zip(others, rs, strict=True) if abs(r_k) > AHEAD and abs(np.angle(r_k)) < STRAIGHT]
+    if near and abs(r) < ASIDE:
+        column = near[0].column.split(", ")[0]
+        yield Implausible("heading", near[0].file, 0, column, float(abs(r)), AHEAD, "", tuple(near))
 
 
 def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:

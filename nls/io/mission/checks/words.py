@@ -39,6 +39,7 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "tilt": "a fifth of the log is beyond {measured}; a vehicle stays within {limit}",
     "turn rate": "a tenth of the log turns faster than {measured}; a vehicle stays below {limit}",
     "depth": "a depth of {measured}; expected {side} {limit}",
+    "stuck": "it is {measured} in all rows, and the vehicle moves",
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
     "time step": "the middle time between two rows is {measured}; expected {side} {limit}",
     "span": "its times span {measured} times those of the track; expected about 1, or less",
@@ -58,8 +59,8 @@ CAUSES = {
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
     Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
-    Cause.OUTLIERS: "{column} of {file} has outliers: delete these rows, or give them no weight",
-    Cause.SIGMA: "{column} of {file} looks {ratio} times too small: a variance, or degrees?",
+    Cause.OUTLIERS: "{column} of {file} has outliers: {act}, or give them no weight",
+    Cause.SIGMA: "{column} of {file} looks {ratio} times too small (or a variance): multiply {column} by {ratio}",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
     Cause.WAYS: "{column} of {file} is of both ways and taken as one, or the other way around: give the column ways",
     Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
@@ -80,7 +81,8 @@ def sentence(finding: Implausible | Explained) -> str:
         ratio=f"{finding.readings[0].factor:.3g}",
         rows=several(len(finding.lines), "row"),
     )
-    causes = "; or ".join(cause(reading, lines(finding.lines)) for reading in finding.readings)
+    rows = lines(finding.lines) if finding.lines else ""
+    causes = "; or ".join(cause(reading, rows) for reading in finding.readings)
     return f"{finding.place}: {finding.column} is implausible: {numbers}. Probable cause: {causes}"
 
 
@@ -107,7 +109,8 @@ def cause(reading: Reading, rows: str = "") -> str:
     """The cause and what to do; rows are the lines that it is about."""
     if reading.cause in (Cause.NONE, Cause.ZEROS):
         return f"{_none(reading)}, or leave out {rows} of {reading.file}"
-    of = {"column": reading.column, "file": reading.file, "ratio": f"{reading.factor:.2g}", "lines": rows}
+    of = {"column": reading.column, "file": reading.file, "ratio": f"{float(f'{reading.factor:.2g}'):g}", "lines": rows}
+    of["act"] = f"leave out {rows} of {reading.file}" if rows else "delete these rows"
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
 
 
@@ -275,6 +278,7 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
+    Cause.SIDE: _sign,
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,

@@ -160,6 +160,17 @@ def test_rows_of_a_compass_at_the_times_of_the_fixes_may_be_uneven(tmp_path: Pat
     assert any("a hole between" in note for note in report.notes)
 
 
+@pytest.mark.parametrize("name", ["ahrs", "depth", "fixes"])
+def test_the_odd_one_of_three_clocks_is_named(name: str, tmp_path: Path) -> None:
+    files = logs(fixes=fixes(0 * ARM))
+    head, *rows = str(files[name]).splitlines()
+    cells = [row.split(",", 1) for row in rows]
+    spoiled = "\n".join([head, *(f"{float(t) + 3600},{rest}" for t, rest in cells)]) + "\n"
+    spans = "ahrs.csv has .* to .* s; depth.csv has .*; fixes.csv has"
+    with pytest.raises(GraphFileError, match=f"{spans} .* {name}.csv looks 3600 s late"):
+        nls.load(folder(tmp_path / "m", files | {name: spoiled}))
+
+
 def test_the_track_lasts_as_long_as_all_logs(tmp_path: Path) -> None:
     _, _, report = nls.load(folder(tmp_path / "m", logs(np.arange(5.0, 50.5, 0.5), fixes=fixes(0 * ARM))))
     assert report.vertex_times["x"].tolist() == T[(T >= 5) & (T <= 50)].tolist()
