@@ -21,7 +21,7 @@ def evidence(script: Callable[[str], Any]) -> Any:
 
 
 @for_all(number=range(1, 8))
-def test_auv_at_sea(number: int, data: Path, evidence: Any) -> None:
+def test_auv_at_sea(number: int, data: Path, evidence: Any, script: Callable[[str], Any]) -> None:
     """400 s and 670 to 890 m: below 1 % of the distance, with the true attitude and with a simulated sensor."""
     log = evidence.read_auv_dvl(data / "underwater-auv-dvl", number)
     true, sensor = evidence.auv_dvl(log, "true"), evidence.auv_dvl(log, "sensor", number)
@@ -32,7 +32,9 @@ def test_auv_at_sea(number: int, data: Path, evidence: Any) -> None:
     assert sensor.ate != true.ate
     # positions in meters are those of the velocities, to 1 %: the times of the log are resampled
     dt = np.diff(log.t)[:, None]
-    travelled = (0.5 * (log.v[1:] + log.v[:-1]) * dt).sum(axis=0)
+    path, axes = data / "underwater-auv-dvl" / f"GT_trajectory{number}.csv", ("North", "East", "Down")
+    v = script("logs.table").columns(path, [f"V {axis} [m/s]" for axis in axes])
+    travelled = (0.5 * (v[1:] + v[:-1]) * dt).sum(axis=0)
     np.testing.assert_allclose(travelled, log.p[-1], atol=0.01 * true.distance)
 
 
@@ -89,25 +91,27 @@ def test_caves_depth(data: Path, evidence: Any) -> None:
     assert difference.std() < 0.06
 
 
-def test_what_is_no_such_log(tmp_path: Path, evidence: Any, script: Callable[[str], Any]) -> None:
-    header = "Time [s],DVL X [m/s],DVL Y [m/s],DVL Z [m/s]\n"
-    dvl, ins = tmp_path / "DVL_trajectory1.csv", tmp_path / "GT_trajectory1.csv"
-    with pytest.raises(GraphFileError, match=r"DVL_trajectory1\.csv: cannot be read: No such file"):
-        evidence.read_auv_dvl(tmp_path, 1)
-    dvl.write_text("Time [s],DVL X [m/s]\n0,1\n")
-    with pytest.raises(GraphFileError, match=r"DVL_trajectory1\.csv:1: has no column 'DVL Y \[m/s\]'"):
-        evidence.read_auv_dvl(tmp_path, 1)
-    dvl.write_text(header)
-    with pytest.raises(GraphFileError, match="has no rows"):
-        evidence.read_auv_dvl(tmp_path, 1)
-    dvl.write_text(header + "0,1,2,3\n1,1,fast,3\n")
-    with pytest.raises(GraphFileError, match=r"is no table of numbers after line 1: .*fast"):
-        evidence.read_auv_dvl(tmp_path, 1)
-    dvl.write_text(header + "0,1,2,3\n1,1,2,3\n")
-    columns = script("logs.auv_dvl").INS
-    ins.write_text(f"Time [s],{columns}\n0,0,0,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,0,0,0\n")
+def test_two_logs_of_other_times(tmp_path: Path, evidence: Any) -> None:
+    """What `nls import` refuses is tested there; it allows two clocks."""
+    (tmp_path / "DVL_trajectory1.csv").write_text("Time [s],DVL X [m/s],DVL Y [m/s],DVL Z [m/s]\n0,1,2,3\n1,1,2,3\n")
+    columns = "Time [s],Longitude [rad],Latitude [rad],Altitude [m],Roll [rad],Pitch [rad],Yaw [rad]"
+    (tmp_path / "GT_trajectory1.csv").write_text(f"{columns}\n0,0,0,0,0,0,0\n2,0,0,0,0,0,0\n")
     with pytest.raises(GraphFileError, match=r"its times are not those of GT_trajectory1\.csv"):
         evidence.read_auv_dvl(tmp_path, 1)
+
+
+def test_columns_that_are_no_numbers(tmp_path: Path, script: Callable[[str], Any]) -> None:
+    columns, path = script("logs.table").columns, tmp_path / "cones.csv"
+    with pytest.raises(GraphFileError, match=r"cones\.csv: cannot be read: No such file"):
+        columns(path, ("cone", "x [m]"))
+    for text, words in (
+        ("cone\n0\n", r"cones\.csv:1: has no column 'x \[m\]'"),
+        ("cone,x [m]\n", "has no rows"),
+        ("cone,x [m]\n0,1\n1,fast\n", r"is no table of numbers after line 1: .*fast"),
+    ):
+        path.write_text(text)
+        with pytest.raises(GraphFileError, match=words):
+            columns(path, ("cone", "x [m]"))
 
 
 def test_what_is_no_holoocean_log(tmp_path: Path, evidence: Any) -> None:
