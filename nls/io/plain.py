@@ -56,6 +56,5 @@ def refuse_late(text: Text, lines: Index, times: Array) -> None:
     late = np.flatnonzero(times[1:] <= times[:-1])
     if len(late):
         k = int(late[0]) + 1
-        raise text.error(
-            f"time {float(times[k])!r} does not rise over {float(times[k - 1])!r} before it", int(lines[k])
-        )
+        before, time = times[k - 1 : k + 1].tolist()
+        raise text.error(f"time {time!r} does not rise over {before!r} before it", int(lines[k]))
