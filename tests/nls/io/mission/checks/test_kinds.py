@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import nls
 from models.algebra import Array
 from nls.io.mission.checks import Cause, Fixes, Log, implausible
 from nls.io.mission.checks.alone import tilt_of
+from nls.io.mission.checks.clocks import of_clocks
 from nls.io.mission.checks.fixes import of_fixes
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.columns import COLUMNS, OPTIONAL
@@ -228,3 +230,32 @@ def test_a_number_of_calibration_csv_is_no_second_doubt(turn: float, seed: int, 
     assert findings(tmp_path / f"{turn}{seed}", files)
     line = {"calibration": f"name,value,sigma\ndvl_yaw_rad,{turn},0.1\n"}
     assert findings(tmp_path / f"{turn}{seed}cured", files | line) == []
+
+
+@for_all(table=["dvl", "ahrs", "depth"], late=[18.0, -18.0, 25.0], seed=[1, 2])
+def test_a_sensor_that_begins_and_ends_late_has_a_late_clock(
+    table: str, late: float, seed: int, tmp_path: Path
+) -> None:
+    files = changed(with_fixes(clean(seed)), table, column("time_s", lambda t: t + late))
+    (finding,) = findings(tmp_path / f"{table}{late}{seed}", files)
+    (reading,) = finding.readings
+    assert (reading.cause, reading.file) == (Cause.ZONE, f"{table}.csv")
+    assert abs(reading.factor - late) < 1.0
+
+
+def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clocks(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    files = with_fixes(clean(3))
+    names = ("dvl", "ahrs", "depth")
+    tables = {
+        name: Table(tmp_path / f"{name}.csv", COLUMNS[name], OPTIONAL.get(name, ()), data=files[name].encode())
+        for name in names
+    }
+    for trial in range(200):
+        cut = {}
+        for name, table in tables.items():
+            begin, end = rng.uniform(0, 15, 2)
+            t = table.floats("time_s")[:, 0]
+            cut[name] = copy(table)
+            cut[name].lines = table.lines[(t >= t[0] + begin) & (t <= t[-1] - end)]
+        assert of_clocks(cut) == [], trial
