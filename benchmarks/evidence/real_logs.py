@@ -145,7 +145,7 @@ def caves_legs(log: Caves, boundaries: Array) -> tuple[Legs, Array]:
     level = np.zeros_like(log.t)
     legs = integrate(
         log.t,
-        log.v_d,
+        log.v,
         attitude=np.column_stack([level, level, np.interp(log.t, middle, course)]),
         boundaries=boundaries,
         valid=log.valid,
@@ -153,7 +153,6 @@ def caves_legs(log: Caves, boundaries: Array) -> tuple[Legs, Array]:
         sigma_attitude=0.2,
         sigma_bridge=0.1,
         sigma_turn=0.05,
-        mount=log.mount,
     )
     yaw = np.interp(boundaries[0], middle, course)
     place = [np.interp(boundaries[0], log.t_track, log.track[:, c]) for c in range(3)]

@@ -45,16 +45,16 @@ def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") 
     return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
 
 
-def refuse_late(text: Text, lines: Index, times: Array, repeated: bool = False) -> None:
-    """Refuse times (n,) of lines (n,) that do not rise; with `repeated` they may stay the same.
+def refuse_late(text: Text, lines: Index, times: Array) -> None:
+    """Refuse times (n,) of lines (n,) that do not rise.
 
     Raises
     ------
     GraphFileError
         With the line.
     """
-    late = np.flatnonzero(times[1:] < times[:-1] if repeated else times[1:] <= times[:-1])
+    late = np.flatnonzero(times[1:] <= times[:-1])
     if len(late):
         k = int(late[0]) + 1
-        relation = "is before the" if repeated else "does not rise over"
-        raise text.error(f"time {float(times[k])!r} {relation} {float(times[k - 1])!r} before it", int(lines[k]))
+        before, time = times[k - 1 : k + 1].tolist()
+        raise text.error(f"time {time!r} does not rise over {before!r} before it", int(lines[k]))

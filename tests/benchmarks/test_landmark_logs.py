@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.evidence.logs import read_mrclam, read_victoria_park
 from models.errors import GraphFileError
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
@@ -28,14 +29,19 @@ PARK = {
 }
 
 
+@pytest.fixture
+def logs(script: Callable[[str], Any]) -> Any:
+    return script("logs")
+
+
 def written(folder: Path, files: dict[str, str]) -> Path:
     for name, text in files.items():
         (folder / name).write_text(text)
     return folder
 
 
-def test_an_mrclam_log(tmp_path: Path) -> None:
-    log = read_mrclam(written(tmp_path, MRCLAM), 7)
+def test_an_mrclam_log(tmp_path: Path, logs: Any) -> None:
+    log = logs.read_mrclam(written(tmp_path, MRCLAM), 7)
     np.testing.assert_allclose(log.t, [0.5, 0.6])
     np.testing.assert_array_equal(log.u, [[0.1, 0.2], [0.5, 0.6]])  # of two rows at one time the last
     np.testing.assert_allclose(log.t_seen, [0.7, 0.7, 0.8])
@@ -46,17 +52,27 @@ def test_an_mrclam_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.true_poses(np.array([0.5, 1.0])), [[1.5, 2.5, 3 + (np.pi - 3) / 2], [2, 3, -np.pi]])
 
 
-def test_a_victoria_park_log(tmp_path: Path) -> None:
+def test_a_victoria_park_log(tmp_path: Path, logs: Any) -> None:
     folder = written(tmp_path, PARK)
     scans = folder / "LASER_TREE.txt"
     (folder / "LASER_TREE.txt.gz").write_bytes(gzip.compress(scans.read_bytes()))
     scans.unlink()
-    log = read_victoria_park(folder)
+    log = logs.read_victoria_park(folder)
     np.testing.assert_array_equal(log.u, [[0.5, 0.01], [0.6, 0.02]])
     np.testing.assert_array_equal(log.t_scan, [0.85, 1.06, 1.28])
     np.testing.assert_array_equal(log.scan, [0, 0, 2])
     np.testing.assert_array_equal(log.z, [[-0.5, 20.5], [0.25, 12.5], [1.0, 7.5]])
     np.testing.assert_array_equal(log.gps, [[2, 1], [4, 3]])  # east and north
+
+
+@for_all(ends=[[b"\r"], [b"\r\n"], [b"\r", b"\r\n", b"\n"]])
+def test_a_log_with_any_line_ends(ends: list[bytes], tmp_path: Path, logs: Any) -> None:
+    for name, text in PARK.items():
+        lines = text.encode().splitlines()
+        (tmp_path / name).write_bytes(b"".join(line + ends[k % len(ends)] for k, line in enumerate(lines)))
+    log = logs.read_victoria_park(tmp_path)
+    assert log.scan.tolist() == [0, 0, 2]
+    assert (log.z[:, 1].tolist(), log.gps[:, 0].tolist()) == ([20.5, 12.5, 7.5], [2, 4])
 
 
 MISTAKES = cases("""
@@ -83,16 +99,16 @@ LASER_TREE.txt | 2 20 0.5\\n1\\n | 2 | time 1.0 does not rise over 2.0
 
 
 @for_all(case=MISTAKES)
-def test_every_mistake_has_its_line(case: list[str], tmp_path: Path) -> None:
+def test_every_mistake_has_its_line(case: list[str], tmp_path: Path, logs: Any) -> None:
     name, text, line, words = case
     place = written(written(tmp_path, MRCLAM), PARK)
     (place / name).write_text(text)
-    reader = partial(read_mrclam, robot=7) if name in MRCLAM else read_victoria_park
+    reader = partial(logs.read_mrclam, robot=7) if name in MRCLAM else logs.read_victoria_park
     assert assert_refused(int(line), words, reader, place).path.endswith(name)
 
 
-def test_a_log_that_is_not_there(tmp_path: Path) -> None:
+def test_a_log_that_is_not_there(tmp_path: Path, logs: Any) -> None:
     with pytest.raises(GraphFileError, match=r"Robot1_Odometry\.dat: cannot be read: No such file"):
-        read_mrclam(tmp_path, 1)
+        logs.read_mrclam(tmp_path, 1)
     with pytest.raises(GraphFileError, match=r"DRS\.txt: cannot be read: No such file"):
-        read_victoria_park(tmp_path)
+        logs.read_victoria_park(tmp_path)

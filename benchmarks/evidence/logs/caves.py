@@ -5,7 +5,8 @@ SLAM), ``cones.csv`` and ``cone_distances.csv``. The heading sensor is not among
 
 The mounting of the DVL is read off the data, over steps of 8.6 s. The published motion has a correlation of -0.99 with
 its first velocity carried along the published course (slope -1.02). The change of depth has one of -0.87 with the
-third. So its x points aft and its z up: half a turn about y, which leaves y as the vehicle's y.
+third. So its x points aft and its z up: half a turn about y, which leaves y as the vehicle's y. The mapping
+docs/missions/caves.toml says the same; `nls import` reads DVL and depth by it.
 
 Source: A. Mallios, E. Vidal, R. Campos, M. Carreras, "Underwater caves sonar data set", IJRR 36(12), 2017.
 """
@@ -17,11 +18,9 @@ from pathlib import Path
 
 from models.algebra import Array, Mask
 
-from .table import columns
+from .table import columns, tables
 
 __all__ = ["Caves", "read_caves"]
-
-NANO = 1e-9
 
 
 @dataclass(frozen=True)
@@ -31,17 +30,16 @@ class Caves:
     Attributes
     ----------
     t : (n,) times of the DVL.
-    v_d : (n, 3) its velocity in its own axes, m/s.
+    v : (n, 3) its velocity in the axes of the vehicle, m/s.
     valid : (n,) whether it had the bottom.
     t_depth, depth : (m,) times, and depth, m.
     t_track, track : (k,) times, and published positions (k, 3), m, z down.
     sightings : (12, 4) cone, time, and its offset from the vehicle forward and to starboard as published, m.
     distances : (4, 3) cone, cone, and the distance between them by tape, m.
-    mount : (7,) pose of the DVL on the vehicle.
     """
 
     t: Array
-    v_d: Array
+    v: Array
     valid: Mask
     t_depth: Array
     depth: Array
@@ -49,7 +47,6 @@ class Caves:
     track: Array
     sightings: Array
     distances: Array
-    mount: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 def read_caves(folder: str | Path) -> Caves:
@@ -61,19 +58,18 @@ def read_caves(folder: str | Path) -> Caves:
         A file that cannot be read, or has other columns.
     """
     folder = Path(folder)
-    velocity = [f"field.velocityInst{k}" for k in range(3)]
-    dvl = columns(folder / "dvl_linkquest.csv.gz", ("%time", *velocity, "field.velocityInstFlag"))
-    depth = columns(folder / "depth_sensor.csv.gz", ("%time", "field.depth"))
     track = columns(folder / "asekf_slam.csv", None, skip=0).T
     cones = columns(folder / "cones.csv", ("cone", "time_s", "offset_x_m", "offset_y_m_as_published"))
     distances = columns(folder / "cone_distances.csv", ("cone_a", "cone_b", "distance_m"))
     t_0 = track[0, 0]
+    mission = tables("caves", [folder / f"{name}.csv.gz" for name in ("dvl_linkquest", "depth_sensor")], float(t_0))
+    dvl, depth = mission["dvl"], mission["depth"]
     cones[:, 1] -= t_0
     return Caves(
-        dvl[:, 0] * NANO - t_0,
+        dvl[:, 0],
         dvl[:, 1:4],
         dvl[:, 4] == 1,
-        depth[:, 0] * NANO - t_0,
+        depth[:, 0],
         depth[:, 1],
         track[:, 0] - t_0,
         track[:, 1:],

@@ -18,7 +18,7 @@ import numpy as np
 
 from models import wrap
 from models.algebra import Array, Index, Numbers
-from nls.io.plain import plain_table, refuse_late
+from nls.io.plain import plain_table
 from nls.io.text import Text
 
 from .table import or_compressed
@@ -106,7 +106,10 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
 def _timed(folder: Path, name: str, columns: int, expected: str) -> tuple[Array, Text, Index]:
     """The numbers of a file or of its compressed twin, in the order of time; its text and lines."""
     text, lines, numbers, _ = plain_table(or_compressed(folder, name), columns, expected)
-    refuse_late(text, lines, numbers[:, 0], repeated=True)
+    times = numbers[:, 0]
+    if len(late := np.flatnonzero(np.diff(times) < 0)):
+        k = late[0] + 1
+        raise text.error(f"time {float(times[k])!r} is before the {float(times[k - 1])!r} before it", int(lines[k]))
     return numbers, text, lines
 
 

@@ -1,4 +1,4 @@
-"""Columns of numbers from a text file, plain or gzip-compressed."""
+"""Columns of numbers from a text file, plain or gzip-compressed; tables of a mission by a mapping of the docs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 from models.algebra import Array
 from models.errors import GraphFileError
 from nls.io.files import read_bytes
+from nls.io.importing import Mapping, import_logs
 
-__all__ = ["columns", "or_compressed"]
+__all__ = ["columns", "or_compressed", "tables"]
+
+MISSIONS = Path(__file__).parents[3] / "docs" / "missions"
 
 QUOTED = 200  # characters of the error of NumPy, which quotes the whole word
 
@@ -40,6 +43,21 @@ def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
         return np.loadtxt(io.BytesIO(b"\n".join(rows)), delimiter=",", usecols=use, ndmin=2)
     except ValueError as error:
         raise GraphFileError(f"is no table of numbers after line {skip}: {str(error)[:QUOTED]}", str(path)) from error
+
+
+def tables(name: str, logs: Sequence[Path], zero: float | None = None) -> dict[str, Array]:
+    """Tables (n, columns) that `nls import` makes of logs by a mapping of docs/missions; an empty cell is NaN.
+
+    Times are seconds from `zero`, s since 1970, where it is given.
+    """
+    path = MISSIONS / f"{name}.toml"
+    head = "" if zero is None else f"time_zero = {zero!r}\n"
+    files = import_logs(logs, Mapping(head + path.read_text(encoding="utf-8"), str(path))).files
+    return {
+        file.removesuffix(".csv"): np.genfromtxt(io.BytesIO(content), delimiter=",", skip_header=1)
+        for file, content in files.items()
+        if file.endswith(".csv")
+    }
 
 
 def or_compressed(folder: str | Path, name: str) -> Path:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.evidence.logs import read_mrclam, read_victoria_park
 from factors import Cauchy
 from nls import kinds
 from nls.filters.association import Nearest
@@ -35,7 +34,7 @@ def landmark_error(world: LandmarkWorld, track: Track) -> float:
 
 def test_a_robot_among_landmarks(data: Path, evidence: ModuleType) -> None:
     """100 s from the true start, nothing aligned: 0.55 m by the commands alone, 0.16 m by EKF, 0.12 m by the graph."""
-    world = evidence.mrclam(read_mrclam(data / "mrclam6", 3), "robot 3", 100.0)
+    world = evidence.mrclam(evidence.read_mrclam(data / "mrclam6", 3), "robot 3", 100.0)
     assert (world.poses, world.landmarks) == (195, 8)
     ekf, graph = EKF().run(world.graph, world.start), batch(world)
     errors = [world.ate(world.start), ekf.ate(world.truth).rmse, graph.ate(world.truth).rmse]
@@ -51,7 +50,7 @@ def test_an_overconfident_filter(data: Path, evidence: ModuleType) -> None:
 
     After 100 s its heading is off by 0.5 rad with a sigma of 0.03; first estimates and the graph stay within 0.35 m.
     """
-    world = evidence.mrclam(read_mrclam(data / "mrclam6", 5), "robot 5", 100.0)
+    world = evidence.mrclam(evidence.read_mrclam(data / "mrclam6", 5), "robot 5", 100.0)
     one, first = (EKF(first_estimates=each).run(world.graph, world.start) for each in (False, True))
     errors = {name: track.ate(world.truth).rmse for name, track in (("EKF", one), ("first", first))}
     errors["graph"] = batch(world).ate(world.truth).rmse
@@ -64,7 +63,7 @@ def test_an_overconfident_filter(data: Path, evidence: ModuleType) -> None:
 
 def test_barcodes_misread(data: Path, evidence: ModuleType) -> None:
     """Four sightings of one landmark under the name of another, after 230 s: no filter forgets, gate and kernel do."""
-    world = evidence.mrclam(read_mrclam(data / "mrclam6", 3), "robot 3", 260.0)
+    world = evidence.mrclam(evidence.read_mrclam(data / "mrclam6", 3), "robot 3", 260.0)
     wrong = world.sightings.chi2(world.truth) > 1000
     assert wrong.sum() == 4
     gated = EKF(gate=0.9999)
@@ -79,7 +78,7 @@ def test_barcodes_misread(data: Path, evidence: ModuleType) -> None:
 
 def test_trees_without_names(data: Path, evidence: ModuleType) -> None:
     """150 s of a truck in a park, against the GPS of the beginning and the end, after a rigid alignment."""
-    park = evidence.victoria_park(read_victoria_park(data / "victoria-park"), 160.0)
+    park = evidence.victoria_park(evidence.read_victoria_park(data / "victoria-park"), 160.0)
     ekf = EKF(associate=Nearest(0.99))
     track = ekf.run(park.graph, park.start)
     graph, start = park.named(ekf.associations, track.X)

@@ -16,8 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.evidence.logs import read_holoocean
-from benchmarks.evidence.logs.table import columns
 from nls import GraphFileError, LeadlineError, ResourceLimitError, load
 from nls.io import bounded_text, files
 from nls.io.bounded_text import PER_BYTE, PER_WORD
@@ -40,8 +38,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "tum": read_tum,
     "kitti": read_kitti,
     "table of a mission": lambda path: Table(path, ["time_s", "z_m"]).floats("z_m"),
-    "columns of a log": lambda path: columns(path, ("a", "b")),
-    "log of another kind": read_holoocean,
 }
 IDLE = {
     "newlines": b"\n" * N,

@@ -6,10 +6,8 @@ import gzip
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from benchmarks.evidence.logs.victoria_park import read_victoria_park
 from nls import GraphFileError, load
 from nls.io.bal import read_bal
 from nls.io.files import read_bytes
@@ -161,7 +159,6 @@ def test_logs_and_tables_with_any_line_ends(tmp_path: Path) -> None:
     tum = "# time\n1 0 0 0 0 0 0 1\n2.5 1 2 3 0 0 0 1\n4 1 2 3 0 0 0 1\n"
     kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 4 0 1 0 0 0 0 1 0\n"
     csv = 'name,beams\n"a, b",3\n# c\n"d",4\n'
-    park = {"DRS.txt": "0 1 2\n1 1 2\n", "GPS.txt": "0 1 2\n1 1 2\n", "LASER_TREE.txt": "0 3 0.5 4 0.5\n1 3 0.25\n"}
     bal = read_bal(BAL.encode(), "f.txt")
     for change in (mixed, lambda text: text.encode().replace(b"\n", b"\r")):
         graph, values, report = load(write(tmp_path, change(BAL)))
@@ -172,9 +169,6 @@ def test_logs_and_tables_with_any_line_ends(tmp_path: Path) -> None:
         assert read_kitti(write(tmp_path, change(kitti)))[:, 0].tolist() == [0, 4]
         table = Table(write(tmp_path, change(csv)), ["name", "beams"])
         assert (table.text_of("name"), table.integers("beams").tolist()) == (["a, b", "d"], [3, 4])
-        for name, text in park.items():
-            write(tmp_path, change(text), name)
-        assert np.array_equal(read_victoria_park(tmp_path).z[:, 1], [3, 4, 3])
     # pairs stay: lines that are not used are written back byte for byte
     assert read_bytes(write(tmp_path, b"A 1\r\nB 2\r\n")) == b"A 1\r\nB 2\r\n"
     assert read_bytes(write(tmp_path, b"A 1\r\nB 2\rC\n")) == b"A 1\nB 2\nC\n"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.evidence.logs import read_auv_dvl
 from nls.cli import main
 from nls.io.mission.table import csv_text
 from tests.combinations import for_all
@@ -19,9 +20,12 @@ SIGMA_ATTITUDE, SIGMA_Z = (0.002, 0.002, 0.005), 0.05
 
 
 @for_all(number=[1, 4, 7])
-def test_the_drift_of_a_real_log(number: int, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_drift_of_a_real_log(
+    number: int, data: Path, script: Callable[[str], Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Attitude and depth are those of the truth with noise; the DVL, with six seconds taken out, is as measured."""
-    log, rng = read_auv_dvl(data / "underwater-auv-dvl", number), np.random.default_rng(number)
+    log = script("logs").read_auv_dvl(data / "underwater-auv-dvl", number)
+    rng = np.random.default_rng(number)
     n = len(log.t)
     t = log.t[:, None]
     valid = np.ones(n, dtype=int)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.evidence.logs import read_auv_dvl
 from models import SE3
 from nls.io.mission.checks import Cause, Fixes, Log, Reading, of_log
 from nls.io.mission.checks.words import sentence
@@ -42,9 +43,10 @@ def test_a_right_log_is_plausible(seed: int) -> None:
 
 
 @for_all(number=list(range(1, 8)), every=[0, 5, 20])
-def test_a_real_log_is_plausible(number: int, every: int, data: Path) -> None:
+def test_a_real_log_is_plausible(number: int, every: int, data: Path, script: Callable[[str], Any]) -> None:
     """Attitude, depth and fixes (a meter) are those of the truth with noise, the DVL is as measured."""
-    real, rng = read_auv_dvl(data / "underwater-auv-dvl", number), np.random.default_rng(number)
+    real = script("logs").read_auv_dvl(data / "underwater-auv-dvl", number)
+    rng = np.random.default_rng(number)
     n = len(real.t)
     rows = np.arange(0, n, every or 1)
     noise = rng.normal(0, 1.0, (len(rows), 2))
