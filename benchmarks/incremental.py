@@ -47,9 +47,8 @@ def problem_of(name: str) -> tuple[Any, Any, str]:
     if name == "Victoria Park":
         return *nls.load(data / "victoria-park" / "victoria_park.txt", dialect="isam-covariance")[:2], "x"
     if name == "MRCLAM 3":
+        from logs import read_mrclam
         from mrclam import mrclam
-
-        from nls.io.logs import read_mrclam
 
         world = mrclam(read_mrclam(data / "mrclam6", 3), name)
         sightings = world.sightings.robust(Cauchy(2.0))  # some name a wrong landmark

@@ -75,7 +75,7 @@ def things(folder: Path) -> dict[str, Any]:
     pings = nls.FactorGraph([factors.Range(x[0:2], l[[0, 0]], [5.9, 5.2], Isotropic(0.1))], [x[0:2]])
     system = result_system(ring.graph, result.values)
     solvers: list[Callable[[], nls.LinearSolver]] = [
-        nls.Cholesky, nls.CholeskyPCG, nls.DenseCholesky, nls.DenseQR, nls.LU, nls.PCG, nls.Pinv, nls.QR, nls.Schur,
+        nls.Cholesky, nls.DenseCholesky, nls.DenseQR, nls.LU, nls.PCG, nls.Pinv, nls.QR, nls.Schur,
         Small,
     ]  # fmt: skip
     smoother = nls.Incremental()

@@ -16,6 +16,7 @@ from time import process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from logs import read_mrclam, read_victoria_park
 from mrclam import BEARING, DENSITY, RANGE, mrclam
 from mrclam import l as landmark
 from script import arguments, page_head, public_data, write_page
@@ -30,7 +31,6 @@ from nls.filters.base import Track
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
-from nls.io.logs import read_mrclam, read_victoria_park
 from nls.metrics import TrajectoryError
 from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE

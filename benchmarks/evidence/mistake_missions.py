@@ -80,7 +80,8 @@ class Survey:
         rows = np.genfromtxt(track, delimiter=",", names=True, encoding="utf-8")
         t, p = rows["time_s"], np.column_stack([rows["x_m"], rows["y_m"], rows["z_m"]])
         if origin.exists():
-            plane = LocalPlane(*np.genfromtxt(origin, delimiter=",", skip_header=1)[:2].tolist())
+            at = np.genfromtxt(origin, delimiter=",", names=True)
+            plane = LocalPlane(float(at["lat_deg"]), float(at["lon_deg"]))
             p[:, :2] = SITE.local(*plane.geodetic(p[:, :2]))
         if not self.dated or any("date" in part for part in self.mapping.values() if isinstance(part, dict)):
             t = t - t[0] + self.t[0] + BEFORE

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from logs import Mrclam
 
 from factors import BearingRange, Between, Covariance, Diagonal, Prior
 from models import SE2, R
 from models.dead_reckoning import integrate_plane
 from nls import FactorGraph, Values, kinds
-from nls.io.logs import Mrclam
 from nls.starts import locate_points
 from sim import LandmarkWorld
 from sim.landmark_world import KNOWN_START

@@ -2,7 +2,7 @@
 
     LEADLINE_DATA=FOLDER python benchmarks/evidence/real_logs.py [--out DIR]
 
-Three public logs, see `nls.io.logs`. What stands in for a missing sensor is said beside each figure.
+Three public logs, see the folder logs. What stands in for a missing sensor is said beside each figure.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from logs import AuvDvl, Caves, HoloOcean, read_auv_dvl, read_caves, read_holoocean
 from script import arguments, page_head, public_data, write_page
 
 from factors import Between, Covariance, Diagonal, Position, Prior
@@ -20,7 +21,6 @@ from models.algebra import distance_along
 from models.dead_reckoning import Legs, integrate
 from models.manifolds.euler import quaternion_from_angles, to_se3
 from nls import FactorGraph, LevenbergMarquardt, Values, kinds
-from nls.io.logs import AuvDvl, Caves, HoloOcean, read_auv_dvl, read_caves, read_holoocean
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from logs import read_victoria_park
 from script import arguments, at_least_one, page_head, public_data, write_page
 from victoria_park import victoria_park
 
@@ -29,7 +30,6 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Nearest
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
-from nls.io.logs import read_victoria_park
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from logs import VictoriaPark
 from scipy.spatial import cKDTree
 
 from factors import BearingRange, Between, Covariance, Diagonal, Prior
@@ -20,7 +21,6 @@ from models.sensors import point_from_direction_range
 from models.vehicles import ackermann
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import identified
-from nls.io.logs import VictoriaPark
 from nls.metrics import TrajectoryError, ate
 from nls.starts import locate_points
 from sim.landmark_world import KNOWN_START

@@ -14,7 +14,7 @@ GAUGES = ("first", "prior", "free", "none")
 KERNELS = ("huber", "cauchy", "tukey", "geman-mcclure", "welsch", "dcs")
 OPTIMIZERS = ("gauss-newton", "levenberg-marquardt", "dogleg")
 SIGMAS = ("stated", "estimate", "estimate:units", "estimate:components")
-SOLVERS = ("cholesky", "cholesky-pcg", "schur", "pcg", "qr", "lu", "dense-cholesky", "dense-qr", "pinv")
+SOLVERS = ("cholesky", "schur", "pcg", "qr", "lu", "dense-cholesky", "dense-qr", "pinv")
 STARTS = ("file", "odometry", "spanning-tree", "chordal", "incremental")
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation of a sonar contact
 

@@ -99,11 +99,11 @@ def explain_misfit(report: LoadReport, chi2: float, dof: int, options: argparse.
 
 def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace) -> list[str]:
     """Graduated non-convexity, or another start, where chi2 is far off and closures may be wrong."""
+    if options.robust is not None or Advice("start") not in result.advice:
+        return []
     from nls.explanation.applicability import graduates
 
-    far = Advice("start") in result.advice
-    applies = far and options.robust is None and graduates(graph, result.values)
-    return listed([Advice("gnc"), Advice("start")] * applies, shell=True)
+    return listed([Advice("gnc"), Advice("start")] * graduates(graph, result.values), shell=True)
 
 
 def doubts(

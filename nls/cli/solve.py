@@ -188,7 +188,7 @@ def _optimize(job: Job) -> None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")
-    if job.result.doubt and job.choice is None and job.sigmas is None:
+    if job.report.format == "mission" and job.result.doubt and job.choice is None and job.sigmas is None:
         explain_misfit(job.report, job.result.chi2_final, job.result.dof, job.options)
         job.clock.lap("report")
 
@@ -335,7 +335,7 @@ def _status(job: Job) -> int:
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
         print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
-    doubts = [] if options.allow_doubtful else reasons(job)
+    doubts = [] if options.allow_doubtful or refuted else reasons(job)
     if doubts and (result.converged or allowed):
         print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
     for failure in job.failed:

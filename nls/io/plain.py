@@ -11,13 +11,6 @@ from nls.io.files import read_bytes
 from nls.io.text import Text
 
 
-def or_compressed(folder: str | Path, name: str) -> Path:
-    """The file of a folder, or its compressed twin ``name.gz`` where only that is there."""
-    path = Path(folder) / name
-    twin = path.with_name(f"{name}.gz")
-    return twin if twin.exists() and not path.exists() else path
-
-
 def plain_lines(path: str | Path, problem: str) -> tuple[Text, Index, Index, int]:
     """The text of a file, its lines (n,) that are neither blank nor comments, how many words each has, comments.
 

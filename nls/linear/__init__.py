@@ -9,7 +9,6 @@ from nls.linear.dense import DenseCholesky, DenseQR, Pinv
 from nls.linear.factorization import Factorization
 from nls.linear.lu import LU
 from nls.linear.normal import NormalEquations
-from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
 from nls.linear.schur import PCG, Schur, truncated_inverse
 
@@ -20,7 +19,6 @@ __all__ = [
     "SOLVERS",
     "Analysis",
     "Cholesky",
-    "CholeskyPCG",
     "DenseCholesky",
     "DenseQR",
     "Factorization",
@@ -37,7 +35,7 @@ __all__ = [
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Cholesky, CholeskyPCG, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
+    solver.name: solver for solver in (Cholesky, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
 }
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array
+from models.listing import some
 from nls.io.importing.cell import Cell
 from nls.io.importing.mapping import Section
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.units import convert, dimension, factor, header_unit, mission_unit
+from nls.io.mission.checks.special import NUMBERS
 
 __all__ = ["FULL_TURN", "convert_column", "hemispheres", "unit_of"]
 
@@ -62,7 +64,7 @@ def convert_column(section: Section, column: str, log: Log, numbers: Array, note
     if given and dimension(named) == kind and factor(named, column) != factor(given, column):
         notes.append(f"{log.title}: {name!r} is taken to be {given}, as the mapping says")
     if not (unit := unit_of(section, column, log)):
-        _refuse_size(section, column, name, numbers, "names no unit and ")
+        _refuse_size(section, column, numbers, numbers, "names no unit and ")
         notes.append(f"{log.title}: {name!r} names no unit; it is taken to be {own}")
         unit = own
     try:
@@ -71,23 +73,35 @@ def convert_column(section: Section, column: str, log: Log, numbers: Array, note
         k, sentence = error.args
         raise log.error(k, f"{name}: {sentence}; correct unit of {column} in the mapping") from error
     if not given and kind == "angle":
-        _refuse_size(section, column, name, converted, "")
+        _refuse_size(section, column, numbers, converted, "")
     return converted
 
 
-def _refuse_size(section: Section, column: str, name: str, numbers: Array, unsaid: str) -> None:
-    """Refuse angles that are too large for their unit; says the unit that they may have."""
-    own = mission_unit(column)[1]
+def _unit_by_size(column: str, numbers: Array, unsaid: bool) -> tuple[float, str]:
+    """The largest of angles (n,), and the unit that they have where it is too large for theirs."""
     finite = np.abs(numbers[np.isfinite(numbers)])
-    largest, unit = finite.max(initial=0.0), ""
+    largest = float(finite.max(initial=0.0))
     if column in LARGEST:
-        unit = ("degE7" if largest >= LEAST_E7 else "ddmm") if largest > LARGEST[column] else ""
-    elif own == "rad":
-        degrees = finite if unsaid else np.degrees(finite)
-        if max(degrees[:1].max(initial=0.0), np.abs(np.diff(degrees)).max(initial=0.0)) > MOST_TURN:
-            largest, unit = degrees.max(), "cdeg"
-        elif unsaid and largest > FULL_TURN:
-            unit = "deg"
+        return largest, ("degE7" if largest >= LEAST_E7 else "ddmm") if largest > LARGEST[column] else ""
+    if mission_unit(column)[1] != "rad":
+        return largest, ""
+    degrees = finite if unsaid else np.degrees(finite)
+    if max(degrees[:1].max(initial=0.0), np.abs(np.diff(degrees)).max(initial=0.0)) > MOST_TURN:
+        return float(degrees.max()), "cdeg"
+    return largest, "deg" if unsaid and largest > FULL_TURN else ""
+
+
+def _refuse_size(section: Section, column: str, numbers: Array, converted: Array, unsaid: str) -> None:
+    """Refuse angles that are too large for their unit; says the unit that they may have, or which of them are none."""
+    own, name = mission_unit(column)[1], section.cells[column].columns[0]
+    largest, unit = _unit_by_size(column, converted, bool(unsaid))
+    none = np.isin(np.abs(numbers), NUMBERS)
+    if unit and none.any() and _unit_by_size(column, converted[~none], bool(unsaid))[1] in ("", "deg"):
+        special = [int(number) for number in np.unique(numbers[none])]
+        write = f"`missing = {special[0] if len(special) == 1 else special}` in [{section.table}] of the mapping"
+        raise section.error(
+            column, f"{name!r} is {some(special)} in {none.sum()} rows, which loggers write for none; write {write}"
+        )
     if unit:
         expected = "radians" if own == "rad" and unsaid else "degrees"
         write = f'{column} = {{ column = "{name}", unit = "{unit}" }}'

@@ -7,6 +7,7 @@ of the mission uses is an error, so that no row is without effect.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from factors.keys import Keys, Kind
 from models import Manifold, R
 from models.algebra import Array, Numbers
 from models.options import did_you_mean
-from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+
+if TYPE_CHECKING:
+    from nls.io.mission.report import MissionReport
 
 __all__ = ["NAMES", "Calibrations", "Compass"]
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import XYH, ZPR, Diagonal, Isotropic, Landmark, Prior, SqrtInformation
+from factors import XYH, ZPR, Diagonal, Landmark, Prior, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
 from models import SE3
@@ -86,9 +86,11 @@ def walking(
     i, j, way = x[numbers[:-1]], x[numbers[1:]], density * np.sqrt(np.diff(t))
     columns = [measured.get(name, zero) for name in TILT]
     z, sigmas = np.column_stack([c[0] for c in columns]), np.column_stack([c[1] for c in columns])
-    walk: Factor = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
+    walk = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
+    rise: list[Factor] = []
     if z_elsewhere and "z_m" not in measured:
-        walk, sigmas[:, 0] = Landmark(i, j, np.zeros((n - 1, 3)), Isotropic(way)), np.inf
+        W = SqrtInformation(np.diag([0, 0, 1]) / way[:, None, None])
+        rise, sigmas[:, 0] = [Landmark(i, j, np.zeros((n - 1, 3)), W)], np.inf
     zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
     heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
     if "ahrs" in logs:
@@ -97,13 +99,14 @@ def walking(
         heading = headings(attitude, x[numbers], t, measured["yaw_rad"][1], calibrations)
     report.vertex_times["x"] = t
     tilt = next((measured[name] for name in TILT if name in measured), zero)
-    report.sources += [motion.source(np.zeros(n - 1, dtype=np.intp)), tilt[2], measured.get("yaw_rad", zero)[2]]
+    walked = motion.source(np.zeros(n - 1, dtype=np.intp))
+    report.sources += [walked, tilt[2], measured.get("yaw_rad", zero)[2], *[walked] * len(rise)]
     note = f"no sensor measures the motion: a random walk of {density:g} m in the first second, and by the root of more"
     report.notes.append(f"{note}, joins {n} poses at the times of the measurements")
     if report.unmeasured:
         note = f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv"
         report.notes.append(f"{note}; 0 in trajectory.tum, which has none")
-    return numbers, [walk, zpr, heading]
+    return numbers, [walk, zpr, heading, *rise]
 
 
 def _times(motion: Table, logs: Times, times: Times, tables: dict[str, Table]) -> Array:

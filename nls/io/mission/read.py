@@ -73,6 +73,9 @@ def read_mission(
     for finding in report.findings:
         report.warn(sentence(finding))
     try:
+        if slow := [finding for finding in report.findings if finding.check == "time step" and "dvl" in tables]:
+            table = tables[slow[0].file.removesuffix(".csv")]
+            raise table.error("no log of sensors is as slow, and it would have a pose a second", slow[0].line - 1)
         return (*graph_of(tables, report, elevation, anchored, alone), report)
     except GraphFileError as error:
         if not report.findings:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs import read_mrclam, read_victoria_park
 from factors import Cauchy
 from nls import kinds
 from nls.filters.association import Nearest
 from nls.filters.base import Track
 from nls.filters.ekf import EKF
-from nls.io.logs import read_mrclam, read_victoria_park
 from sim import LandmarkWorld
 from sim.estimators import batch
 

@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.evidence.logs import read_holoocean
+from benchmarks.evidence.logs.table import columns
 from nls import GraphFileError, LeadlineError, ResourceLimitError, load
 from nls.io import bounded_text, files
 from nls.io.bounded_text import PER_BYTE, PER_WORD
 from nls.io.files import read_bytes
-from nls.io.logs import read_holoocean
-from nls.io.logs.table import columns
 from nls.io.mission.table import Table
 from nls.io.text import PER_TAG, Text
 from nls.io.trajectory import read_kitti, read_tum

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs.victoria_park import read_victoria_park
 from nls import GraphFileError, load
 from nls.io.bal import read_bal
 from nls.io.files import read_bytes
-from nls.io.logs.victoria_park import read_victoria_park
 from nls.io.mission.table import Table
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.text import Text

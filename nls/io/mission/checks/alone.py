@@ -15,6 +15,7 @@ __all__ = ["ALONE", "depth_of", "outliers_of", "scatter_of", "step_of", "stuck_o
 FASTEST = 10.0  # m/s, of a vehicle under water
 USUAL = 0.05, 5.0  # m/s
 STEEPEST, LONG = np.radians(30.0), 0.2  # rad, and the part of a log that may be beyond
+GLIDING = np.radians(60.0)  # rad, of a vehicle that never turns over
 FASTEST_TURN = 1.5  # rad/s, exceeded by a tenth of the log
 DEEPEST, FASTEST_DIVE = 11_000.0, 2.0  # m, m/s
 SLOW_DIVE = 0.14  # m/s, the middle of what vehicles have, 0.01 to 2
@@ -66,10 +67,11 @@ def tilts(log: Log) -> Iterator[Implausible]:
 def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
     """Roll or pitch are beyond 30 degrees for long: degrees in a column of radians, or another frame."""
     size = np.abs(angles)
-    if (steep := size > STEEPEST).mean() > LONG:
+    limit = STEEPEST if size.max() > np.pi / 2 else GLIDING
+    if (steep := size > limit).mean() > LONG:
         upside = abs(float(np.median(size)) - np.pi) < STEEPEST and np.std(size) < STEEPEST
         cause = Reading(Cause.AXES, file, column) if upside else Reading(Cause.UNIT, file, column, DEGREES)
-        yield _at("tilt", column, int(np.argmax(steep)), np.quantile(size, 1 - LONG), STEEPEST, "rad", cause)
+        yield _at("tilt", column, int(np.argmax(steep)), np.quantile(size, 1 - LONG), limit, "rad", cause)
 
 
 def turns(log: Log) -> Iterator[Implausible]:

@@ -2,7 +2,8 @@ r"""Checks of the times of the tables beside each other, and of fixes under wate
 
 The track (B, E) is that of the table with which the others have most time in common. The times of a table (b, e)
 beside it are in another unit where (e - b) / (E - B) is a thousand or so. They are late by whole weeks, days or hours
-where only that brings them over the track.
+where only that brings them over the track. A sensor that begins some seconds after the others and ends by as much after
+them is late by these.
 
 A receiver of satellites has no fix under water. Where fixes are deep at their times, and all at the surface some leap
 seconds earlier, or the time by which both b and e are late, their clock is off. Fixes by sound stay deep at any time.
@@ -26,6 +27,7 @@ UNITS, LIKE = (1e3, 1e6, 1e9, 1e-3, 1 / DAY), 0.05  # of a time in seconds, and 
 PERIODS = (7 * DAY, DAY, 3600.0, 1800.0)  # of a clock of another zone, s
 LEAPS = (18.0, 37.0, 19.0)  # s: GPS - UTC, TAI - UTC, TAI - GPS
 SAME, MOST = 2.0, 3.0  # rows and s by which two clocks may differ
+SWITCHED, ALIKE = 15.0, 0.15  # s between sensors switched on one after the other; part by which two shifts differ
 COVERED = 0.9  # of the shorter one of two spans
 WET, DRY = 2.0, 1.0  # m below the shallowest depth: where no satellite is seen, and at the surface
 FEWEST, DEEP = 3, 0.2  # fixes; part of a dive that is below the surface
@@ -41,6 +43,8 @@ def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
     every = np.array([[t.min(), t.max()] for t in times.values()])
     span = max([np.sort(track, axis=0)[len(track) // 2], *track], key=lambda span: _agreement(every, span))
     out = [entry for name, t in times.items() for entry in _apart(f"{name}.csv", t, span)]
+    if len(track) > 2:
+        out = out or [entry for name in TRACK if name in times for entry in _shifted(f"{name}.csv", times[name], span)]
     file = next((name for name in ("depth", "path") if name in times and tables[name].has("z_m")), None)
     if not out and "fixes" in times and file is not None:
         out += _at_depth(times["fixes"], span, f"{file}.csv", times[file], tables[file].floats("z_m")[:, 0])
@@ -71,6 +75,15 @@ def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
             reading = Reading(Cause.ZONE, file, "time_s", late)
             yield Implausible("late", file, 0, "time_s", float(own[0] - span[0]), 0.0, "s", (reading,))
             return
+
+
+def _shifted(file: str, t: Array, span: Array) -> Iterator[Implausible]:
+    """Times (n,) of a sensor that begin and end later than those of most others, by the same time."""
+    apart = np.array([t.min(), t.max()]) - span
+    leaps = (s * leap for leap in LEAPS for s in (1, -1) if np.abs(apart - s * leap).max() <= np.ptp(apart))
+    late = next(leaps, float(apart.mean()))
+    if abs(late) > SWITCHED and np.ptp(apart) <= ALIKE * abs(late):
+        yield Implausible("late", file, 0, "time_s", late, 0.0, "s", (Reading(Cause.ZONE, file, "time_s", late),))
 
 
 def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterator[Implausible]:

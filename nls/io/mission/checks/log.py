@@ -17,6 +17,7 @@ from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.bottom_lock import bottom_lock
+from nls.io.mission.calibration import Calibrations
 from nls.io.mission.checks.findings import Cause, Reading
 from nls.io.mission.columns import ANGLES, PLACE, VELOCITY
 from nls.io.mission.table import Table
@@ -146,10 +147,24 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
         dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)),
         read_fixes(tables.get("fixes"), plane),
     )
-    if not dvl.has("earth_axes"):
-        return log
-    earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
-    return replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))
+    if dvl.has("earth_axes"):
+        earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
+        log = replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))
+    return _calibrated(log, Calibrations(tables.get("calibration")))
+
+
+def _calibrated(log: Log, calibrations: Calibrations) -> Log:
+    """The log with the numbers of calibration.csv."""
+    c = calibrations.value
+    turn = c("dvl_yaw_rad")
+    R = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return replace(
+        log,
+        v=log.v @ R.T / (1 + c("dvl_scale")),
+        t_a=log.t_a - c("ahrs_clock_s"),
+        rpy=log.rpy + np.array([0.0, 0.0, c("declination_rad")]),
+        fixes=log.fixes and replace(log.fixes, t=log.fixes.t - c("fixes_clock_s")),
+    )
 
 
 def read_fixes(table: Table | None, plane: LocalPlane | None) -> Fixes | None:

@@ -21,7 +21,7 @@ from nls.io.mission.table import Table
 
 __all__ = ["SPEED_UNITS", "Alternative", "alternatives", "readings"]
 SPEED_UNITS = (1000.0, 100.0, 1.9438, 3.2808, 3.6)  # mm/s, cm/s, knots, ft/s and km/h in a m/s
-LENGTH_UNITS = (100.0, 3.2808, 10.0, 0.001, 0.1, 0.01)  # cm, feet, kPa (of a depth), km, bar, kPa to dm
+LENGTH_UNITS = (100.0, 3.2808, 0.5468, 10.0, 0.001, 0.1, 0.01)  # cm, feet, fathoms, kPa, km, bar, kPa to dm
 PLACE_UNITS = (1000.0, 100.0, 3.2808, 0.001)
 TIME_UNITS = (1e3, 1e6, 2.0, 0.5)  # ms and us in a second; both ways, and one of two
 DEGREES = 180 / np.pi
@@ -59,6 +59,11 @@ class Alternative:
     def columns(self) -> list[str]:
         return self.reading.column.split(", ")
 
+    @property
+    def geodetic(self) -> bool:
+        """Whether it is of latitudes or longitudes, and so of all tables."""
+        return self.columns[0] in GEODETIC
+
     def on_log(self, log: Log) -> Log:
         """The log that was meant."""
         if self.reading.cause is Cause.EARTH:
@@ -75,11 +80,11 @@ class Alternative:
         return replace(log, fixes=held) if self.reading.file == "fixes.csv" else held
 
     def on_tables(self, tables: dict[str, Table]) -> dict[str, Table]:
-        """The tables that were meant; latitudes and longitudes are exchanged in all of them. Empty without the file."""
+        """The tables that were meant; those of latitudes and longitudes in all of them. Empty without the file."""
         if self.reading.cause is Cause.EARTH:
             log = read_log(tables, None) if "dvl" in tables else None
             return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
-        names = tables if self.columns == [*GEODETIC] else [self.reading.file.removesuffix(".csv")]
+        names = tables if self.geodetic else [self.reading.file.removesuffix(".csv")]
         tables_read = {name: tables[name] for name in names if name in tables and tables[name].has(*self.columns)}
         meant = {
             name: table.with_numbers(self.columns, self._meant(table.floats(*self.columns)))
@@ -100,8 +105,9 @@ def alternatives(log: Log) -> list[Alternative]:
 def readings() -> list[Alternative]:
     """All that are tried for tables: not the clocks and turns that are calibrations."""
     steady = [a for a in (*_of_velocities(), *_of_angles(), *_of_depths()) if a.reading.cause is not Cause.TURNED]
-    geodetic = _read(Cause.SWAPPED, "fixes.csv", GEODETIC, [[0, 1], [1, 0]])
-    return [*steady, *(a for name in OF_TABLES for a in _of_table(name)), geodetic]
+    file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
+    geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
+    return [*steady, *of_tables, *geodetic]
 
 
 def _read(
@@ -127,7 +133,7 @@ def _of_velocities() -> list[Alternative]:
     file, (x, y, z) = "dvl.csv", VELOCITY
     turns = ((turn, np.radians(turn)) for turn in (90.0, -90.0, 180.0, 45.0, -45.0, 135.0, -135.0))
     return [
-        *_units(file, VELOCITY, SPEED_UNITS),
+        *(a for names in (VELOCITY, (x,), (y,), (z,)) for a in _units(file, names, SPEED_UNITS)),
         *_signs(file, VELOCITY),
         *_exchanged(file, (x, y), (x, z), (y, z)),
         _read(Cause.EARTH, file, VELOCITY, np.eye(3)),

@@ -30,7 +30,7 @@ from nls.graph import FactorGraph
 from nls.io.mission.calibration import NAMES
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
 from nls.io.mission.checks.readings import readings
-from nls.io.mission.columns import COLUMNS
+from nls.io.mission.columns import COLUMNS, GEODETIC
 from nls.io.mission.determination import LEFT
 from nls.io.mission.folder import report_of
 from nls.io.mission.read import graph_of
@@ -126,9 +126,10 @@ def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionR
 
 
 def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
-    """Those of least chi2, of as many rows, which nothing tells apart."""
+    """Those of least chi2, of as many rows, which nothing tells apart; a wrong place on the Earth is no accident."""
     alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
-    return [t for t in sorted(trials, key=lambda t: t.chi2 - t.dof) if t.reading in alike]
+    place = {t.reading: t.reading.column.startswith(GEODETIC) for t in trials}
+    return [t for t in sorted(trials, key=lambda t: (not place[t.reading], t.chi2 - t.dof)) if t.reading in alike]
 
 
 def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:

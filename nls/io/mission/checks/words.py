@@ -20,10 +20,12 @@ PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour")
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
-    "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 10.0: "kPa", 1e4: "Pa", 0.1: "bar", 0.001: "km", 0.01: "hm"},
+    "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 0.5468: "fathom", 0.001: "km", 0.01: "hm"}
+    | {10.0: "kPa", 1e4: "Pa", 0.1: "bar"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
     "_rad": {180 / 3.141592653589793: "deg", 18000 / 3.141592653589793: "cdeg"},
     "_pa": {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"},
+    "_deg": {3.141592653589793 / 180: "rad"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
@@ -129,7 +131,10 @@ def _unit(r: Reading) -> str:
     looks = f"looks like {name}" if name else "looks like another unit"
     if len(r.column.split(", ")) > 1:
         looks = looks.replace("looks", "look")
-    act = f"divide {r.column} by {r.factor:.5g}" if r.factor > 1 else f"multiply {r.column} by {1 / r.factor:.5g}"
+    digits = 5 if not _origin(r) else 10
+    act = f"multiply {r.column} by {1 / r.factor:.{digits}g}{_origin(r)}"
+    if r.factor > 1:
+        act = f"divide {r.column} by {r.factor:.{digits}g}"
     mapping = _mapped(r, f'unit = "{name}"', r.column) if name else ""
     return f"{r.column} of {r.file} {looks}: {act}{mapping}"
 
@@ -153,16 +158,19 @@ def _sign(r: Reading) -> str:
         "lat_deg": "latitudes are north",
         "lon_deg": "longitudes are east",
     }.get(r.column, "")
-    origin = ", in origin.csv as well" if r.cause is Cause.SIDE else ""
     return (
-        f"{r.column} of {r.file} looks as if it had the other sign: multiply {r.column} by -1{origin}"
+        f"{r.column} of {r.file} looks as if it had the other sign: multiply {r.column} by -1{_origin(r)}"
         f"{_mapped(r, 'sign = -1', r.column)}{f'; {positive}' if positive else ''}"
     )
 
 
 def _swapped(r: Reading) -> str:
-    origin = ", in origin.csv as well" if r.column.startswith("lat_deg") else ""
-    return f"{r.column} of {r.file} look exchanged: exchange the names of {r.column}{origin}"
+    return f"{r.column} of {r.file} look exchanged: exchange the names of {r.column}{_origin(r)}"
+
+
+def _origin(r: Reading) -> str:
+    """Where latitudes and longitudes stand besides."""
+    return ", in origin.csv as well" if r.column.startswith(("lat_deg", "lon_deg")) else ""
 
 
 def _axes(r: Reading) -> str:
@@ -270,7 +278,6 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
-    Cause.SIDE: _sign,
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,

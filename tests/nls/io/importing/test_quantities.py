@@ -133,3 +133,13 @@ def test_names_that_end_like_a_unit_and_are_none(tmp_path: Path) -> None:
 def test_a_mapping_that_uses_no_column_of_its_file_is_refused(mapping: str, tmp_path: Path) -> None:
     with pytest.raises(GraphFileError, match=r"mapping\.toml:1: .*uses no column of log\.csv; .* leave file out"):
         imported(tmp_path, mapping, log="t,z\n0,1\n")
+
+
+@for_all(special=["999", "-9999"], header=["Heading [deg]", "heading"])
+def test_a_special_value_of_an_angle_is_no_unit(special: str, header: str, tmp_path: Path) -> None:
+    log = f"time,{header}\n0,10\n1,350\n2,{special}\n3,{special}\n4,12\n"
+    ahrs = '[ahrs]\ntime_s = "time"\nroll_rad = 0\npitch_rad = 0\nyaw_rad = '
+    with pytest.raises(GraphFileError, match=rf"is {special} in 2 rows.*write `missing = {special}` in \[ahrs\]"):
+        imported(tmp_path, f'{ahrs}"{header}"\n', log=log)
+    cured = f'{ahrs}{{ column = "{header}", unit = "deg" }}\nmissing = {special}\n'
+    assert table(imported(tmp_path, cured, log=log), "ahrs")["time_s"].tolist() == [0, 1, 4]

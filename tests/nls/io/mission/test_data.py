@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs import read_auv_dvl
 from nls.cli import main
-from nls.io.logs import read_auv_dvl
 from nls.io.mission.table import csv_text
 from tests.combinations import for_all
 from tests.nls.io.mission.mission_files import RAW, folder

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs import read_auv_dvl
 from models import SE3
-from nls.io.logs import read_auv_dvl
 from nls.io.mission.checks import Cause, Fixes, Log, Reading, of_log
 from nls.io.mission.checks.words import sentence
 from tests.combinations import for_all

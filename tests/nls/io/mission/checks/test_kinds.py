@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+import nls
 from models.algebra import Array
-from nls.io.mission.checks import Cause, Log, implausible
+from nls.io.mission.checks import Cause, Fixes, Log, implausible
+from nls.io.mission.checks.alone import tilt_of
+from nls.io.mission.checks.clocks import of_clocks
+from nls.io.mission.checks.fixes import of_fixes
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.columns import COLUMNS, OPTIONAL
 from nls.io.mission.table import Table
@@ -17,6 +23,7 @@ from tests.combinations import for_all
 from tests.nls.io.mission.checks.missions import dive, files_of, kinds, path_of, with_fixes
 from tests.nls.io.mission.checks.test_special import changed, findings
 from tests.nls.io.mission.checks.vehicle import clean
+from tests.nls.io.mission.mission_files import folder
 
 Change = Callable[[list[str], Array], Array]
 
@@ -180,3 +187,75 @@ def test_a_path_and_a_compass_beside_a_motion_turn_in_radians(seed: int, tmp_pat
             )
             named = [(entry.check, entry.file, round(entry.readings[0].factor, 2)) for entry in found]
             assert named == [("turn rate", f"{table}.csv", round(factor * 180 / np.pi, 2))] * (factor >= 1)
+
+
+def test_a_glider_dives_steeply_in_radians() -> None:
+    """Degrees in a column of radians go beyond a quarter turn."""
+    pitch = np.tile([0.46, -0.65, 0.6, -0.88], 50)
+    assert list(tilt_of("ahrs.csv", "pitch_rad", pitch)) == []
+    (finding,) = tilt_of("ahrs.csv", "pitch_rad", np.degrees(pitch))
+    assert finding.readings[0].cause is Cause.UNIT
+
+
+@for_all(away=[0.0, 4e5])
+def test_a_voyage_is_far_from_any_origin_and_a_site_is_not(away: float) -> None:
+    t = np.arange(200.0)
+    voyage = np.column_stack([away + 6e3 * (t - 50), 2e3 * t])
+    none = np.zeros(len(t), dtype=bool)
+    fixes = Fixes(t, voyage, np.ones(len(t)), ("lat_deg", "lon_deg"), np.arange(len(t)))
+    assert of_fixes(fixes, none) == []
+    (finding,) = of_fixes(replace(fixes, p=np.array([4e5, 1e5]) + voyage / 1e4), none)
+    assert finding.check == "far away"
+
+
+@for_all(factor=[1e3, 1e6])
+def test_a_log_that_is_no_log_in_seconds_is_refused_before_its_poses_are_made(factor: float, tmp_path: Path) -> None:
+    files = with_fixes(clean(1))
+    for table in ("dvl", "ahrs", "depth", "fixes"):
+        files = changed(files, table, column("time_s", lambda t: factor * t))
+    unit = {1e3: "ms", 1e6: "us"}[factor]
+    cure = f'divide time_s by {factor:g}, or write `unit = "{unit}"` for time_s in [dvl] of the mapping'
+    with pytest.raises(nls.GraphFileError, match=r"dvl\.csv:3: no log of sensors") as e:
+        nls.load(folder(tmp_path / unit, files))
+    assert cure in str(e.value)
+
+
+@for_all(turn=[0.7, -1.6, 3.1], seed=[1, 2])
+def test_a_number_of_calibration_csv_is_no_second_doubt(turn: float, seed: int, tmp_path: Path) -> None:
+    """The DVL is turned: its cure is a line, and with that line nothing is left to say."""
+    c, s = np.cos(turn), np.sin(turn)
+    log = clean(seed)
+    log = replace(log, v=log.v @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+    files = with_fixes(log)
+    assert findings(tmp_path / f"{turn}{seed}", files)
+    line = {"calibration": f"name,value,sigma\ndvl_yaw_rad,{turn},0.1\n"}
+    assert findings(tmp_path / f"{turn}{seed}cured", files | line) == []
+
+
+@for_all(table=["dvl", "ahrs", "depth"], late=[18.0, -18.0, 25.0], seed=[1, 2])
+def test_a_sensor_that_begins_and_ends_late_has_a_late_clock(
+    table: str, late: float, seed: int, tmp_path: Path
+) -> None:
+    files = changed(with_fixes(clean(seed)), table, column("time_s", lambda t: t + late))
+    (finding,) = findings(tmp_path / f"{table}{late}{seed}", files)
+    (reading,) = finding.readings
+    assert (reading.cause, reading.file) == (Cause.ZONE, f"{table}.csv")
+    assert abs(reading.factor - late) < 1.0
+
+
+def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clocks(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    files = with_fixes(clean(3))
+    names = ("dvl", "ahrs", "depth")
+    tables = {
+        name: Table(tmp_path / f"{name}.csv", COLUMNS[name], OPTIONAL.get(name, ()), data=files[name].encode())
+        for name in names
+    }
+    for trial in range(200):
+        cut = {}
+        for name, table in tables.items():
+            begin, end = rng.uniform(0, 15, 2)
+            t = table.floats("time_s")[:, 0]
+            cut[name] = copy(table)
+            cut[name].lines = table.lines[(t >= t[0] + begin) & (t <= t[-1] - end)]
+        assert of_clocks(cut) == [], trial

@@ -18,8 +18,10 @@ import numpy as np
 
 from models import wrap
 from models.algebra import Array, Index, Numbers
-from nls.io.plain import or_compressed, plain_table, refuse_late
+from nls.io.plain import plain_table, refuse_late
 from nls.io.text import Text
+
+from .table import or_compressed
 
 __all__ = ["Mrclam", "read_mrclam"]
 

@@ -17,7 +17,8 @@ import numpy as np
 from models.algebra import Array
 from models.errors import GraphFileError
 from models.geodesy import LocalPlane
-from nls.io.logs.table import columns
+
+from .table import columns
 
 __all__ = ["AuvDvl", "read_auv_dvl"]
 

@@ -12,7 +12,7 @@ from models.algebra import Array
 from models.errors import GraphFileError
 from nls.io.files import read_bytes
 
-__all__ = ["columns"]
+__all__ = ["columns", "or_compressed"]
 
 QUOTED = 200  # characters of the error of NumPy, which quotes the whole word
 
@@ -40,3 +40,10 @@ def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
         return np.loadtxt(io.BytesIO(b"\n".join(rows)), delimiter=",", usecols=use, ndmin=2)
     except ValueError as error:
         raise GraphFileError(f"is no table of numbers after line {skip}: {str(error)[:QUOTED]}", str(path)) from error
+
+
+def or_compressed(folder: str | Path, name: str) -> Path:
+    """The file of a folder, or its compressed twin ``name.gz`` where only that is there."""
+    path = Path(folder) / name
+    twin = path.with_name(f"{name}.gz")
+    return twin if twin.exists() and not path.exists() else path

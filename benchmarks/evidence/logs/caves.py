@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from models.algebra import Array, Mask
-from nls.io.logs.table import columns
+
+from .table import columns
 
 __all__ = ["Caves", "read_caves"]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs import read_mrclam, read_victoria_park
 from models.errors import GraphFileError
-from nls.io.logs import read_mrclam, read_victoria_park
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
 

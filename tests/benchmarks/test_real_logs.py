@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.evidence.logs import read_auv_dvl, read_caves, read_holoocean
 from models import SE3
 from models.errors import GraphFileError
-from nls.io.logs import read_auv_dvl, read_caves, read_holoocean
 from tests.combinations import for_all
 
 
@@ -106,7 +106,7 @@ def test_what_is_no_such_log(tmp_path: Path) -> None:
     with pytest.raises(GraphFileError, match=r"is no table of numbers after line 1: .*fast"):
         read_auv_dvl(tmp_path, 1)
     dvl.write_text(header + "0,1,2,3\n1,1,2,3\n")
-    columns = import_module("nls.io.logs.auv_dvl").INS
+    columns = import_module("benchmarks.evidence.logs.auv_dvl").INS
     ins.write_text(f"Time [s],{columns}\n0,0,0,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,0,0,0\n")
     with pytest.raises(GraphFileError, match=r"its times are not those of GT_trajectory1\.csv"):
         read_auv_dvl(tmp_path, 1)

@@ -1,10 +1,10 @@
 """Public logs of real and simulated vehicles, read as plain arrays: one file of this folder for each."""
 
-from nls.io.logs.auv_dvl import AuvDvl, read_auv_dvl
-from nls.io.logs.caves import Caves, read_caves
-from nls.io.logs.holoocean import HoloOcean, read_holoocean
-from nls.io.logs.mrclam import Mrclam, read_mrclam
-from nls.io.logs.victoria_park import VictoriaPark, read_victoria_park
+from .auv_dvl import AuvDvl, read_auv_dvl
+from .caves import Caves, read_caves
+from .holoocean import HoloOcean, read_holoocean
+from .mrclam import Mrclam, read_mrclam
+from .victoria_park import VictoriaPark, read_victoria_park
 
 __all__ = [
     "AuvDvl",
