@@ -278,7 +278,6 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
-    Cause.SIDE: _sign,
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,
