@@ -36,18 +36,17 @@ def marks(job: Job) -> list[str]:
 
 
 def _of_tables(job: Job) -> list[str]:
-    """The findings of the checks of a mission, by name; outliers of a table under a kernel are what that is for."""
+    """The findings of the checks of a mission, by name; fixes that jump are what a kernel on their table is for."""
     if job.report.format != "mission":
         return []
     from nls.io.mission import MissionReport
-    from nls.io.mission.checks.findings import Cause
 
     assert isinstance(job.report, MissionReport)
     robust = {table for table, factor in zip(_tables(job), job.graph.factors, strict=True) if factor.kernel is not None}
     left = [
         f"{finding.check} ({finding.file})"
         for finding in job.report.findings
-        if finding.file not in robust or any(reading.cause is not Cause.OUTLIERS for reading in finding.readings)
+        if finding.file not in robust or finding.check != "jumps"
     ]
     return [f"implausible: {', '.join(dict.fromkeys(left))}"] if left else []
 

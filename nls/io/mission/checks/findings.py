@@ -16,7 +16,6 @@ class Cause(StrEnum):
 
     UNIT = "unit"  # the number is `factor` times the one in the unit of the column
     SIGN = "sign"
-    SIDE = "side"  # the sign of a latitude or longitude, and of that of the origin
     SWAPPED = "swapped"  # two columns are exchanged
     AXES = "axes"  # x ahead, y to port, z up
     EARTH = "earth"  # along north, east and down

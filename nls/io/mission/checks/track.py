@@ -30,7 +30,7 @@ from nls.io.mission.checks.alone import (
 )
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log
-from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
+from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["of_heading", "of_track"]
@@ -103,13 +103,12 @@ def _between_fixes(fixes: Fixes, ahrs: Table) -> Iterator[Implausible]:
     yaw = np.angle(np.diff(np.interp(fixes.t[inside], t, way)))
     if np.abs(np.diff(np.unwrap(yaw[:: len(yaw) // MANY + 1]))).sum() < TURNED:
         return
-    side = Cause.SIDE if north in GEODETIC else Cause.SIGN
     others = {
         Reading(Cause.SIGN, "ahrs.csv", "yaw_rad", -1.0): course + yaw,
-        Reading(side, file, east, -1.0): -course - yaw,
+        Reading(Cause.SIGN, file, east, -1.0): -course - yaw,
         Reading(Cause.NORTH, "ahrs.csv", "yaw_rad", 90.0): course + yaw - np.pi / 2,
         Reading(Cause.SWAPPED, file, f"{north}, {east}"): np.pi / 2 - course - yaw,
-        Reading(side, file, north, -1.0): np.pi - course - yaw,
+        Reading(Cause.SIGN, file, north, -1.0): np.pi - course - yaw,
     }
     yield from _heads(course - yaw, others, np.abs(steps))
 

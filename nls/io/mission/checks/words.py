@@ -15,7 +15,7 @@ from nls.io.mission.checks.special import meant
 __all__ = ["record", "sentence"]
 COARSE = 0.1  # rad, and ten times that in s: sigma of a turn or a lag that is one of a list
 CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
-LISTED = 6  # runs of lines
+LISTED = 50  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
@@ -278,7 +278,6 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
-    Cause.SIDE: _sign,
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,

@@ -67,7 +67,7 @@ def test_a_right_log_is_plausible_whatever_its_way(course: float, tmp_path: Path
         ({"depth": lambda z: 0 * z + 7}, ["it is 7 m in all rows", "depth.csv looks stuck"]),
         ({"depth": lambda z: 1000 * z}, ["divide z_m by 1000"]),
         ({"depth": lambda z: 100 * z}, ["divide z_m by 100,"]),
-        ({"depth": spikes}, ["5 % of the rows", "leave out lines 9, 29, 49, 69, 89, 109 and 34 more of depth.csv"]),
+        ({"depth": spikes}, ["5 % of the rows", "leave out lines 9, 29, 49, 69, 89, 109, 129, "]),
         ({"depth": lambda z: z + 9 * np.diff(z, append=z[-1])}, ["multiply sigma_z_m by"]),
     ],
 )
