@@ -27,6 +27,7 @@ def record_of(job: Job) -> dict[str, Any]:
     parts, findings = separate_parts(job.graph, result.values), _findings(report)
     explained = findings.get("explained")
     cures = [explained["sentence"]] if explained else gnc_applies(job.graph, result, options)
+    cures = cures or ["first do what the warnings on its tables say"] * bool(findings.get("findings"))
     return {
         "schema": SCHEMA,
         "input": report.path,

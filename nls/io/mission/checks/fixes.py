@@ -11,7 +11,7 @@ from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log, middle
 
 __all__ = ["jumping", "of_fixes"]
-FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more, but of a voyage of a third of this and more
+FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more; a voyage may be longer
 FAR, SHARE, FEW_ROWS = 10.0, 0.02, 10
 DRIFT = 0.1  # of the way between three fixes
 
@@ -24,8 +24,8 @@ def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
 def _far(fixes: Fixes) -> Iterator[Implausible]:
     """Fixes beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost."""
     away = np.linalg.norm(fixes.p, axis=1)
-    spread = float(np.median(np.linalg.norm(fixes.p - np.median(fixes.p, axis=0), axis=1)))
-    if (distance := float(np.median(away))) <= max(FARTHEST, 3 * spread):
+    low, high = np.quantile(fixes.p, [0.05, 0.95], axis=0)
+    if (distance := float(np.median(away))) <= max(FARTHEST, np.linalg.norm(high - low)):
         return
     near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < FARTHEST]
     reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
