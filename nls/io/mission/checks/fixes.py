@@ -25,7 +25,7 @@ def _far(fixes: Fixes) -> Iterator[Implausible]:
     """Fixes beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost."""
     away = np.linalg.norm(fixes.p, axis=1)
     low, high = np.quantile(fixes.p, [0.05, 0.95], axis=0)
-    if (distance := float(np.median(away))) <= max(FARTHEST, np.linalg.norm(high - low)):
+    if (distance := float(np.median(away))) <= max(FARTHEST, float(np.linalg.norm(high - low))):
         return
     near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < FARTHEST]
     reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
