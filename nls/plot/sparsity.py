@@ -13,6 +13,7 @@ from nls.plot.style import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
     from models.algebra import Array, Index
@@ -63,19 +64,18 @@ def spy(system: LinearSystem) -> Figure:
     axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in", fontsize=9)
 
     names, first = _variables(system)
-    _name(axes[0].set_xticks, axes[0].set_xticklabels, names, first)
-    _name(axes[1].set_xticks, axes[1].set_xticklabels, names, first)
-    _name(axes[1].set_yticks, axes[1].set_yticklabels, names, first)
+    for axis in (axes[0].xaxis, axes[1].xaxis, axes[1].yaxis):
+        _name(axis, names, first)
     if sum(map(len, system.pattern.batches)) <= LABELS:
         factors = [row.rsplit(":", 1)[0] for row in system.rows]
         begin = [k for k in range(len(factors)) if k == 0 or factors[k] != factors[k - 1]]
-        _name(axes[0].set_yticks, axes[0].set_yticklabels, [factors[k] for k in begin], begin)
+        _name(axes[0].yaxis, [factors[k] for k in begin], begin)
     variable, _ = system.pattern.column_owner()
     owner = variable[permutation]
     begin = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
     ordered_names = [repr(system.pattern.key(int(owner[k]))) for k in begin]
-    _name(axes[2].set_xticks, axes[2].set_xticklabels, ordered_names, begin)
-    _name(axes[2].set_yticks, axes[2].set_yticklabels, ordered_names, begin)
+    for axis in (axes[2].xaxis, axes[2].yaxis):
+        _name(axis, ordered_names, begin)
     return figure
 
 
@@ -95,11 +95,12 @@ def _variables(system: LinearSystem) -> tuple[list[str], list[int]]:
     return [repr(system.pattern.key(int(v))) for v in variable[first]], first.tolist()
 
 
-def _name(set_ticks: object, set_labels: object, names: list[str], first: list[int]) -> None:
+def _name(axis: Axis, names: list[str], first: list[int]) -> None:
+    """Names where they begin, as far as there is room for them; those of columns are upright."""
+    from matplotlib.axis import XAxis
+
     if len(names) <= LABELS:
-        set_ticks(first)  # type: ignore[operator]
-        vertical = 90 if "xtick" in getattr(set_labels, "__name__", "") else 0
-        set_labels(names, fontsize=7, rotation=vertical)  # type: ignore[operator]
+        axis.set_ticks(first, names, fontsize=7, rotation=90 if isinstance(axis, XAxis) else 0)
 
 
 def _dots(axes: Axes, M: sp.coo_array, color: str) -> None:

@@ -27,19 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Page", "report"]
 
-LINKS = {
-    "maps": "Map",
-    "findings": "Findings",
-    "kinds": "Sigmas",
-    "worst": "Measurements",
-    "certificate": "Certificate",
-    "covariances": "Covariances",
-    "convergence": "Convergence",
-    "sparsity": "Sparsity",
-    "provenance": "Source",
-    "time": "Time",
-}
-
 
 class Page(str):
     """HTML of a whole page; a notebook shows it."""
@@ -139,12 +126,12 @@ def report(
             figures or {},
             shell,
         )
-        body = {make.__name__: element for make in SECTIONS if (element := make(data)) is not None}
+        body = {link: element for link, make in SECTIONS.items() if (element := make(data)) is not None}
         head = [
             tag("p", title, class_="file"),
             verdict(data),
             key_figures(data),
-            tag("nav", joined([tag("a", LINKS[name], href=f"#{name}") for name in body], " ")),
+            tag("nav", joined([tag("a", link, href=f"#{SECTIONS[link].__name__}") for link in body], " ")),
         ]
         return _document(
             title or "Report", [tag("header", joined(head, "\n")), tag("main", joined(body.values(), "\n"))]

@@ -245,18 +245,18 @@ def time(data: ReportData) -> Html | None:
     )
 
 
-SECTIONS: tuple[Callable[[ReportData], Html | None], ...] = (
-    maps,
-    findings,
-    kinds,
-    worst,
-    certificate,
-    covariances,
-    convergence,
-    sparsity,
-    provenance,
-    time,
-)
+SECTIONS: dict[str, Callable[[ReportData], Html | None]] = {  # by the words of the link to each
+    "Map": maps,
+    "Findings": findings,
+    "Sigmas": kinds,
+    "Measurements": worst,
+    "Certificate": certificate,
+    "Covariances": covariances,
+    "Convergence": convergence,
+    "Sparsity": sparsity,
+    "Source": provenance,
+    "Time": time,
+}
 
 
 def _marked(axes: Axes, values: Values, wrong: Sequence[Measurement]) -> None:
