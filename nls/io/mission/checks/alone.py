@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index, Mask, wrap
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log, middle
 from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
+from nls.io.mission.columns import ANGLES
 
 __all__ = ["ALONE", "depth_of", "outliers_of", "scatter_of", "step_of", "stuck_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
@@ -23,7 +24,8 @@ DEPTH_UNITS = (100.0, 1e3, 10.0, 1e4)  # cm, mm, kPa and Pa in a meter of water
 HIGHEST = -2.0  # m: waves, and a zero that is not the surface
 SLOWEST_LOG, FASTEST_LOG = 20.0, 1e-4  # s between rows
 SHARE, FAR = 0.015, 10.0  # part of the rows that may be outliers, and sigmas from which one is
-CALM = 0.3  # m/s and m: deviations that are no outliers
+CALM = 0.3  # m/s, rad and m: deviations that are no outliers
+SIDE_BY_SIDE = 4  # rounds, each of which finds outliers that stood beside others
 ROUGH = 8.0  # times the stated sigma
 FEW_ROWS = 20
 DAY = 86400.0  # s
@@ -144,27 +146,39 @@ def step_of(file: str, t: Array) -> Iterator[Implausible]:
 
 
 def outliers(log: Log) -> Iterator[Implausible]:
-    """Single rows of dvl.csv and depth.csv far from their neighbors."""
+    """Single rows of dvl.csv, ahrs.csv and depth.csv far from their neighbors."""
     rows = np.flatnonzero(log.valid)
     for k, name in enumerate(("vx_m_s", "vy_m_s", "vz_m_s")):
         yield from outliers_of("dvl.csv", name, log.v[rows, k], log.sigmas["sigma_v_m_s"], rows)
+    for k, name in enumerate(ANGLES):
+        yield from outliers_of("ahrs.csv", name, log.rpy[:, k], log.sigmas[f"sigma_{name}"], np.arange(len(log.t_a)))
     yield from outliers_of("depth.csv", "z_m", log.z, log.sigmas["sigma_z_m"], np.arange(len(log.z)))
 
 
 def outliers_of(file: str, column: str, y: Array, sigma: float, rows: Index) -> Iterator[Implausible]:
-    """Single numbers of y (n,) far from their neighbors, more of them than a sensor has; rows (n,) of the table."""
+    """Single numbers of y (n,) far from their neighbors, more of them than a sensor has; rows (n,) of the table.
+
+    Where there are so many, those that stand side by side are found when the first ones are out.
+    """
     if len(y) < FEW_ROWS:
         return
-    away, spread = _deviation(y)
-    wild = away > max(FAR * spread, FAR * sigma, CALM)
-    if wild.mean() > SHARE:
-        cause, at = Reading(Cause.OUTLIERS, file, column), tuple(rows[wild].tolist())
-        yield Implausible("outliers", file, at[0], column, float(wild.mean()), SHARE, "of the rows", (cause,), at)
+    wild: Mask = np.zeros(len(y), dtype=bool)
+    for _ in range(SIDE_BY_SIDE):
+        kept = np.flatnonzero(~wild)
+        away, spread = _deviation(y[kept], column.endswith("_rad"))
+        wild[kept] = away > max(FAR * spread, FAR * sigma, CALM)
+        if wild.mean() <= SHARE:
+            return
+    cause, at = Reading(Cause.OUTLIERS, file, column), tuple(rows[wild].tolist())
+    yield Implausible("outliers", file, at[0], column, float(wild.mean()), SHARE, "of the rows", (cause,), at)
 
 
-def _deviation(y: Array) -> tuple[Array, float]:
+def _deviation(y: Array, turns: bool) -> tuple[Array, float]:
     """How far each number is from the middle one of itself and its neighbors, and 1.48 times the median of that."""
-    away = np.abs(y - middle(y))
+    both = np.stack([y[1:-1] - y[:-2], y[1:-1] - y[2:]])
+    both = wrap(both) if turns else both
+    away = np.zeros(len(y))
+    away[1:-1] = np.where((both > 0).all(axis=0) | (both < 0).all(axis=0), np.abs(both).min(axis=0), 0.0)
     inner: Mask = away > 0
     return away, 1.4826 * float(np.median(away[inner])) if inner.any() else 0.0
 

@@ -259,3 +259,23 @@ def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clo
             cut[name] = copy(table)
             cut[name].lines = table.lines[(t >= t[0] + begin) & (t <= t[-1] - end)]
         assert of_clocks(cut) == [], trial
+
+
+@for_all(seed=[1, 2], wild=[30, 31])
+def test_wild_headings_are_named_also_side_by_side_and_turns_of_the_number_are_none(
+    seed: int, wild: int, tmp_path: Path
+) -> None:
+    """A heading that goes from 3.1 to -3.1 rad has not moved."""
+
+    def spoiled(yaw: Array) -> Array:
+        yaw = yaw.copy()
+        yaw[wild::40] += 1.5
+        yaw[31::200] += 2.5
+        return yaw
+
+    files = changed(with_fixes(clean(seed)), "ahrs", column("yaw_rad", spoiled))
+    (finding,) = [entry for entry in findings(tmp_path / f"{seed}{wild}", files) if entry.check == "outliers"]
+    rows = np.arange(len(files["ahrs"].splitlines()) - 1)
+    assert set(np.array(finding.lines) - 2) == set(rows[wild::40]) | set(rows[31::200])
+    whole = changed(with_fixes(clean(seed)), "ahrs", column("yaw_rad", lambda yaw: np.remainder(yaw + 2, 2 * np.pi)))
+    assert not any(entry.check == "outliers" for entry in findings(tmp_path / f"{seed}{wild}turns", whole))
