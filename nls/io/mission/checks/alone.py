@@ -10,7 +10,7 @@ from models.algebra import Array, Index, Mask, wrap
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log, middle
 from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
-from nls.io.mission.columns import ANGLES
+from nls.io.mission.columns import ANGLES, VELOCITY
 
 __all__ = ["ALONE", "depth_of", "outliers_of", "scatter_of", "step_of", "stuck_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
@@ -43,10 +43,9 @@ def speeds(log: Log) -> Iterator[Implausible]:
     speed = np.linalg.norm(log.v[log.valid], axis=1)
     if len(speed) and (median := float(np.median(speed))) > FASTEST:
         units = [f for f in SPEED_UNITS if USUAL[0] < median / f < USUAL[1]] or SPEED_UNITS[:1]
-        names = ("vx_m_s", "vy_m_s", "vz_m_s")
-        causes = [Reading(Cause.UNIT, "dvl.csv", ", ".join(names), f) for f in units]
+        causes = [Reading(Cause.UNIT, "dvl.csv", ", ".join(VELOCITY), f) for f in units]
         row = int(np.flatnonzero(log.valid)[np.argmax(speed > FASTEST)])
-        yield _at("speed", names[int(np.argmax(np.abs(log.v[row])))], row, median, FASTEST, "m/s", *causes)
+        yield _at("speed", VELOCITY[int(np.argmax(np.abs(log.v[row])))], row, median, FASTEST, "m/s", *causes)
 
 
 def locks(log: Log) -> Iterator[Implausible]:
@@ -148,7 +147,7 @@ def step_of(file: str, t: Array) -> Iterator[Implausible]:
 def outliers(log: Log) -> Iterator[Implausible]:
     """Single rows of dvl.csv, ahrs.csv and depth.csv far from their neighbors."""
     rows = np.flatnonzero(log.valid)
-    for k, name in enumerate(("vx_m_s", "vy_m_s", "vz_m_s")):
+    for k, name in enumerate(VELOCITY):
         yield from outliers_of("dvl.csv", name, log.v[rows, k], log.sigmas["sigma_v_m_s"], rows)
     for k, name in enumerate(ANGLES):
         yield from outliers_of("ahrs.csv", name, log.rpy[:, k], log.sigmas[f"sigma_{name}"], np.arange(len(log.t_a)))
@@ -185,7 +184,7 @@ def _deviation(y: Array, turns: bool) -> tuple[Array, float]:
 
 def scatter(log: Log) -> Iterator[Implausible]:
     """Rows of ahrs.csv, depth.csv and dvl.csv scatter far more than noise.csv states."""
-    for k, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad")):
+    for k, name in enumerate(ANGLES):
         yield from scatter_of("ahrs.csv", name, log.rpy[:, k], log.sigmas)
     yield from scatter_of("depth.csv", "z_m", log.z, log.sigmas)
     yield from scatter_of("dvl.csv", "vx_m_s", log.v[log.valid, 0], log.sigmas, "sigma_v_m_s")

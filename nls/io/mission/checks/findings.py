@@ -48,8 +48,18 @@ class Reading:
     factor: float = 1.0
 
 
+class Numbered:
+    """A finding as numbers."""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Fields by name; a cause by its identifier."""
+        plain: dict[str, Any] = finite_or_none(asdict(self))  # type: ignore[call-overload]
+        return plain
+
+
 @dataclass(frozen=True)
-class Implausible:
+class Implausible(Numbered):
     """A number that measurements of a vehicle do not have.
 
     Attributes
@@ -77,12 +87,6 @@ class Implausible:
         """``dvl.csv:2``."""
         return f"{self.file}:{self.line}"
 
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """Fields by name; a cause by its identifier."""
-        plain: dict[str, Any] = finite_or_none(asdict(self))
-        return plain
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -102,7 +106,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Explained:
+class Explained(Numbered):
     """What the solver says of a chi2 that is implausible.
 
     Attributes
@@ -114,9 +118,3 @@ class Explained:
     chi2: float
     dof: int
     trials: tuple[Trial, ...]
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """Fields by name; a cause by its identifier."""
-        plain: dict[str, Any] = finite_or_none(asdict(self))
-        return plain

@@ -54,7 +54,8 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
     else:
         out = of_log(log)
     if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):
-        out = of_ranges(tables, log.thinned(), _start(tables, log.thinned()))
+        thin = log.thinned()
+        out = of_ranges(tables, thin, _start(tables, thin))
     out += sound_speeds(tables.get("sound-speed"))
     return special + [_placed(entry, tables) for entry in out]
 
@@ -62,7 +63,8 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
 def _way(tables: dict[str, Table], log: Log | None) -> tuple[Array, Array] | None:
     """Times and places of the vehicle by its DVL or its path."""
     if log is not None:
-        return log.thinned().t_v, log.thinned().way()
+        thin = log.thinned()
+        return thin.t_v, thin.way()
     if (path := tables.get("path")) is not None:
         return path.floats("time_s")[:, 0], path.floats("x_m", "y_m")
     return None

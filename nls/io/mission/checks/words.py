@@ -23,9 +23,9 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 0.5468: "fathom", 0.001: "km", 0.01: "hm"}
     | {10.0: "kPa", 1e4: "Pa", 0.1: "bar"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
-    "_rad": {180 / 3.141592653589793: "deg", 18000 / 3.141592653589793: "cdeg"},
+    "_rad": {180 / math.pi: "deg", 18000 / math.pi: "cdeg"},
     "_pa": {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"},
-    "_deg": {3.141592653589793 / 180: "rad"},
+    "_deg": {math.pi / 180: "rad"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
@@ -141,7 +141,11 @@ def _unit(r: Reading) -> str:
 
 def _mapped(r: Reading, key: str, column: str = "") -> str:
     """The key of a mapping that cures as well."""
-    return f", or write `{key}`{f' for {column}' if column else ''} in [{r.file.removesuffix('.csv')}] of the mapping"
+    return f", or {_key(r, key, column)}"
+
+
+def _key(r: Reading, key: str, column: str = "") -> str:
+    return f"write `{key}`{f' for {column}' if column else ''} in [{r.file.removesuffix('.csv')}] of the mapping"
 
 
 def _sign(r: Reading) -> str:
@@ -179,7 +183,7 @@ def _axes(r: Reading) -> str:
 
 
 def _turned(r: Reading) -> str:
-    angle = r.factor * 3.141592653589793 / 180
+    angle = r.factor * math.pi / 180
     if r.file == "dvl.csv":
         return f"the axes of the DVL look turned by {r.factor:.3g} deg: {_row('dvl_yaw_rad', angle, COARSE)}"
     return f"{r.column} of {r.file} looks {r.factor:.3g} deg too large: {_row('declination_rad', -angle, COARSE)}"
@@ -194,7 +198,7 @@ def _north(r: Reading) -> str:
 
 
 def _frame(r: Reading, frame: str) -> str:
-    return _mapped(r, f'frame = "{frame}"').removeprefix(", or ")
+    return _key(r, f'frame = "{frame}"')
 
 
 def _pressure(r: Reading) -> str:
@@ -245,8 +249,8 @@ def _explained(finding: Explained) -> str:
     if best.reading.cause is Cause.KERNEL:
         rows = f"{100 * best.reading.factor:.2g} % of the rows of {best.reading.file}"
         one = f"no single constant explains chi2; without {rows} all others fit:"
-    several = "" if len(finding.trials) == 1 else ", and nothing tells them apart"
-    return f"{one} {left}{several}: {'; or '.join(map(_tried, finding.trials))}"
+    alike = "" if len(finding.trials) == 1 else ", and nothing tells them apart"
+    return f"{one} {left}{alike}: {'; or '.join(map(_tried, finding.trials))}"
 
 
 def _size(chi2: float) -> str:
@@ -269,10 +273,8 @@ def _zone(r: Reading) -> str:
     periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
     words = words or next(periods, "by the depth")
     late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
-    return (
-        f"the clock of {r.file} looks {size} {late} ({words}): {act} time_s, or write `offset = {-r.factor:.9g}` for "
-        f"time_s in [{r.file.removesuffix('.csv')}] of the mapping"
-    )
+    offset = _mapped(r, f"offset = {-r.factor:.9g}", "time_s")
+    return f"the clock of {r.file} looks {size} {late} ({words}): {act} time_s{offset}"
 
 
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
