@@ -106,8 +106,7 @@ def refuse_unwritable_graph(
 def _renamed(graph: FactorGraph, values: Values, renumber: bool) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
-    from nls.io.kind_names import with_known_kinds
-    from nls.io.renumbering import renumbered
+    from nls.io.renumbering import renumbered, with_known_kinds
 
     before = values.stacks
     graph, values, changes = with_known_kinds(graph, values)

@@ -42,7 +42,7 @@ def _checked(options: argparse.Namespace) -> Job:
     from nls.cli.job import Job
     from nls.cli.sigmas import refuse
     from nls.cli.timing import Clock
-    from nls.io.unreadable import refuse_absent
+    from nls.io.files import refuse_absent
     from nls.linear import SOLVERS
 
     refuse_absent(file for file in (options.file, *options.dives) if file != "-")

@@ -1,4 +1,8 @@
-"""From the lines of one tag to arrays: ids, parameter ids, elements and matrices, each checked with its line."""
+"""From the lines of one tag to arrays: ids, parameter ids, elements and matrices, each checked with its line.
+
+Angles of more than a turn are read as they are, and said, for they may be degrees: of measurements in a warning, of
+vertices, whose yaw may count its turns, in a note. Bearings made in Python are looked at by `factors.sighting`.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,10 @@ from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
 from nls.io.text import Text
 
-__all__ = ["among"]
+__all__ = ["among", "turns"]
 NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
+TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
 class Lines(NamedTuple):
@@ -128,3 +133,35 @@ def among(numbers: Numbers, known: Numbers) -> Mask:
     if int(last) - int(first) == len(known) - 1:
         return np.asarray((numbers >= first) & (numbers <= last))
     return np.asarray(known[np.minimum(np.searchsorted(known, numbers), len(known) - 1)] == numbers)
+
+
+def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
+    """A note on angles of more than a turn: nothing, or one sentence.
+
+    Parameters
+    ----------
+    angles_by_tag : by tag the lines (n,), counted from 0, and their angles (n, k), rad.
+
+    Examples
+    --------
+    >>> (note,) = turns([("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
+    >>> print(*note.split("; "), sep="\\n")
+    1 line has an angle of more than a turn, first on line 9 (EDGE_SE2): 90
+    angles are radians: do they count turns, or are these degrees?
+    """
+    first: list[tuple[int, str, float]] = []
+    count = 0
+    for tag, lines, angles in angles_by_tag:
+        beyond = np.flatnonzero((np.abs(angles) > TURN).any(axis=1))
+        count += len(beyond)
+        if len(beyond):
+            k = beyond[np.argmin(lines[beyond])]
+            first.append((int(lines[k]) + 1, tag, float(angles[k, np.argmax(np.abs(angles[k]))])))
+    if not count:
+        return []
+    line, tag, angle = min(first)
+    have = "1 line has" if count == 1 else f"{count} lines have"
+    return [
+        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do they "
+        "count turns, or are these degrees?"
+    ]

@@ -39,7 +39,7 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
-from nls.io.angles import turns
+from nls.io.lines import turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
 from nls.io.refusals import NATIVE, named, unwritable

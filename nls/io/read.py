@@ -19,9 +19,8 @@ from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
 from models.listing import several
 from nls.graph import FactorGraph
-from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
-from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
+from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport, Source, Statement

@@ -17,8 +17,8 @@ import numpy as np
 
 from models.algebra import Array, Index
 from models.errors import GraphFileError
+from nls.io.files import refuse_absent
 from nls.io.importing.text_log import Log, Missing, blanked
-from nls.io.unreadable import refuse_absent
 
 __all__ = ["Bag", "BagLog", "is_bag", "refuse_no_log"]
 

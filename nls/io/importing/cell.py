@@ -6,19 +6,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from models.algebra import Array, Mask
 from models.errors import GraphFileError
 from models.options import did_you_mean, is_number, is_whole
-from nls.io.importing.examples import example
-from nls.io.importing.sigmas import sigma_words, sigmas_out
+from nls.io.importing.templates import example
 from nls.io.importing.text_log import Missing
 from nls.io.importing.units import dimension, known_units, mission_unit
+from nls.io.mission.columns import MAY_BE_0
+from nls.io.mission.table import BOUNDS, LARGEST, SMALLEST
 
-__all__ = ["PLACES_ON_EARTH", "WHOLE", "Cell", "none_words", "read_cell", "stand_for_none"]
+__all__ = ["PLACES_ON_EARTH", "WHOLE", "Cell", "none_words", "read_cell", "sigma_words", "sigmas_out", "stand_for_none"]
 
 KEYS = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 PLACES_ON_EARTH = ("lat_deg", "lon_deg")
 FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
 NUMBERS = {"sign": "1 or -1", "scale": "a finite number other than 0"}  # else a finite number
+ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
 
 
 @dataclass(frozen=True)
@@ -148,3 +153,29 @@ def stand_for_none(value: Any) -> bool:
     """Whether it is a number, a word or a list of them."""
     parts = none_words(value)
     return bool(parts) and all(isinstance(v, str) or (is_number(v) and abs(v) < FINITE) for v in parts)
+
+
+def sigma_words(column: str) -> str:
+    """The numbers that a column of standard deviations may have, in words.
+
+    Examples
+    --------
+    >>> sigma_words("sigma_x_m"), sigma_words("scale")
+    ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
+    """
+    smallest, largest = BOUNDS
+    if column in ZERO:
+        return f"0 or above, up to {largest}"
+    return f"a standard deviation above 0, {smallest} to {largest}"
+
+
+def sigmas_out(column: str, numbers: Array | float) -> Mask:
+    """Which numbers a column of standard deviations cannot have; none of another column.
+
+    Examples
+    --------
+    >>> sigmas_out("sigma_x_m", np.array([-2.0, 0.0, 2.0])).tolist(), bool(sigmas_out("scale", 0.0))
+    ([True, True, False], False)
+    """
+    is_sigma, smallest = column in ZERO or column.startswith("sigma"), 0.0 if column in ZERO else SMALLEST
+    return np.asarray(is_sigma & ((numbers < smallest) | (numbers > LARGEST)))

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from nls.io.importing.bags import Bag, is_bag, refuse_no_log
-from nls.io.importing.examples import example
 from nls.io.importing.guess import guess, guesses, plain
 from nls.io.importing.quantities import LARGEST
+from nls.io.importing.templates import NOISE, example
 from nls.io.importing.text_log import Log, TextLog
 from nls.io.importing.units import dimension, header_unit, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, PLACE
 
-__all__ = ["NOISE", "draft"]
+__all__ = ["draft"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 REMARKS = {
@@ -44,16 +44,6 @@ NUMBERS = {  # columns that no log has
     "contacts": ("sigma_range_m", "sigma_azimuth_rad"),
     "ranges": ("sigma_range_m",),
 }
-NOISE = """\
-[noise]                          # one sigma each, from the data sheets
-sigma_v_m_s = 0.02               # of one velocity of the DVL
-scale = 0.005                    # of its scale, a fraction
-sigma_bridge_m_s_sqrt_s = 0.05   # of the velocity after a second without bottom lock
-sigma_roll_rad = 0.005
-sigma_pitch_rad = 0.005
-sigma_yaw_rad = 0.02
-sigma_z_m = 0.05
-"""
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
 WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
 MESSAGES = {  # sections by type of message; {topic} is filled in

@@ -9,13 +9,12 @@ import numpy as np
 from models.algebra import Array, Index, Mask, wrap
 from models.errors import OptionError
 from models.listing import several
-from nls.io.importing.cell import Cell
+from nls.io.importing.cell import Cell, sigma_words, sigmas_out
 from nls.io.importing.dates import EXAMPLE
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import Section, required
 from nls.io.importing.quantities import FULL_TURN, convert_column, hemispheres
-from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log, blanked, is_number
 from nls.io.importing.times import DAY, WEEK, Stamps, stamps
 from nls.io.importing.units import mission_unit

@@ -24,7 +24,6 @@ from models.algebra import Array, Numbers
 from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
-from nls.io.kind_names import with_keys
 from nls.io.mission.columns import LEVEL
 from nls.io.mission.fixes import closures
 from nls.io.mission.placing import turn_to
@@ -32,6 +31,7 @@ from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import add_rows
 from nls.io.mission.shared_beacons import refuse_moved_beacons, without_known_beacons
+from nls.io.renumbering import with_keys
 from nls.values import Values
 
 __all__ = ["Dive", "DivesReport", "read_dives"]

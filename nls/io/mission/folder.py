@@ -11,10 +11,10 @@ from models.advice import Advice
 from models.errors import GraphFileError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
+from nls.io.files import unreadable
 from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, TRACK, needed, optional
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.unreadable import unreadable
 from nls.io.unused_lines import note_comments
 
 NOT_MISSED = (

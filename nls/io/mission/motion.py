@@ -28,8 +28,8 @@ from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
-from nls.io.mission.noise import noise_of
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import noise_of
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
 from nls.io.report import Source

@@ -1,4 +1,4 @@
-"""Columns that several files of a mission share: places in meters or degrees, lever arms, robust kernels."""
+"""Columns that several files of a mission share: places in meters or degrees, lever arms, robust kernels; sigmas."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from models.algebra import Array, Index, Mask
 from models.errors import NoiseModelError, OptionError
 from models.geodesy import REACH, LocalPlane
 from nls.graph import FactorGraph
-from nls.io.mission.columns import ARM, GEODETIC
+from nls.io.mission.columns import ARM, GEODETIC, MAY_BE_0
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import one_of
 
-__all__ = ["add_rows", "arms", "columns_together", "horizontal"]
+__all__ = ["add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
 
 NO_KERNEL = "none"
 
@@ -102,3 +102,41 @@ def add_rows(
             factor = make(some)
             graph.add(factor if kernel is None else factor.robust(kernel))
             report.sources.append(table.source(some))
+
+
+def noise_of(table: Table, used: dict[str, str]) -> dict[str, float]:
+    """The numbers of noise.csv by column.
+
+    Parameters
+    ----------
+    table : of the file.
+    used : columns that must be there, each with the table that needs it.
+
+    Raises
+    ------
+    GraphFileError
+        A second row, a number that cannot be, a column that is missing.
+    """
+    noise = one_row(table)
+    for name in noise:
+        if name not in MAY_BE_0:
+            table.positive(name)
+        elif (number := float(table.measured(name)[0, 0])) < 0:
+            raise table.at(0, f"{name} is {number!r}; expected 0 or above")
+    for name, user in used.items():
+        if name not in noise:
+            raise table.at(0, f"there is no column {name}, which {user}.csv needs")
+    return noise
+
+
+def one_row(table: Table) -> dict[str, float]:
+    """The numbers of a table of one row, by column.
+
+    Raises
+    ------
+    GraphFileError
+        A second row.
+    """
+    if len(table) > 1:
+        raise table.at(1, "a second row; expected one")
+    return dict(zip(table.names, table.floats(*table.names)[0].tolist(), strict=True))

@@ -11,12 +11,12 @@ from models.algebra import Array, Numbers
 from models.errors import GraphFileError
 from models.listing import some
 from nls.graph import FactorGraph
+from nls.io.files import unreadable
 from nls.io.mission.table import TURNS, Table
 from nls.io.report import Source
 from nls.io.scan_mission.columns import COLUMNS, NEEDED, OPTIONAL, SETTINGS, file_of
 from nls.io.scan_mission.report import ScanReport, Truth
 from nls.io.scan_mission.settings import Settings, read_settings
-from nls.io.unreadable import unreadable
 from nls.io.unused_lines import note_comments
 from nls.sonar.scans import Scans, dead_reckoning
 from nls.values import Values

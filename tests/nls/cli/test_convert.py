@@ -10,7 +10,7 @@ import pytest
 
 import nls
 from models import SE2
-from nls.io.kind_names import with_known_kinds
+from nls.io.renumbering import with_known_kinds
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
 from tests.nls.cli.shell import Shell
 from tests.nls.io.g2o_files import PLANE, SPACE
