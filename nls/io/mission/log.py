@@ -56,6 +56,7 @@ from nls.io.mission.attitude import (
     turn_covariance,
     turn_variance,
 )
+from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
@@ -64,7 +65,7 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import noise_of, one_row
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Times, poses_of_rows, united
-from nls.io.mission.velocity import Velocities, bottom_lock, orientation, quarter, velocities
+from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
 DVL = ("dvl_scale", "dvl_yaw_rad")
 LATE = 0.5  # s that an attitude is moved to and fro to tell how a leg depends on its clock

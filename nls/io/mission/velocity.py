@@ -28,15 +28,15 @@ from models.errors import GraphFileError
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.attitude import Attitude
+from nls.io.mission.bottom_lock import bottom_lock, locked_rows
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import VELOCITY
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["Velocities", "bottom_lock", "orientation", "quarter", "turned", "velocities"]
+__all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]
 
 NEIGHBOURS = 5  # rows whose median a velocity is compared with, itself among them
-BEAMS, MOST_BEAMS = 3, 16  # that give a velocity; that no DVL has more of
 WATER = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s")
 
 
@@ -150,35 +150,3 @@ def _through_water(
         f"{int(both.sum())} rows with both (sigma of one {spread:.2g} m/s)"
     )
     return v, valid | alone, sigma
-
-
-def bottom_lock(dvl: Table, notes: list[str]) -> Mask:
-    """Which rows (n,) see the bottom, by all columns that say so; notes count those that a column rules out."""
-    valid = np.ones(len(dvl), dtype=bool)
-    if not (dvl.has("valid") or dvl.has("beams")):
-        raise GraphFileError(
-            "has no column 'valid' and none 'beams'; expected valid, 1 where the DVL had bottom lock, else 0, or "
-            "beams, how many of its beams saw the bottom",
-            dvl.path,
-        )
-    if dvl.has("valid"):
-        valid &= dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
-    if dvl.has("beams"):
-        beams = dvl.integers("beams")
-        if (strange := (beams < 0) | (beams > MOST_BEAMS)).any():
-            k = int(np.argmax(strange))
-            raise dvl.at(k, f"beams is {beams[k]}; expected how many see the bottom, 0 to {MOST_BEAMS}")
-        valid = locked_rows(dvl, valid, beams >= BEAMS, f"fewer than {BEAMS} beams on the bottom", notes)
-    if dvl.has("altitude_m"):
-        altitude = dvl.measured("altitude_m", rows=valid)[:, 0]
-        valid = locked_rows(dvl, valid, altitude > 0, "an altitude that is not above 0", notes)
-    return valid
-
-
-def locked_rows(dvl: Table, valid: Mask, kept: Mask, reason: str, notes: list[str]) -> Mask:
-    """The valid rows that are kept; a note counts the others."""
-    if (left_out := valid & ~kept).any():
-        many = int(left_out.sum())
-        rows = "this row has" if many == 1 else f"{many} rows, this one the first, have"
-        notes.append(f"{dvl.place(int(np.argmax(left_out)))}: {rows} {reason}: without bottom lock")
-    return valid & kept

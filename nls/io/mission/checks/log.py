@@ -16,11 +16,11 @@ from models.algebra import Array, Index, Mask, apply
 from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
+from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.checks.findings import Cause, Reading
 from nls.io.mission.columns import ANGLES, PLACE, VELOCITY
 from nls.io.mission.table import Table
-from nls.io.mission.velocity import bottom_lock
 
 __all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]
 STEP = 1.0  # s: samples of the DVL between which none is needed

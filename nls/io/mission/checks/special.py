@@ -17,12 +17,12 @@ from copy import copy
 import numpy as np
 
 from models.algebra import Array, Index, Mask, wrap
+from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.checks.alone import FASTEST
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log
 from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
 from nls.io.mission.table import Table
-from nls.io.mission.velocity import bottom_lock
 
 __all__ = ["meant", "special_values", "stale", "without"]
 NINES, WHOLE = (999, 9999, 99999, 999999, 9999999), (32767, 32768, 65535, 2147483647, 2147483648)
