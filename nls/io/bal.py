@@ -63,12 +63,10 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
         raise text.error("expected at least one camera, one point and one observation", int(lines[0]))
 
     rows = lines[1 : 1 + min(observations, len(lines))]
-    if (wrong := count[rows] != 4).any():
-        k = int(np.argmax(wrong))
-        raise text.error(
-            f"observation {k} of {observations} has {count[rows[k]]} numbers, expected 4: camera point x y",
-            int(rows[k]),
-        )
+    expected = "expected 4: camera point x y"
+    text.refuse(
+        count[rows] != 4, rows, lambda k: f"observation {k} of {observations} has {count[rows[k]]} numbers, {expected}"
+    )
     if len(rows) < observations:
         raise text.error(
             f"the file ends after {len(rows)} observations, its first line announces {observations}",
@@ -102,9 +100,8 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
 def _index(text: Text, lines: Index, column: int, count: int, noun: str) -> Numbers:
     """Cameras or points of the observations, each counted from 0."""
     index = text.whole(lines, column)
-    if (outside := (index < 0) | (index >= count)).any():
-        k = int(np.argmax(outside))
-        raise text.error(f"{noun} {index[k]} is none of the {count}, which are counted from 0", int(lines[k]))
+    outside = (index < 0) | (index >= count)
+    text.refuse(outside, lines, lambda k: f"{noun} {index[k]} is none of the {count}, which are counted from 0")
     return index
 
 

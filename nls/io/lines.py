@@ -69,14 +69,14 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
     numbers = text.table(at, record.words, record.columns, len(record.places[0]))[:, lead:]
     whole = text.whole(at, np.arange(1, 1 + lead)[:, None])
     ids, parameters = list(whole[: lead - record.parameters]), whole[lead - record.parameters :].T
-    if record.element.angles and (locked := np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK).any():
-        raise text.error("the pitch is +-90 deg (gimbal lock): roll and yaw are one number", int(at[np.argmax(locked)]))
+    if record.element.angles:
+        locked = np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK
+        text.refuse(locked, at, lambda _: "the pitch is +-90 deg (gimbal lock): roll and yaw are one number")
     X = record.element.decode(np.asfortranarray(numbers[:, :width]))
     if (invalid := record.element.space.invalid(X)) is not None:
         raise text.error(invalid[1], int(at[invalid[0]]))
-    if len(ids) > 1 and record.slots[0] == record.slots[1] and (same := ids[0] == ids[1]).any():
-        k = int(np.argmax(same))
-        raise text.error(f"the edge joins vertex {ids[0][k]} to itself", int(at[k]))
+    if len(ids) > 1 and record.slots[0] == record.slots[1]:
+        text.refuse(ids[0] == ids[1], at, lambda k: f"the edge joins vertex {ids[0][k]} to itself")
     return Lines(record, at, ids, parameters, X, numbers)
 
 
@@ -111,11 +111,7 @@ def by_number(text: Text, lines: list[Lines], noun: str) -> tuple[Numbers, Index
     if (ids[1:] > ids[:-1]).all():
         return ids, np.arange(len(ids))
     at = joined([block.at for block in lines])
-    order = np.lexsort((at, ids))
-    again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
-    if len(again):
-        k, first = order[again[0] + 1], order[again[0]]
-        raise text.error(f"{noun} {ids[k]} was given before, on line {text.first_number + at[first]}", int(at[k]))
+    order = text.once(ids, at, f"{noun} ")
     return ids[order], order
 
 

@@ -38,9 +38,7 @@ def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") 
         With the line: another count of words than columns, or a word that is no finite number.
     """
     text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {expected}")
-    if (wrong := count != columns).any():
-        k = int(np.argmax(wrong))
-        raise text.error(f"{count[k]} numbers, expected {columns}: {expected}", int(lines[k]))
+    text.refuse(count != columns, lines, lambda k: f"{count[k]} numbers, expected {columns}: {expected}")
     tokens = text.first[lines][:, None] + np.arange(columns)
     return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
 
@@ -53,8 +51,5 @@ def refuse_late(text: Text, lines: Index, times: Array) -> None:
     GraphFileError
         With the line.
     """
-    late = np.flatnonzero(times[1:] <= times[:-1])
-    if len(late):
-        k = int(late[0]) + 1
-        before, time = times[k - 1 : k + 1].tolist()
-        raise text.error(f"time {time!r} does not rise over {before!r} before it", int(lines[k]))
+    late, t = times[1:] <= times[:-1], times
+    text.refuse(late, lines[1:], lambda k: f"time {float(t[k + 1])!r} does not rise over {float(t[k])!r} before it")

@@ -9,8 +9,6 @@ columns keyframe, time, x, y and yaw.
 
 from __future__ import annotations
 
-import csv
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,18 +16,19 @@ import numpy as np
 
 from models import euler
 from models.algebra import Array, Numbers
-from models.errors import GraphFileError, OptionError
+from models.errors import OptionError
 from models.options import did_you_mean
-from nls.io.files import read_text
-from nls.io.mission.columns import ANGLES, PLACE, suffixed
+from nls.io.mission.columns import ANGLES, PLACE, UPRIGHT, suffixed
+from nls.io.mission.table import Table
 from nls.io.trajectory import TRAJECTORIES, load_trajectory
 from nls.values import Values
 
 __all__ = ["Poses", "read_poses"]
 
-NEEDED = (*PLACE, *ANGLES)
-OF_SPACE = ("z_m", "roll_rad", "pitch_rad")  # 0 where a file has none of them
+NEEDED = (*ANGLES, *PLACE)
 SIGMAS = suffixed(PLACE)
+OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)
+COLUMNS = ("x_m", "y_m", *OPTIONAL)
 ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
 
 
@@ -84,58 +83,32 @@ def _times(values: Values, times: dict[str, Array]) -> Array | None:
 
 def _table(path: str | Path) -> Poses:
     """The poses of a CSV file."""
-    lines = read_text(path).splitlines()
-    rows = [(k + 1, line) for k, line in enumerate(lines) if line.strip() and not line.startswith("#")]
-    if len(rows) < 2:
-        raise GraphFileError("has no poses; expected a line of names and a row for each pose", str(path))
-    head, *body = ([cell.strip() for cell in cells] for cells in csv.reader(line for _, line in rows))
-    place = {ALIASES.get(name, name): k for k, name in enumerate(head)}
-    plane = place.keys().isdisjoint(OF_SPACE)
-    for name in NEEDED:
-        if plane and name in (*OF_SPACE, "yaw_rad"):
-            continue
-        if name not in place:
-            raise GraphFileError(
-                f"no column {name!r}{did_you_mean(name, head)}; expected {', '.join(NEEDED)}", str(path), 1
-            )
-    if "i" not in place and "time_s" not in place:
-        raise GraphFileError("no column 'i' and none 'time_s': one of the two says which pose a row is", str(path), 1)
-    where = [line for line, _ in rows[1:]]
-    for line, cells in zip(where, body, strict=True):
-        if len(cells) != len(head):
-            raise GraphFileError(f"{len(cells)} cells, expected {len(head)}: {','.join(head)}", str(path), line)
-
-    measured = {name for name in NEEDED if name in place and any(cells[place[name]] for cells in body)}
-
-    def numbers(name: str, optional: bool = False) -> Array:
-        return np.array(
-            [
-                _number(str(path), line, name, cells[place[name]], optional)
-                for line, cells in zip(where, body, strict=True)
-            ]
-        )
-
-    state = np.column_stack([numbers(name) if name in measured else np.zeros(len(body)) for name in (*ANGLES, *PLACE)])
-    times = numbers("time_s") if "time_s" in place else None
-    ids = numbers("i") if "i" in place else None
-    if ids is not None and len(unique := np.unique(ids, return_index=True)[1]) < len(ids):
-        k = int(np.setdiff1d(np.arange(len(ids)), unique)[0])
-        raise GraphFileError(f"pose {ids[k]:.0f} was given before", str(path), where[k])
-    known = set(SIGMAS) <= set(place)
-    sigmas = np.column_stack([numbers(name, optional=True) for name in SIGMAS]) if known else None
-    whole = None if ids is None else ids.astype(np.int64)
-    return Poses(str(path), euler.to_se3(state), times, whole, sigmas, "yaw_rad" in measured)
+    table = Table(path, COLUMNS, OPTIONAL, needed=True, others=ALIASES)
+    if any(map(table.has, UPRIGHT)) and (missing := [name for name in NEEDED if not table.has(name)]):
+        near = did_you_mean(missing[0], table.names)
+        raise table.at_names(f"no column {missing[0]!r}{near}; expected {', '.join(NEEDED)}")
+    if not (table.has("i") or table.has("time_s")):
+        raise table.at_names("no column 'i' and none 'time_s': one of the two says which pose a row is")
+    measured = [name for name in NEEDED if table.has(name) and table.filled(name).any()]
+    state = np.zeros((len(table), len(NEEDED)))
+    state[:, [NEEDED.index(name) for name in measured]] = table.floats(*measured)
+    times = table.floats("time_s")[:, 0] if table.has("time_s") else None
+    ids = _numbers(table) if table.has("i") else None
+    sigmas = np.column_stack([_where_filled(table, name) for name in SIGMAS]) if table.has(*SIGMAS) else None
+    return Poses(str(path), euler.to_se3(state), times, ids, sigmas, "yaw_rad" in measured)
 
 
-def _number(path: str, line: int, name: str, cell: str, optional: bool) -> float:
-    """A finite number; nan of an empty cell that may be empty."""
-    if optional and not cell:
-        return float("nan")
-    try:
-        number = float(cell)
-    except ValueError:
-        number = float("nan")
-    if not math.isfinite(number) or (name == "i" and (number != round(number) or abs(number) > 2**53)):
-        kind = "a whole number" if name == "i" else "a finite number"
-        raise GraphFileError(f"{name} is {cell!r:.60}; expected {kind}", path, line)
-    return number
+def _numbers(table: Table) -> Numbers:
+    """Numbers (n,) of the poses, each once."""
+    i = table.floats("i")[:, 0]  # also as a program writes them: 3.0
+    table.refuse_rows((i != np.rint(i)) | (np.abs(i) > 2**53), lambda k: f"i is {i[k]:g}; expected a whole number")
+    ids = i.astype(np.int64)
+    table.once(ids, table.lines, "pose ")
+    return ids
+
+
+def _where_filled(table: Table, name: str) -> Array:
+    """Numbers (n,) of a column, nan of its empty cells."""
+    numbers, filled = np.full(len(table), np.nan), table.filled(name)[:, 0]
+    numbers[filled] = table.part(filled).floats(name)[:, 0]
+    return numbers

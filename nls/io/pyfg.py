@@ -157,7 +157,7 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
             line = max(int(block.lines[0]) for _, block in parts)
             raise text.error(f"kind {kind} is in {space} and in {parts[1][0]}, expected one", line)
         number = batch.numbers[0]
-        _once(text, kind, number, batch.lines)
+        text.once(number, batch.lines, f"vertex {kind}")
         values.stacks |= Values({kind: (space, batch.table, number)}).stacks
         if space in (SE2, SE3):
             report.vertex_times[kind] = batch.times
@@ -197,9 +197,8 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     lead = 1 + tag.timed + tag.names
     wide = tag.space.size + tag.noise
     count = text.first[lines + 1] - text.first[lines] - 1
-    if (wrong := count != tag.words).any():
-        k = int(np.argmax(wrong))
-        raise text.error(f"{count[k]} words after {name}, expected {tag.words}: {tag.columns}", int(lines[k]))
+    expected = f"expected {tag.words}: {tag.columns}"
+    text.refuse(count != tag.words, lines, lambda k: f"{count[k]} words after {name}, {expected}")
     first = text.first[lines]
     times = text.numbers(first + 1, lines, 1) if tag.timed else np.zeros(len(lines))
     names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
@@ -227,26 +226,17 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     tail = (column_of >= head[:, None]) & (column_of < lengths[:, None])
     bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > LONGEST) | (leading_zero & (digits > 1))
     bad |= (tail & ~digit).any(axis=1)
-    if bad.any():
-        k = int(np.argmax(bad))
+
+    def problem(k: int) -> str:
         word = printable(text.token(int(tokens[k])), LONGEST)
-        raise text.error(
-            f"name {word!r}: expected letters and a number of at most {DIGITS} digits, such as A17", int(lines[k])
-        )
+        return f"name {word!r}: expected letters and a number of at most {DIGITS} digits, such as A17"
+
+    text.refuse(bad, lines, problem)
     number = np.zeros(len(C), dtype=np.int64)
     for k in range(C.shape[1]):
         number = np.where(tail[:, k], 10 * number + C[:, k] - ord("0"), number)
     kind = np.ascontiguousarray(np.where(letter & ~tail, C, np.uint8(0))).view(f"S{C.shape[1]}")[:, 0]
     return kind, number
-
-
-def _once(text: Text, kind: str, numbers: Numbers, lines: Index) -> None:
-    """Refuse a vertex that is given twice."""
-    order = np.lexsort((lines, numbers))
-    again = np.flatnonzero(numbers[order][1:] == numbers[order][:-1])
-    if len(again):
-        first, k = order[again[0]], order[again[0] + 1]
-        raise text.error(f"vertex {kind}{numbers[k]} was given before, on line {lines[first] + 1}", int(lines[k]))
 
 
 def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str) -> Factor:
@@ -259,8 +249,8 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
         if (missing := ~np.isin(k.numbers, known)).any():
             at = int(np.argmax(missing))
             raise text.error(f"{k[[at]]!r} is measured, but no vertex line gives it", int(lines[at]))
-    if tag.names == 2 and keys[0].kind == keys[1].kind and (same := keys[0].numbers == keys[1].numbers).any():
-        raise text.error(f"joins {keys[0][[int(np.argmax(same))]]!r} to itself", int(lines[np.argmax(same)]))
+    if tag.names == 2 and keys[0].kind == keys[1].kind:
+        text.refuse(keys[0].numbers == keys[1].numbers, lines, lambda k: f"joins {keys[0][[k]]!r} to itself")
     size, d = tag.space.size, tag.space.dim
     Sigma = np.empty((len(lines), d, d))
     upper = np.triu_indices(d)
@@ -269,8 +259,8 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
         Sigma /= HALF[:, None] * HALF
     options = {"convention": convention} if tag.factor in (Between, Prior) else {}
     z = table[:, :size] if size > 1 else table[:, 0]
-    if tag.factor is Range and (below := z < 0).any():
-        raise text.error("a range is at least 0 m", int(lines[np.argmax(below)]))
+    if tag.factor is Range:
+        text.refuse(z < 0, lines, lambda _: "a range is at least 0 m")
     try:
         factor = tag.factor(*keys, z, Covariance(Sigma), **options)
         values.gather(factor)

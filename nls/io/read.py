@@ -145,10 +145,12 @@ class _Offsets:
     def of(self, block: Lines) -> Array:
         """Offsets (n, k, size) the lines of an edge name."""
         parameters = block.parameters
-        if (missing := ~among(parameters, self.ids)).any():
-            k = int(np.argmax(missing.any(axis=1)))
-            number = parameters[k][missing[k]][0]
-            raise self.text.error(f"the edge needs parameter {number}, which no {self.tag} line has", int(block.at[k]))
+        missing = ~among(parameters, self.ids)
+
+        def problem(k: int) -> str:
+            return f"the edge needs parameter {parameters[k][missing[k]][0]}, which no {self.tag} line has"
+
+        self.text.refuse(missing.any(axis=1), block.at, problem)
         index = np.searchsorted(self.ids, parameters)
         self.unused[index] = False
         return self.X[index]
@@ -241,8 +243,7 @@ def _note_rounded(read: list[Lines], report: LoadReport) -> None:
 def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record]) -> list[Keys]:
     """The variables of all FIX lines, each once."""
     count = text.first[lines + 1] - text.first[lines] - 1
-    if (count == 0).any():
-        raise text.error("FIX without a vertex; expected FIX id [id ...]", int(lines[np.argmin(count)]))
+    text.refuse(count == 0, lines, lambda _: "FIX without a vertex; expected FIX id [id ...]")
     owner = np.repeat(lines, count)
     numbers = text.whole(owner, 1 + np.concatenate([np.arange(n) for n in count]))
     kinds = roles.all_ids()

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.advice import Advice
-from models.algebra import Array, Index, Numbers
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
@@ -125,6 +125,35 @@ class Text:
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
         return GraphFileError(message, self.path, self.first_number + line, _quoted(printable(start.strip())), advice)
+
+    def refuse(self, bad: Mask, lines: Index, problem: Callable[[int], str]) -> None:
+        """Refuse the first of lines (n,), counted from 0, that is bad (n,); `problem` says what is wrong with row k.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise self.error(problem(k), int(lines[k]))
+
+    def once(self, numbers: Numbers, lines: Index, noun: str) -> Index:
+        """The order (n,) in which the numbers (n,) of lines (n,) rise; none is there twice.
+
+        ``noun`` stands in front of the number in the error.
+
+        Raises
+        ------
+        GraphFileError
+            A number that was given before, at the first such line.
+        """
+        order = np.lexsort((lines, numbers))
+        again = order[1:][numbers[order][1:] == numbers[order][:-1]]
+        if len(again):
+            k = again[np.argmin(lines[again])]
+            before = self.first_number + lines[numbers == numbers[k]].min()
+            raise self.error(f"{noun}{numbers[k]} was given before, on line {before}", int(lines[k]))
+        return np.asarray(order)
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:

@@ -141,10 +141,12 @@ def _kitti(path: str | Path) -> tuple[Array, int]:
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    if (bad := ~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0)).any():
-        k = int(np.argmax(bad))
-        problem = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
-        raise text.error(f"no rotation matrix: {problem}", int(lines[k]))
+
+    def problem(k: int) -> str:
+        why = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
+        return f"no rotation matrix: {why}"
+
+    text.refuse(~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0), lines, problem)
     return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 

@@ -192,9 +192,8 @@ class Acoustics:
         poses, rows = self._rows[table]
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
-        if (steep := ~(np.abs(z[:, 1]) <= np.pi / 2)).any():
-            k = int(np.argmax(steep))
-            raise table.at(k, f"elevation_rad is {float(z[k, 1])!r}; expected radians, -pi/2 to pi/2, down is positive")
+        steep, expected = ~(np.abs(z[:, 1]) <= np.pi / 2), "expected radians, -pi/2 to pi/2, down is positive"
+        table.refuse_rows(steep, lambda k: f"elevation_rad is {float(z[k, 1])!r}; {expected}")
         noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
         z[:, 0] += calibrations.value(USBL_YAW)
         z[:, 2] /= 1 + calibrations.value(USBL_SCALE)

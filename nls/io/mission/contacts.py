@@ -81,9 +81,8 @@ def _measured(
     table.positive("range_m")
     z = table.measured(*CONTACT)
     r, azimuth = z.T
-    if (behind := ~(np.abs(azimuth) <= np.pi)).any():
-        row = int(np.argmax(behind))
-        raise table.at(row, f"azimuth_rad is {float(azimuth[row])!r}; expected radians, -pi to pi")
+    expected = "expected radians, -pi to pi"
+    table.refuse_rows(~(np.abs(azimuth) <= np.pi), lambda k: f"azimuth_rad is {float(azimuth[k])!r}; {expected}")
     near, far = report.sonar.window
     sigmas = table.positive(*suffixed(CONTACT))
     slack_r, slack_azimuth = SLACK * sigmas.T

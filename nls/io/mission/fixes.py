@@ -54,9 +54,8 @@ def add_closures(graph: FactorGraph, report: MissionReport, table: Table, timeli
         Other columns, no such pose or time, a pose with itself.
     """
     poses, rows = timeline.poses("closures", table)
-    if (same := rows & (poses[:, 0] == poses[:, 1])).any():
-        k = int(np.argmax(same))
-        raise table.at(k, f"the closure joins pose {poses[k, 0]} to itself")
+    same = rows & (poses[:, 0] == poses[:, 1])
+    table.refuse_rows(same, lambda k: f"the closure joins pose {poses[k, 0]} to itself")
     add_rows(graph, report, table, rows, closures(table, x[poses[:, 0]], x[poses[:, 1]]))
 
 

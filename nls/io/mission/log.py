@@ -281,9 +281,8 @@ def _poses(
         b = united(b, end, times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
-    if (out := (b < begin) | (b > end)).any():
-        k = int(np.argmax(out))
-        raise table.at(k, f"pose {numbers[k]} is at {float(b[k])!r} s, not within all logs: {_ranges(logs)}")
+    out = (b < begin) | (b > end)
+    table.refuse_rows(out, lambda k: f"pose {numbers[k]} is at {float(b[k])!r} s, not within all logs: {_ranges(logs)}")
     if len(b) < 2:
         raise table.at(0, "one pose; a track has at least two")
     return numbers, b

@@ -33,9 +33,8 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
     if one_of(table, ("x_m", "y_m"), GEODETIC):
         return table.measured("x_m", "y_m")
     lat_lon = table.measured(*GEODETIC)
-    if (beyond := np.abs(lat_lon[:, 0]) > 90).any():
-        k = int(np.argmax(beyond))
-        raise table.at(k, f"lat_deg is {float(lat_lon[k, 0])!r}; expected degrees, -90 to 90")
+    lat = lat_lon[:, 0]
+    table.refuse_rows(np.abs(lat) > 90, lambda k: f"lat_deg is {float(lat[k])!r}; expected degrees, -90 to 90")
     if plane is None:
         first = ",".join(repr(number) for number in lat_lon[0].tolist())
         raise table.at_names(
@@ -44,9 +43,8 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
         )
     p = plane.local(*lat_lon.T)
     far = np.linalg.norm(p, axis=1)
-    if (beyond := ~(far <= REACH)).any():
-        k = int(np.argmax(beyond))
-        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km")
+    expected = "expected at most 1,000 km"
+    table.refuse_rows(~(far <= REACH), lambda k: f"is {far[k] / 1000:.6g} km from origin.csv; {expected}")
     return p
 
 

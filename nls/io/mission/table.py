@@ -8,7 +8,7 @@ order; none may be missing, unknown or there twice. Their names say the unit, an
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from pathlib import Path
 
@@ -51,6 +51,8 @@ class Table(Text):
     optional : those of them that may be left out.
     needed : whether the file itself may not be left out.
     data : what stands in the file, where it need not be read.
+    others : other names of columns, for a file that other programs write: given, there may be columns that are not
+        known, empty cells, and names and numbers in quotation marks.
 
     Attributes
     ----------
@@ -83,61 +85,65 @@ class Table(Text):
         optional: Sequence[str] = (),
         needed: bool = False,
         data: bytes | None = None,
+        others: Mapping[str, str] | None = None,
     ) -> None:
         self._data = read_bytes(path) if data is None else data
         self._other: dict[str, Array] = {}
         super().__init__(self._data.replace(b",", b" "), str(path))
-        self.lines, self.comments = self._split()
+        self.lines, self.comments = self._split(quoted=others is not None)
         expected = ",".join(columns)
         required = ",".join(column for column in columns if column not in optional) or expected
         if not len(self.lines):
             raise self.error(f"is empty; expected a first line {required} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
         self._head = head
-        names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
+        words = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
+        names = self.names = [(others or {}).get(word, word) for word in words]
         self._refuse_no_names(head, expected)
         for problem, wrong in (
-            ("unknown", [name for name in names if name not in columns]),
+            ("unknown", [name for name in names if name not in columns and others is None]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
             if wrong:
                 message = f"{problem} column {_quoted(wrong[0])}; expected {required if problem == 'no' else expected}"
-                if problem != "unknown":
-                    raise self.error(message, head)
                 name = wrong[0][:LONGEST]
-                near = did_you_mean(name, [column for column in columns if column not in names])
-                raise self.error(message + near, head, self._renamed(name, near))
+                if problem == "unknown":
+                    near = did_you_mean(name, [column for column in columns if column not in names])
+                    raise self.error(message + near, head, self._renamed(name, near))
+                raise self.error(message + (did_you_mean(name, names) if others is not None else ""), head)
         if not len(self.lines):
             cure = "expected one or more" if needed else "leave the file out where nothing was measured"
             raise self.error(f"has no row below its names; {cure}", head)
         count = np.diff(self.first)[self.lines]
-        if (wrong := count != len(names)).any():
-            k = int(np.argmax(wrong))
-            line = int(self.lines[k])
-            cure = _separators(self.line(line)) if count[k] == 1 else ""
-            raise self.error(f"{count[k]} cells, expected {len(names)}: {','.join(names)}{cure}", line)
-        self._place = {name: k for k, name in enumerate(names)}
-        cells = self._cells(names)
-        if (empty := self.starts[cells] == self.ends[cells]).any():
-            k, column = divmod(int(np.argmax(empty)), len(names))
-            raise self.error(f"{names[column]} is empty; expected a value in every cell", int(self.lines[k]))
 
-    def _split(self) -> tuple[Index, int]:
-        """Put cells, trimmed, in the place of words; empty ones have no length.
+        def uneven(k: int) -> str:
+            cure = _separators(self.line(int(self.lines[k]))) if count[k] == 1 else ""
+            return f"{count[k]} cells, expected {len(names)}: {','.join(names)}{cure}"
+
+        self.refuse_rows(count != len(names), uneven)
+        self._place = {name: k for k, name in enumerate(names)}
+        if others is None:
+            self._refuse_empty(names)
+
+    def _split(self, quoted: bool) -> tuple[Index, int]:
+        """Put cells, trimmed, in the place of words; empty ones have no length, ``quoted`` ones no quotation marks.
 
         Returns the lines that are not skipped, and how many are comments.
         """
         characters = np.frombuffer(self._data, dtype=np.uint8)
         quotes, commas = (np.flatnonzero(characters == ord(sign)) + PAD for sign in '",')
-        if (odd := np.diff(quotes.searchsorted(self._newlines)) % 2).any():
-            raise self.error("a quotation mark is not closed on its line", int(np.argmax(odd)))
+        odd = np.diff(quotes.searchsorted(self._newlines)) % 2 == 1
+        self.refuse(odd, np.arange(len(odd)), lambda _: "a quotation mark is not closed on its line")
         commas = commas[quotes.searchsorted(commas) % 2 == 0]  # those inside quotation marks are text
         edges = np.sort(np.concatenate([commas, self._newlines]))
         low, high = self.starts.searchsorted(edges[:-1]), self.starts.searchsorted(edges[1:])
         filled = high > low
         starts, ends = edges[:-1] + 1, edges[:-1] + 1
         starts[filled], ends[filled] = self.starts[low[filled]], self.ends[high[filled] - 1]
+        if quoted:
+            within = (ends - starts > 1) & np.isin(starts, quotes) & np.isin(ends - 1, quotes)
+            starts, ends = starts + within, ends - within
         self.starts, self.ends, self.first = starts, ends, edges.searchsorted(self._newlines)
         head = self.first[:-1]
         comment = self.characters(head, 1)[:, 0] == ord("#")
@@ -173,6 +179,17 @@ class Table(Text):
         """The cells (n, k) of these columns."""
         return np.asarray(self.first[self.lines][:, None] + np.array([self._place[name] for name in names]))
 
+    def filled(self, *names: str) -> Mask:
+        """Which cells (n, k) of columns are not empty."""
+        cells = self._cells(names)
+        return np.asarray(self.starts[cells] < self.ends[cells])
+
+    def _refuse_empty(self, names: Sequence[str]) -> None:
+        """Refuse a cell of these columns that is empty."""
+        if not (filled := self.filled(*names)).all():
+            k, column = divmod(int(np.argmin(filled)), len(names))
+            raise self.at(k, f"{names[column]} is empty; expected a value in every cell")
+
     def floats(self, *names: str) -> Array:
         """Numbers (n, k) of columns, correctly rounded.
 
@@ -181,6 +198,7 @@ class Table(Text):
         GraphFileError
             A cell that is no finite decimal number.
         """
+        self._refuse_empty(names)
         numbers = self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
         for k, name in enumerate(names):
             if name in self._other:
@@ -195,9 +213,13 @@ class Table(Text):
 
     def every(self, step: int) -> Table:
         """The same table with the first row of every so many."""
+        return self.part(slice(None, None, step))
+
+    def part(self, rows: Index | Mask | slice) -> Table:
+        """The same table with some of its rows."""
         other = copy(self)
-        other.lines = self.lines[::step]
-        other._other = {name: numbers[::step] for name, numbers in self._other.items()}
+        other.lines = self.lines[rows]
+        other._other = {name: numbers[rows] for name, numbers in self._other.items()}
         return other
 
     def measured(self, *names: str, rows: Mask | None = None) -> Array:
@@ -289,12 +311,7 @@ class Table(Text):
             One that was given before.
         """
         ids = self.integers(name)
-        order = np.argsort(ids, kind="stable")
-        again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
-        if len(again):
-            k = int(order[again + 1].min())
-            before = int(self.lines[np.argmax(ids == ids[k])]) + 1
-            raise self.at(k, f"{noun} {ids[k]} was given before, on line {before}")
+        self.once(ids, self.lines, f"{noun} ")
         return ids
 
     def rising(self, name: str) -> Array:
@@ -306,10 +323,12 @@ class Table(Text):
             One that does not.
         """
         t = self.measured(name)[:, 0]
-        if (late := t[1:] <= t[:-1]).any():
-            k = int(np.argmax(late)) + 1
+
+        def late(k: int) -> str:
             cure = f"sort the rows by {name}" if t[k] < t[k - 1] else "delete one of the two rows"
-            raise self.at(k, f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}")
+            return f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}"
+
+        self.refuse_rows(np.append(False, t[1:] <= t[:-1]), late)
         return t
 
     def known(self, name: str, among: Numbers, problem: str) -> Numbers:
@@ -320,9 +339,7 @@ class Table(Text):
         GraphFileError
         """
         ids = self.integers(name)
-        if (missing := ~np.isin(ids, among)).any():
-            k = int(np.argmax(missing))
-            raise self.at(k, f"{name} {ids[k]}: {problem}")
+        self.refuse_rows(~np.isin(ids, among), lambda k: f"{name} {ids[k]}: {problem}")
         return ids
 
     def text_of(self, name: str) -> list[str]:
@@ -346,6 +363,15 @@ class Table(Text):
     def at_names(self, message: str) -> GraphFileError:
         """An error at the line of names: about the columns."""
         return self.error(message, self._head)
+
+    def refuse_rows(self, bad: Mask, problem: Callable[[int], str]) -> None:
+        """Refuse the first row that is bad (n,); `problem` says what is wrong with row k.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        self.refuse(bad, self.lines, problem)
 
     def at(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""

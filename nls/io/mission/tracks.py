@@ -63,9 +63,7 @@ def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers,
     """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
     odometry, zpr = tables["odometry"], tables["zpr"]
     i, j = odometry.integers("i"), odometry.integers("j")
-    if (same := i == j).any():
-        k = int(np.argmax(same))
-        raise odometry.at(k, f"the step joins pose {i[k]} to itself")
+    odometry.refuse_rows(i == j, lambda k: f"the step joins pose {i[k]} to itself")
     numbers = np.unique(np.concatenate([i, j]))
     pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
     if len(pieces) > 1:

@@ -85,9 +85,7 @@ def velocities(
     sigma = np.full(len(t), noise["sigma_v_m_s"])
     if dvl.has("sigma_v_m_s"):
         sigma = np.where(valid, dvl.measured("sigma_v_m_s")[:, 0], sigma)
-        if (bad := ~(sigma > 0)).any():
-            k = int(np.argmax(bad))
-            raise dvl.at(k, f"sigma_v_m_s is {float(sigma[k])!r}; expected a number above 0")
+        dvl.refuse_rows(~(sigma > 0), lambda k: f"sigma_v_m_s is {float(sigma[k])!r}; expected a number above 0")
     if dvl.has(*WATER):
         v, valid, sigma = _through_water(dvl, v, valid, sigma, orientation(t, attitude, mount), report)
     v = turned(v, calibrations.value("dvl_yaw_rad")) / (1 + calibrations.value("dvl_scale"))
