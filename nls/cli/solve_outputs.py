@@ -60,8 +60,8 @@ def _optimum(job: Job, path: str) -> None:
 
 def _covariance(job: Job, path: str) -> None:
     from nls import Marginals
-    from nls.io.covariance_csv import write_covariances
     from nls.io.mission import MissionReport
+    from nls.io.table import write_covariances
 
     marginals = None if job.solved is None else job.solved.marginals
     if marginals is None:

@@ -14,7 +14,7 @@ from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
 from nls.io.files import ZIP, graph_file, read_bytes, read_stream, write_bytes
-from nls.io.native.types import register
+from nls.io.native.structure import register
 from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable

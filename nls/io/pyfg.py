@@ -259,8 +259,8 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
         Sigma /= HALF[:, None] * HALF
     options = {"convention": convention} if tag.factor in (Between, Prior) else {}
     z = table[:, :size] if size > 1 else table[:, 0]
-    if tag.factor is Range:
-        text.refuse(z < 0, lines, lambda _: "a range is at least 0 m")
+    if tag.factor is Range and (below := z < 0).any():
+        raise text.error("a range is at least 0 m", int(lines[np.argmax(below)]))
     try:
         factor = tag.factor(*keys, z, Covariance(Sigma), **options)
         values.gather(factor)

@@ -150,7 +150,7 @@ class _Offsets:
         def problem(k: int) -> str:
             return f"the edge needs parameter {parameters[k][missing[k]][0]}, which no {self.tag} line has"
 
-        self.text.refuse(missing.any(axis=1), block.at, problem)
+        self.text.refuse(np.any(missing, axis=1), block.at, problem)
         index = np.searchsorted(self.ids, parameters)
         self.unused[index] = False
         return self.X[index]

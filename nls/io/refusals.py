@@ -7,7 +7,7 @@ from factors.bearing_range import BearingRange
 from factors.range import Range
 from models.advice import Advice
 from models.errors import GraphError
-from nls.io.native.types import type_name
+from nls.io.native.structure import type_name
 from nls.io.records import at_origin, fixed_offsets
 
 __all__ = ["other_files", "unwritable"]

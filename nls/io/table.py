@@ -1,16 +1,24 @@
-"""The values of a graph as a table for spreadsheets: one row a variable."""
+"""The values of a graph, or their covariances, as a table for spreadsheets: one row a variable."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
 import numpy as np
 
+from factors.keys import Keys
 from models import SE3, SO3, Manifold
 from models.algebra import Array
+from models.errors import OptionError
+from nls.covariance import Marginals
+from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
-__all__ = ["values_table"]
+__all__ = ["values_table", "write_covariances"]
 
+EMPTY = ("unmeasured", "free")  # what has no covariance
 QUATERNION = ("qx", "qy", "qz", "qw")
 STORED: dict[Manifold, tuple[str, ...]] = {
     SE3: ("x", "y", "z", *QUATERNION),
@@ -39,8 +47,78 @@ def values_table(values: Values, report: LoadReport | None = None) -> bytes:
     timed = any(kind in times for kind in values.stacks)
     lines = [",".join(["kind", "number", *["time_s"] * timed, *columns])]
     for stack in values.stacks.values():
-        lines += _rows(stack, times.get(stack.kind) if timed else None, timed, list(columns))
+        known = stack.kind in times
+        time = [[repr(t)] for t in times[stack.kind].tolist()] if known else [[""] * timed] * len(stack)
+        lines += _rows(stack, time, _names(stack.manifold), list(columns), stack.X)
     return ("\n".join(lines) + "\n").encode()
+
+
+def write_covariances(
+    path: str | Path, marginals: Marginals, frame: str = "world", unmeasured: Collection[str] = ()
+) -> None:
+    """Write the marginal covariance of every variable as CSV; numbers read back bit for bit.
+
+    The first line names the columns:
+
+    ``kind``, ``number``
+        The variable: ``x``, ``17``. Rows come in the order of the values.
+    ``status``
+        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has none, ``free``: it
+        has none in some direction; the row ends here with empty cells.
+    ``world_x_x``, ``world_x_y``, ... or ``body_x_x``, ...
+        The upper triangle row by row. A name says the axes and the two components. ``world_x_yaw`` is the covariance of
+        the position error along the x axis of the world and the yaw error. m^2, m rad and rad^2. Columns are those of
+        all kinds together; cells that a kind does not have are empty. With ``body`` only what has a body is written
+        along its axes: points keep ``world``.
+
+    Parameters
+    ----------
+    path : the file; gzip-compressed where the name ends in ``.gz``. Written whole or not at all.
+    marginals : covariances of a graph.
+    frame : ``world`` or ``body``, see `Marginals`.
+    unmeasured : components of poses that are held as nothing measures them, such as ``yaw``: their cells are empty.
+
+    Raises
+    ------
+    OptionError
+        Another frame.
+    GraphFileError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from factors import Isotropic, Prior
+    >>> from models import R
+    >>> from nls import FactorGraph, Marginals, Values, kinds
+    >>> (l,) = kinds("l")
+    >>> graph = FactorGraph([Prior(l[7], [1.0, 2.0], Isotropic(0.5))])
+    >>> marginals = Marginals(graph, Values({l: (R(2), [[1.0, 2.0]], [7])}))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_covariances(Path(folder, "points.csv"), marginals)
+    ...     print(Path(folder, "points.csv").read_text())
+    kind,number,status,world_x_x,world_x_y,world_y_y
+    l,7,estimated,0.25,0.0,0.25
+    """
+    if frame not in ("world", "body"):
+        raise OptionError("frame", frame, "'world' or 'body'")
+    stacks, pairs = marginals.values.stacks.values(), dict[str, list[str]]()
+    for stack in stacks:
+        names, axes = stack.manifold.components, frame if stack.manifold.body_axes else "world"
+        pairs[stack.kind] = [f"{axes}_{a}_{b}" for k, a in enumerate(names) for b in names[k:]]
+    columns = list(dict.fromkeys(name for names in pairs.values() for name in names))
+    lines = [",".join(["kind", "number", "status", *columns])]
+    for stack in stacks:
+        status = marginals.status(stack.kind)
+        known = np.array([word not in EMPTY for word in status], dtype=bool)
+        Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[known]), frame=frame)
+        held = np.isin(stack.manifold.components, list(unmeasured)) & stack.manifold.body_axes
+        Sigma[:, held], Sigma[:, :, held] = np.nan, np.nan
+        upper = np.full((len(stack), len(pairs[stack.kind])), np.nan)
+        upper[known] = Sigma[:, *np.triu_indices(stack.manifold.dim)]
+        lines += _rows(stack, [[word] for word in status], pairs[stack.kind], columns, upper)
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def _names(manifold: Manifold) -> tuple[str, ...]:
@@ -48,13 +126,14 @@ def _names(manifold: Manifold) -> tuple[str, ...]:
     return STORED.get(manifold, manifold.components)
 
 
-def _rows(stack: Stack, times: Array | None, timed: bool, columns: list[str]) -> list[str]:
-    """The lines of one kind."""
-    names = _names(stack.manifold)
+def _rows(
+    stack: Stack, words: Sequence[Sequence[str]], names: Sequence[str], columns: list[str], numbers: Array
+) -> list[str]:
+    """The lines of one kind: some words (n, k), then the numbers (n, m) with these names; cells of nan are empty."""
     cells = np.full((len(stack), len(columns)), "", dtype=object)
-    cells[:, [columns.index(name) for name in names]] = [[repr(n) for n in row] for row in stack.X.tolist()] or ""
-    time = [[repr(t)] for t in times.tolist()] if times is not None else [[""] * timed] * len(stack)
+    written = [["" if np.isnan(number) else repr(number) for number in row] for row in numbers.tolist()]
+    cells[:, [columns.index(name) for name in names]] = written or ""
     return [
-        ",".join([stack.kind, str(number), *t, *row])
-        for number, t, row in zip(stack.numbers.tolist(), time, cells.tolist(), strict=True)
+        ",".join([stack.kind, str(number), *word, *row])
+        for number, word, row in zip(stack.numbers.tolist(), words, cells.tolist(), strict=True)
     ]

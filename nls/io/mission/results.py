@@ -11,11 +11,11 @@ from factors.keys import Keys, Kind, kinds
 from models import euler
 from models.algebra import Array, Mask, Numbers
 from nls.covariance import Marginals
-from nls.io.covariance_csv import EMPTY
 from nls.io.mission.calibration import NAMES
 from nls.io.mission.columns import COLUMNS, PLACE, POSE, suffixed
 from nls.io.mission.solution import Elevations
 from nls.io.mission.table import csv_text
+from nls.io.table import EMPTY
 from nls.values import Values
 
 __all__ = ["MAP", "TRAJECTORY", "Extra", "beacons_text", "calibration_text", "map_text", "trajectory_text"]

@@ -78,7 +78,7 @@ def test_ctrl_c_while_nls_sim_is_imported() -> None:
         ("nls.initialize", "while searching for a start for graph.g2o", 0),
         ("nls.FactorGraph.optimize", "while solving graph.g2o", 0),
         ("nls.cli.formats.rendered", "while writing o", 0),
-        ("nls.io.covariance_csv.write_covariances", "while writing o.csv", 1),
+        ("nls.io.table.write_covariances", "while writing o.csv", 1),
         ("nls.plot.picture.write_picture", "while writing o.png", 2),
         ("nls.certify", "while certifying the optimum", 3),
         ("nls.cli.report._facts", "while writing o.html", 3),

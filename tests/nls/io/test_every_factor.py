@@ -14,7 +14,7 @@ from models import SE2, SE3, LieGroup, Manifold, R
 from models.advice import Advice
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.io.g2o import G2O
+from nls.io.dialects import G2O
 from nls.io.pyfg import PLANE as PYFG_PLANE
 from nls.io.pyfg import SPACE as PYFG_SPACE
 from tests.factors.samples import Sample, full_noise

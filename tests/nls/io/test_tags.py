@@ -8,7 +8,7 @@ import pytest
 
 from models import SE2, SE3, LieGroup, R
 from nls import kinds
-from nls.io.g2o import G2O
+from nls.io.dialects import G2O
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, quoted, read
 from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE, A

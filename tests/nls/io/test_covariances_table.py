@@ -12,7 +12,7 @@ from factors import Isotropic, Range
 from models import SE2, SE3, R
 from models.errors import GraphFileError, OptionError
 from nls import GraphWarning, Marginals, Values
-from nls.io.covariance_csv import write_covariances
+from nls.io.table import write_covariances
 from tests.combinations import for_all
 from tests.nls.graphs import l, mixed, pose_graph, x, y
 
