@@ -22,7 +22,6 @@ HOW = ("delay_s", *ARM, "kernel")
 POSE = ("i", *ANGLES, *PLACE)
 LOCK = ("beams", "altitude_m", "sigma_v_m_s")
 WATER_TRACK = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s", "water_valid")
-WATER = ("density_kg_m3", "latitude_deg", "atmosphere_pa")
 GYRO = ("sigma_w_rad_s_sqrt_hz", "sigma_bias_rad_s", "sigma_bias_walk_rad_s_sqrt_s")
 
 
@@ -31,63 +30,58 @@ def suffixed(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"sigma_{name}" for name in names)
 
 
-COLUMNS: dict[str, tuple[str, ...]] = {
+def maybe(*names: str) -> tuple[str, ...]:
+    """Columns that may be left out; where one of two is needed, the reader says so."""
+    return tuple(f"{name}?" for name in names)
+
+
+SPATIAL = (*PLACE, *ANGLES)
+SEEN = tuple(  # of a pose from another one; what a vehicle that is level does not measure may be left out
+    name + "?" * (name.removeprefix("sigma_") in UPRIGHT) for name in (*SPATIAL, *suffixed(SPATIAL))
+)
+MARKED: dict[str, tuple[str, ...]] = {  # those with a question mark may be left out
     "sonar": (
         *("name", "beams", "bins", "fan_rad", "aperture_rad", "range_min_m", "range_max_m"),
         *PLACE,
         *ANGLES,
     ),
-    "contacts": (*WHEN[::-1], "landmark", *CONTACT, *suffixed(CONTACT)),
+    "contacts": (*maybe(*WHEN[::-1], "landmark"), *CONTACT, *suffixed(CONTACT)),
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
-    "zpr": ("i", *TILT, *suffixed(TILT), *COMPASS),
+    "zpr": ("i", *TILT, *suffixed(TILT), *maybe(*COMPASS)),
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
-    "truth": (*WHEN[::-1], *ANGLES, *PLACE),
+    "truth": (*maybe(*WHEN[::-1]), *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", *VELOCITY, "valid", *LOCK, *WATER_TRACK, "earth_axes"),
-    "ahrs": ("time_s", *ANGLES),
+    "dvl": ("time_s", *VELOCITY, *maybe("valid", *LOCK, *WATER_TRACK, "earth_axes")),
+    "ahrs": ("time_s", *ANGLES[:2], "yaw_rad?"),
     "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),
     "pressure": ("time_s", "pressure_pa"),
-    "water": WATER,
+    "water": maybe("density_kg_m3", "latitude_deg", "atmosphere_pa"),
     "tide": ("time_s", "tide_m"),
     "dvl_mount": (*PLACE, *ANGLES),
-    "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m", "gate_v_m_s", *GYRO),
+    "noise": (
+        *("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES[:2])),
+        *("sigma_yaw_rad?", "sigma_z_m", *maybe("gate_v_m_s", *GYRO)),
+    ),
     "poses": ("i", "time_s"),
     "origin": GEODETIC,
-    "fixes": (*WHEN, *PLACE, *GEODETIC, *suffixed(PLACE), *HOW),
-    "beacons": ("beacon", *PLACE, *GEODETIC, *suffixed(PLACE)),
+    "fixes": (*maybe(*WHEN, *PLACE, *GEODETIC), *suffixed(PLACE[:2]), *maybe("sigma_z_m", *HOW)),
+    "beacons": ("beacon", *maybe("x_m", "y_m"), "z_m", *maybe(*GEODETIC, *suffixed(PLACE[:2])), "sigma_z_m"),
     "ranges": (
-        *(*WHEN, "beacon", "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s"),
-        *("turn_around_s", "ways", *HOW),
+        *(*maybe(*WHEN), "beacon"),
+        *maybe("range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
     ),
-    "usbl": (*WHEN, "beacon", *USBL, *suffixed(USBL), *HOW),
-    "ship": ("time_s", *PLACE, *GEODETIC, *ANGLES),
-    "closures": ("i", "j", "time_i_s", "time_j_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
-    "dive_closures": ("i", "dive", "j", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
-    "path": ("time_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES))),
+    "usbl": (*maybe(*WHEN, "beacon"), *USBL, *suffixed(USBL), *maybe(*HOW)),
+    "ship": ("time_s", *maybe("x_m", "y_m"), "z_m", *maybe(*GEODETIC), *ANGLES),
+    "closures": (*maybe("i", "j", "time_i_s", "time_j_s"), *SEEN, "kernel?"),
+    "dive_closures": ("i", "dive", "j", *SEEN, "kernel?"),
+    "path": ("time_s", *SEEN),
     "motion": ("sigma_walk_m_sqrt_s",),
     "sound-speed": ("z_m", "sound_speed_m_s"),
     "calibration": ("name", "value", "sigma"),
 }
-OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
-    "truth": WHEN,
-    "contacts": (*WHEN, "landmark"),
-    "zpr": COMPASS,
-    "dvl": ("valid", *LOCK, *WATER_TRACK, "earth_axes"),
-    "ahrs": ("yaw_rad",),
-    "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
-    "water": WATER,
-    "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
-    "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
-    "ranges": (
-        *(*WHEN, "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
-    ),
-    "usbl": (*WHEN, "beacon", *HOW),
-    "ship": ("x_m", "y_m", *GEODETIC),
-    "closures": ("i", "j", "time_i_s", "time_j_s", *UPRIGHT, *suffixed(UPRIGHT), "kernel"),
-    "dive_closures": (*UPRIGHT, *suffixed(UPRIGHT), "kernel"),
-    "path": (*UPRIGHT, *suffixed(UPRIGHT)),
-}
+COLUMNS = {table: tuple(name.rstrip("?") for name in names) for table, names in MARKED.items()}
+OPTIONAL = {table: tuple(name[:-1] for name in names if name[-1] == "?") for table, names in MARKED.items()}
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth
@@ -105,7 +99,7 @@ def optional(table: str, tables: Collection[str]) -> tuple[str, ...]:
     """
     if table in ("ahrs", "noise") and not {"dvl", *TRACK} & set(tables):
         return tuple(name for name in COLUMNS[table] if name != "time_s")
-    return OPTIONAL.get(table, ())
+    return OPTIONAL[table]
 
 
 def needed(tables: Collection[str]) -> tuple[str, ...]:
