@@ -14,13 +14,11 @@ from models.options import did_you_mean, is_number, is_whole
 from nls.io.importing.templates import example
 from nls.io.importing.text_log import Missing
 from nls.io.importing.units import dimension, known_units, mission_unit
-from nls.io.mission.columns import MAY_BE_0
-from nls.io.mission.table import BOUNDS, LARGEST, SMALLEST
+from nls.io.mission.columns import BOUNDS, GEODETIC, LARGEST, MAY_BE_0, SMALLEST
 
-__all__ = ["PLACES_ON_EARTH", "WHOLE", "Cell", "none_words", "read_cell", "sigma_words", "sigmas_out", "stand_for_none"]
+__all__ = ["WHOLE", "Cell", "none_words", "read_cell", "sigma_words", "sigmas_out", "stand_for_none"]
 
 KEYS = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
-PLACES_ON_EARTH = ("lat_deg", "lon_deg")
 FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
 NUMBERS = {"sign": "1 or -1", "scale": "a finite number other than 0"}  # else a finite number
 ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
@@ -129,7 +127,7 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
     if not names or not all(isinstance(name, str) for name in names):
         raise refuse("no column of the log; expected { column = ... }")
-    if len(names) > 1 and not (column.startswith("time_") or (column in PLACES_ON_EARTH and len(names) == 2)):
+    if len(names) > 1 and not (column.startswith("time_") or (column in GEODETIC and len(names) == 2)):
         raise refuse("several columns; only a date and a time are joined, and a latitude or longitude with its side")
     return Cell(
         names,

@@ -14,11 +14,10 @@ from nls.io.importing.quantities import LARGEST
 from nls.io.importing.templates import NOISE, example
 from nls.io.importing.text_log import Log, TextLog
 from nls.io.importing.units import dimension, header_unit, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, PLACE
+from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, PLACE, VELOCITY
 
 __all__ = ["draft"]
 
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 REMARKS = {
     "fan_rad": "its whole width in azimuth, and its height in elevation",
     "pitch_rad": "negative where it looks down",
@@ -28,7 +27,7 @@ TABLES = {  # what must be there, what may be
     "path": (("time_s", "x_m", "y_m", "yaw_rad"), ("z_m", "roll_rad", "pitch_rad")),
     "ahrs": (("time_s", *ANGLES), ()),
     "depth": (("time_s", "z_m"), ()),
-    "fixes": (("time_s", "lat_deg", "lon_deg"), ()),
+    "fixes": (("time_s", *GEODETIC), ()),
     "truth": (("time_s", *ANGLES, *PLACE), ()),
     "contacts": (("time_s", "range_m", "azimuth_rad"), ("landmark",)),
     "ranges": (("time_s", "range_m"), ("beacon",)),
@@ -138,9 +137,9 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
                 names.sort(key=lambda name: not _is_stamp(log, name))
             if names:
                 chosen[column] = names[0]
-        if table == "truth" and {"lat_deg", "lon_deg"} & set(chosen_places := _places(log)):
+        if table == "truth" and {*GEODETIC} & set(chosen_places := _places(log)):
             chosen = {name: value for name, value in chosen.items() if name not in ("x_m", "y_m")} | chosen_places
-            needed = ("time_s", *ANGLES, "lat_deg", "lon_deg", "z_m")
+            needed = ("time_s", *ANGLES, *GEODETIC, "z_m")
         if table == "ahrs" and not tilted:
             needed = ("time_s", "yaw_rad")
         if table in ("dvl", "depth", "fixes") and table not in tables and {*needed} - {*chosen} == {"time_s"}:
@@ -214,7 +213,7 @@ def _is_acoustic(chosen: dict[str, str]) -> bool:
 
 def _places(log: Log) -> dict[str, str]:
     """The latitude and longitude of a log."""
-    chosen = {column: guess(column, log.names) for column in ("lat_deg", "lon_deg")}
+    chosen = {column: guess(column, log.names) for column in GEODETIC}
     return {column: name for column, name in chosen.items() if name is not None}
 
 

@@ -23,16 +23,15 @@ from typing import Any
 
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
-from nls.io.importing.cell import PLACES_ON_EARTH, Cell, none_words, read_cell, stand_for_none
+from nls.io.importing.cell import Cell, none_words, read_cell, stand_for_none
 from nls.io.importing.dates import check_format, is_date
 from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.text_log import SEPARATORS, Missing
-from nls.io.mission.columns import ANGLES, COLUMNS, PLACE, optional, suffixed
+from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, PLACE, VELOCITY, optional, suffixed
 from nls.io.toml_file import TomlFile
 
-__all__ = ["VELOCITY", "Mapping", "Section", "read_mapping", "required"]
+__all__ = ["Mapping", "Section", "read_mapping", "required"]
 
-VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
 GROUPS |= {f"sigma_{name}": suffixed(columns) for name, columns in GROUPS.items()}
 ROTATIONS = {"quaternion": (4, "x, y, z, w"), "rotation": (9, "a matrix row by row")}
@@ -169,7 +168,7 @@ class Mapping(TomlFile):
                     raise self._refused(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
                 cells |= {column: cell(name, column, v) for column, v in zip(columns, value, strict=True)}
                 groups |= dict.fromkeys(columns, name)
-            elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
+            elif name in known or (name in GEODETIC and {"x_m", "y_m"} <= set(known)):
                 cells[name] = cell(name, name, value)
             else:
                 advice = _advice(name, value, known)

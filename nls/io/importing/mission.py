@@ -168,7 +168,7 @@ def _origin(parts: Sequence[Rows], notes: list[str]) -> LocalPlane | None:
             plane = LocalPlane(lat, lon)
         except OptionError as error:
             raise part.section.error("lat_deg", str(error)) from error
-        if part.section.table != "origin" or part.log is not None:
+        if part.section.table != "origin" or part.section.used:
             notes.append(f"the origin x = y = 0 is the first place of [{part.section.table}]: {lat!r}, {lon!r} deg")
         return plane
     for part in parts:

@@ -49,8 +49,8 @@ class Logs:
             self._bags[name] = Bag(self.paths[name])
         return self._bags[name]
 
-    def of(self, section: Section) -> Log | None:
-        """The log of a section: the one it names, else the only one that has its columns; None where it needs none.
+    def of(self, section: Section) -> Log:
+        """The log of a section: the one it names, else the only one that has its columns; of constants a row of none.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class Logs:
                         option,
                         f"[{section.table}] uses no column of {log}; name one of its columns, or leave {option} out",
                     )
-            return None
+            return Log("", "", [], 1)
         named = section.options.get("file")
         if named is not None:
             if Path(named).name not in self.paths:

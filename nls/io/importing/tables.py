@@ -37,7 +37,7 @@ class Rows:
     Attributes
     ----------
     section : of the mapping.
-    log : they are from; None of constants.
+    log : they are from; of constants one without columns.
     numbers : (n,) by column, with units and axes of the mission.
     words : (n,) by column.
     times : (n,) by column.
@@ -47,7 +47,7 @@ class Rows:
     """
 
     section: Section
-    log: Log | None
+    log: Log
     numbers: dict[str, Array] = field(default_factory=dict)
     words: dict[str, list[str]] = field(default_factory=dict)
     times: dict[str, Stamps] = field(default_factory=dict)
@@ -56,13 +56,13 @@ class Rows:
     notes: list[str] = field(default_factory=list)
 
 
-def rows_of(section: Section, log: Log | None) -> Rows:
+def rows_of(section: Section, log: Log) -> Rows:
     """The rows of a section.
 
     Parameters
     ----------
     section : of the mapping.
-    log : that has its columns; None where all are constants, which are one row.
+    log : that has its columns; where all are constants one of a row without columns.
 
     Raises
     ------
@@ -71,15 +71,14 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         cannot be. The error has the line in the log or in the mapping.
     """
     _refuse_missing(section, log)
-    if (between := section.options.get("rows")) is not None and log is not None:
+    if (between := section.options.get("rows")) is not None:
         log = log.part(slice(between[0], *between[1:] or [None]))
         if not len(log):
             raise section.error("rows", f"rows = {between} leaves no row")
     rows = Rows(section, log)
-    count = 1 if log is None else len(log)
+    count = len(log)
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
-            assert log is not None
             _known(section, column, cell, log)
             rows.times[column] = stamps(section, log, column, rows.notes)
         elif column in WORDS:
@@ -88,7 +87,7 @@ def rows_of(section: Section, log: Log | None) -> Rows:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
     rows.none = np.full(count, bool(section.together))
     for source, values in section.together:
-        cells = log.words(source) if log is not None and isinstance(source, str) else [str(source)]
+        cells = log.words(source) if source in log.names else [str(source)]
         rows.none &= [not word for word in blanked(cells, values)]
     if section.rotation is not None:
         _rotate(section, log, rows, count)
@@ -106,14 +105,13 @@ def rows_of(section: Section, log: Log | None) -> Rows:
     return rows
 
 
-def _refuse_missing(section: Section, log: Log | None) -> None:
+def _refuse_missing(section: Section, log: Log) -> None:
     """Refuse a section without a column that its table needs; says the line to write."""
     given = {*section.cells, *(ANGLES if section.rotation else ())}
     if {"lat_deg", "lon_deg"} & given:
         given |= {"x_m", "y_m"}
     if absent := [name for name in required(section) if name not in given]:
-        names = log.names if log else []
-        near = guess(absent[0], names)
+        near = guess(absent[0], log.names)
         write = f'{absent[0]} = "{near}"' if near else f'{absent[0]} = "COLUMN OF THE LOG", or a number'
         raise section.error("", f"[{section.table}] has no {absent[0]}; write {write}")
 
@@ -130,14 +128,13 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
     return cell
 
 
-def _words(section: Section, column: str, cell: Cell, log: Log | None, count: int) -> list[str]:
+def _words(section: Section, column: str, cell: Cell, log: Log, count: int) -> list[str]:
     if cell.columns:
-        assert log is not None
         return log.words(_known(section, column, cell, log).columns[0], cell.missing)
     return [str(cell.constant)] * count
 
 
-def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: int, notes: list[str]) -> Array:
+def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, notes: list[str]) -> Array:
     """The numbers (n,) of a column in the unit of the mission; nan where there is none."""
     if cell.row is not None:
         return np.arange(count, dtype=float)  # numbered when it is known which rows there are
@@ -152,7 +149,6 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
                 f"it: {wrapped}",
             )
         return np.full(count, float(cell.constant))
-    assert log is not None
     name = _known(section, column, cell, log).columns[0]
     if column == "valid" or cell.equals is not None or cell.above is not None:
         return _flags(section, column, cell, log)
@@ -209,12 +205,11 @@ def _flag(word: str) -> float | None:
     return number if number in (0.0, 1.0) else None
 
 
-def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
+def _rotate(section: Section, log: Log, rows: Rows, count: int) -> None:
     """Roll, pitch and yaw from a quaternion or a matrix."""
     assert section.rotation is not None
     kind, names = section.rotation
     if isinstance(names[0], str):
-        assert log is not None
         _known(section, kind, Cell(names), log)
         parts = np.column_stack([log.numbers(name, section.missing.get(kind, ())) for name in names])
     else:
@@ -226,7 +221,7 @@ def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
         k, sentence = error.args
         none = f"write `missing_together = {{ {kind} = 0 }}` in [{section.table}] of the mapping"
         problem = f"{sentence}; {'is the order of its numbers right?' if parts[present][k].any() else none}"
-        if log is None or not isinstance(names[0], str):
+        if not isinstance(names[0], str):
             raise section.error(kind, problem) from error
         raise log.error(int(np.flatnonzero(present)[k]), problem) from error
     rows.numbers |= dict(zip(ANGLES, rpy.T, strict=True))
@@ -256,7 +251,7 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
     lost = "valid = 0" if name == "dvl" else "left out"
     for bad, problem, effect in ((~timed, "time", "left out"), (timed & ~whole, "number", lost)):
         if bad.any():
-            if log is None:
+            if not rows.section.used:
                 raise rows.section.error("", f"[{name}] has an empty {problem}")
             first = log.place(int(np.argmax(bad)))
             count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
@@ -264,7 +259,7 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
                 effect += "; their places stay where z_m is in [depth], and not in [fixes]"
             rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
     kept = timed if name == "dvl" else timed & whole
-    if not kept.any() and log is not None:
+    if not kept.any():
         empty = [column for column, stamp in rows.times.items() if not stamp.present.any()]
         empty += [column for column, numbers in rows.numbers.items() if np.isnan(numbers).all()]
         cure = f": {empty[0]} has none; name another column, or a number" if empty else ""
@@ -284,7 +279,7 @@ def _refuse_sigmas(rows: Rows) -> None:
     """Refuse a cell of the log that makes a standard deviation that cannot be; of a DVL where it is valid."""
     section, log = rows.section, rows.log
     for column, cell in section.cells.items():
-        if log is None or not cell.columns or column not in rows.numbers:
+        if not cell.columns or column not in rows.numbers:
             continue
         bad = sigmas_out(column, rows.numbers[column]) & (
             rows.numbers["valid"] == 1 if section.table == "dvl" else True
@@ -302,7 +297,6 @@ def _refuse_sigmas(rows: Rows) -> None:
 def _order(rows: Rows) -> None:
     """Rows in the order of time: refused where they are not, unless the mapping says what to do."""
     section, log = rows.section, rows.log
-    assert log is not None
     t = rows.times["time_s"].ns
     if section.options.get("sort") and (t[1:] < t[:-1]).any():
         back = int((t[1:] < t[:-1]).sum())
@@ -335,7 +329,6 @@ def _order(rows: Rows) -> None:
 def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
     """What to do about times (n,), ns, that fall at row k."""
     section, log = rows.section, rows.log
-    assert log is not None
     fall, own, where = t[k - 1] - t[k], not rows.times["time_s"].since_1970, f"in [{section.table}] of the mapping"
     for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
         if own and t.min() >= 0 and t.max() <= period and fall > NEARLY * period:

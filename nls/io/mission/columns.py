@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 __all__ = ["COLUMNS", "needed", "optional"]
@@ -82,6 +83,18 @@ MARKED: dict[str, tuple[str, ...]] = {  # those with a question mark may be left
 }
 COLUMNS = {table: tuple(name.rstrip("?") for name in names) for table, names in MARKED.items()}
 OPTIONAL = {table: tuple(name[:-1] for name in names if name[-1] == "?") for table, names in MARKED.items()}
+BOUNDS = "1e-12", "1e12"  # of a standard deviation: its inverse square, times another, is a number still
+SMALLEST, LARGEST = map(float, BOUNDS)
+TURNS = 2 * math.pi  # rad
+LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
+    ("time_s", 1e15, "seconds, within 1e15"),
+    ("_m_s", 1e9, "meters per second, within 1e9"),
+    ("_rad_s", 100.0, "radians per second, within 100"),
+    ("_rad", TURNS, "radians, -2 pi to 2 pi"),
+    ("_deg", 360.0, "degrees, -360 to 360"),
+    ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
+    ("", LARGEST, f"a number within {BOUNDS[1]}"),
+)
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth

@@ -22,23 +22,13 @@ from models.manifolds.euler import GIMBAL_LOCK
 from models.options import did_you_mean
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
+from nls.io.mission.columns import BOUNDS, LARGEST, LIMITS, SMALLEST
 from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
 LONGEST = 100  # characters of a name that is compared with the names of columns
-BOUNDS = "1e-12", "1e12"  # of a standard deviation: its inverse square, times another, is a number still
-SMALLEST, LARGEST = map(float, BOUNDS)
-TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
-LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
-    ("time_s", 1e15, "seconds, within 1e15"),
-    ("_m_s", 1e9, "meters per second, within 1e9"),
-    ("_rad_s", 100.0, "radians per second, within 100"),
-    ("_rad", TURNS, "radians, -2 pi to 2 pi"),
-    ("_deg", 360.0, "degrees, -360 to 360"),
-    ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
-    ("", LARGEST, f"a number within {BOUNDS[1]}"),
-)
+UPRIGHT = np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 
 
 class Table(Text):
@@ -95,11 +85,10 @@ class Table(Text):
         required = ",".join(column for column in columns if column not in optional) or expected
         if not len(self.lines):
             raise self.error(f"is empty; expected a first line {required} and a row of values on every other", 0)
-        head, self.lines = int(self.lines[0]), self.lines[1:]
-        self._head = head
-        words = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
-        names = self.names = [(others or {}).get(word, word) for word in words]
-        self._refuse_no_names(head, expected)
+        self._head, self.lines = int(self.lines[0]), self.lines[1:]
+        words = [self.token(k) for k in range(*self.first[self._head : self._head + 2])]
+        names = self.names = [(others or {}).get(name, name) for name in map(printable, words)]
+        self._refuse_no_names(words, expected)
         for problem, wrong in (
             ("unknown", [name for name in names if name not in columns and others is None]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
@@ -110,11 +99,12 @@ class Table(Text):
                 name = wrong[0][:LONGEST]
                 if problem == "unknown":
                     near = did_you_mean(name, [column for column in columns if column not in names])
-                    raise self.error(message + near, head, self._renamed(name, near))
-                raise self.error(message + (did_you_mean(name, names) if others is not None else ""), head)
+                    place = Path(self.path).name.split(".csv")[0], near.split("'")[1] if near else "COLUMN", name
+                    raise self.error(message + near, self._head, [Advice("map column", place)])
+                raise self.at_names(message + (did_you_mean(name, names) if others is not None else ""))
         if not len(self.lines):
             cure = "expected one or more" if needed else "leave the file out where nothing was measured"
-            raise self.error(f"has no row below its names; {cure}", head)
+            raise self.at_names(f"has no row below its names; {cure}")
         count = np.diff(self.first)[self.lines]
 
         def uneven(k: int) -> str:
@@ -150,18 +140,12 @@ class Table(Text):
         blank = (np.diff(self.first) == 1) & ~filled[head]
         return np.flatnonzero(~comment & ~blank), int(comment.sum())
 
-    def _refuse_no_names(self, head: int, expected: str) -> None:
+    def _refuse_no_names(self, words: list[bytes], expected: str) -> None:
         """Refuse a first line of numbers, and one that is not separated by commas."""
-        words = [self.token(k) for k in range(self.first[head], self.first[head + 1])]
         if all(NUMBER.fullmatch(word) for word in words):
-            raise self.error(f"the first line must name the columns: {expected}", head)
+            raise self.at_names(f"the first line must name the columns: {expected}")
         if len(words) == 1 and (cure := _separators(words[0])):
-            raise self.error(f"one column; expected {expected}{cure}", head)
-
-    def _renamed(self, name: str, near: str) -> list[Advice]:
-        """The line of a mapping that makes a column of this table of one that has another name."""
-        column = near.split("'")[1] if near else "COLUMN"
-        return [Advice("map column", (Path(self.path).name.split(".csv")[0], column, name))]
+            raise self.at_names(f"one column; expected {expected}{cure}")
 
     def has(self, *names: str) -> bool:
         """Whether the file has all of these columns."""
@@ -365,12 +349,7 @@ class Table(Text):
         return self.error(message, self._head)
 
     def refuse_rows(self, bad: Mask, problem: Callable[[int], str]) -> None:
-        """Refuse the first row that is bad (n,); `problem` says what is wrong with row k.
-
-        Raises
-        ------
-        GraphFileError
-        """
+        """Refuse the first row that is bad (n,); `problem` says what is wrong with row k."""
         self.refuse(bad, self.lines, problem)
 
     def at(self, row: int, message: str) -> GraphFileError:

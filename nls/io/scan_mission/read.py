@@ -12,7 +12,8 @@ from models.errors import GraphFileError
 from models.listing import some
 from nls.graph import FactorGraph
 from nls.io.files import unreadable
-from nls.io.mission.table import TURNS, Table
+from nls.io.mission.columns import TURNS
+from nls.io.mission.table import Table
 from nls.io.report import Source
 from nls.io.scan_mission.columns import COLUMNS, NEEDED, OPTIONAL, SETTINGS, file_of
 from nls.io.scan_mission.report import ScanReport, Truth
