@@ -10,12 +10,13 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from models.algebra import Array, Index
+from models.algebra import Array
 from models.errors import GraphFileError
 from nls.io.files import refuse_absent
 from nls.io.importing.text_log import Log, Missing, blanked
@@ -59,31 +60,29 @@ class BagLog(Log):
     ----------
     path : of the bag.
     topic : its name.
-    columns : of all messages, by dotted path.
+    names : of its columns, dotted paths.
+    rows : the cells of each message.
     """
 
     noun = "message"
 
-    def __init__(self, path: str, topic: str, columns: dict[str, list[Any]]) -> None:
-        title = f"{Path(path).name} {topic}"
-        super().__init__(path, title, list(columns), len(columns[RECORDED]))
-        self.columns = columns
-        self.units = {name: "ns" for name in columns if name == RECORDED or name.split(".")[-1] == "stamp"}
+    def __init__(self, path: str, topic: str, names: list[str], rows: list[list[Any]]) -> None:
+        super().__init__(path, f"{Path(path).name} {topic}", names, rows, np.arange(len(rows)))
+        self.units = {name: "ns" for name in names if name == RECORDED or name.split(".")[-1] == "stamp"}
 
-    def part(self, rows: slice) -> Self:
-        """See `Log`."""
-        part = super().part(rows)
-        part.columns = {name: values[rows] for name, values in self.columns.items()}
-        return part
+    def cells(self, name: str) -> list[Any]:
+        """Cells (n,) of a column as they stand."""
+        place = self.names.index(self.column(name))
+        return [row[place] for row in self.rows]
 
     def words(self, name: str, missing: Missing = ()) -> list[str]:
         """See `Log`."""
-        values = self.columns[name]
+        values = self.cells(name)
         return blanked([str(v).lower() if isinstance(v, bool | np.bool_) else str(v) for v in values], missing)
 
     def numbers(self, name: str, missing: Missing = ()) -> Array:
         """See `Log`."""
-        values = self.columns[self.column(name)]
+        values = self.cells(name)
         try:
             if missing:
                 values = [v if word else np.nan for v, word in zip(values, self.words(name, missing), strict=True)]
@@ -91,20 +90,9 @@ class BagLog(Log):
         except ValueError as error:
             raise GraphFileError(f"{self.title}: {name} is no number: {error}", self.path) from error
 
-    def whole(self, name: str) -> Index | None:
-        """See `Log`."""
-        values = self.columns[self.column(name)]
-        if not all(isinstance(value, int | np.integer) for value in values):
-            return None
-        return np.array(values, dtype=np.int64)
-
     def error(self, row: int, message: str) -> GraphFileError:
         """See `Log`."""
         return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {self.number(row)}: {message}", self.path)
-
-    def number(self, row: int) -> int:
-        """See `Log`."""
-        return self.first + row + 1
 
 
 class Bag:
@@ -145,7 +133,7 @@ class Bag:
         """
         if topic not in self.topics:
             raise KeyError(topic)
-        columns: dict[str, list[Any]] = {RECORDED: []}
+        names, rows = [RECORDED], list[list[Any]]()
         with _reading(self.path) as reader:
             connections = [connection for connection in reader.connections if connection.topic == topic]
             for k, (connection, recorded, raw) in enumerate(reader.messages(connections)):
@@ -153,16 +141,14 @@ class Bag:
                     break
                 row = dict(_fields(reader.deserialize(raw, connection.msgtype), ""))
                 row[RECORDED] = recorded
-                if k == 0:
-                    columns = {name: [] for name in row}
-                if row.keys() != columns.keys():
-                    other = sorted(row.keys() ^ columns.keys())[0]
+                names = names if rows else list(row)
+                if row.keys() != set(names):
+                    other = sorted(row.keys() ^ set(names))[0]
                     raise GraphFileError(
                         f"{topic}: message {k + 1} has other fields than the first: {other}", self.path
                     )
-                for name, value in row.items():
-                    columns[name].append(value)
-        return BagLog(self.path, topic, columns)
+                rows.append([row[name] for name in names])
+        return BagLog(self.path, topic, names, rows)
 
 
 def _fields(message: Any, path: str) -> Iterator[tuple[str, Any]]:
@@ -182,32 +168,30 @@ def _fields(message: Any, path: str) -> Iterator[tuple[str, Any]]:
         yield from _fields(part, f"{path}.{name}" if path else str(name))
 
 
-class _reading:
+@contextmanager
+def _reading(path: str) -> Iterator[Any]:
     """An open reader; what goes wrong in the package becomes an error of this one."""
-
-    def __init__(self, path: str) -> None:
-        self.path = path
-
-    def __enter__(self) -> Any:
-        try:
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError as error:
-            raise GraphFileError(
-                'is a bag, which the package rosbags reads; install it with pip install "leadline[ros]"', self.path
-            ) from error
-        try:
-            store = get_typestore(Stores.ROS1_NOETIC if self.path.endswith(".bag") else Stores.ROS2_HUMBLE)
-            self.reader = AnyReader([Path(self.path)], default_typestore=store)
-            self.reader.open()
-        except _failures() as error:
-            raise GraphFileError(f"cannot be read as a bag: {error}", self.path) from error
-        return self.reader
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        self.reader.close()
-        if error is not None and isinstance(error, _failures()) and not isinstance(error, GraphFileError | KeyError):
-            raise GraphFileError(f"is a damaged bag: {error}", self.path) from error
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise GraphFileError(
+            'is a bag, which the package rosbags reads; install it with pip install "leadline[ros]"', path
+        ) from error
+    try:
+        store = get_typestore(Stores.ROS1_NOETIC if path.endswith(".bag") else Stores.ROS2_HUMBLE)
+        reader = AnyReader([Path(path)], default_typestore=store)
+        reader.open()
+    except _failures() as error:
+        raise GraphFileError(f"cannot be read as a bag: {error}", path) from error
+    try:
+        yield reader
+    except (GraphFileError, KeyError):
+        raise
+    except _failures() as error:
+        raise GraphFileError(f"is a damaged bag: {error}", path) from error
+    finally:
+        reader.close()
 
 
 def _failures() -> tuple[type[Exception], ...]:

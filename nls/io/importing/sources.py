@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean
 from nls.io.importing.bags import Bag, is_bag
@@ -66,7 +68,7 @@ class Logs:
                         option,
                         f"[{section.table}] uses no column of {log}; name one of its columns, or leave {option} out",
                     )
-            return Log("", "", [], 1)
+            return Log("", "", [], [], np.zeros(1, dtype=np.intp))
         named = section.options.get("file")
         if named is not None:
             if Path(named).name not in self.paths:

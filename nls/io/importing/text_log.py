@@ -42,30 +42,34 @@ class Log:
     path : for messages.
     title : for notes.
     names : of its columns.
-    rows : how many.
+    rows : (n,) the cells of each.
+    lines : (n,) places of the rows in the file, counted from 0.
     """
 
     noun = "line"  # a row of the file
+    decimal = "."
+    text: Sequence[str] = ()  # the lines of the file
 
-    def __init__(self, path: str, title: str, names: Sequence[str], rows: int) -> None:
-        self.path, self.title, self.names, self.rows = path, title, list(names), rows
-        self.first = 0  # row of the file that is row 0 here
+    def __init__(self, path: str, title: str, names: Sequence[str], rows: list[list[Any]], lines: Index) -> None:
+        self.path, self.title, self.names, self.rows, self.lines = path, title, list(names), rows, lines
+        self.first = int(lines[0]) if len(lines) else 0
         self.notes: list[str] = []
         self.units: dict[str, str] = {}  # of columns whose header does not say it
 
     def __len__(self) -> int:
         """Rows."""
-        return self.rows
+        return len(self.lines)
 
     def part(self, rows: slice) -> Self:
         """Some rows of the log as a log."""
-        part, chosen = copy.copy(self), range(self.rows)[rows]
-        part.first, part.rows = self.first + chosen.start, len(chosen)
+        part = copy.copy(self)
+        part.lines, part.rows = self.lines[rows], self.rows[rows]
         return part
 
     def words(self, name: str, missing: Missing = ()) -> list[str]:
         """Cells (n,) of a column as text, trimmed; True and False are ``true`` and ``false``, missing ones empty."""
-        raise NotImplementedError
+        place = self.names.index(self.column(name))
+        return blanked([row[place].strip() for row in self.rows], missing)
 
     def numbers(self, name: str, missing: Missing = ()) -> Array:
         """Numbers (n,) of a column; nan where its cell is empty or missing, or says that it is no number.
@@ -75,19 +79,39 @@ class Log:
         GraphFileError
             Another cell, with its line.
         """
-        raise NotImplementedError
+        words = self.words(name, missing)
+        if self.decimal == ",":
+            words = [word.replace(",", ".") for word in words]
+        if "_" not in "".join(words):  # which float() takes
+            for _ in range(2):
+                with suppress(ValueError):
+                    return np.fromiter(map(float, words), float, len(words))
+                words = ["nan" if word.lower() in MISSING else word for word in words]
+        k = next(
+            k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
+        )
+        cure = ", or rows = [1] for a row of units" if self.lines[k] == self.first else ""
+        raise self.error(
+            k,
+            f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; in the mapping write "
+            f"missing = {words[k][:40]!r} where it stands for none{cure}",
+        )
 
     def whole(self, name: str) -> Index | None:
         """Whole numbers (n,) of a column, exact; None where it has others, or empty cells."""
-        raise NotImplementedError
+        words = self.words(name)
+        if not all(word.isdecimal() and (len(word), word) <= LARGEST for word in words):
+            return None
+        return np.fromiter(map(int, words), np.int64, len(words))
 
     def error(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""
-        raise NotImplementedError
+        line = self.number(row)
+        return GraphFileError(message, self.path, line, self.text[line - 1].strip())
 
     def number(self, row: int) -> int:
         """The number of a row in the file, from 1."""
-        raise NotImplementedError
+        return int(self.lines[row]) + 1
 
     def place(self, row: int) -> str:
         """Where a row stands, for notes."""
@@ -157,13 +181,13 @@ class TextLog(Log):
             text = data.decode("utf-8")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
-        self._text = text.replace("\r\n", "\n").split("\n")
+        self.text = text.replace("\r\n", "\n").split("\n")
         self.path = str(path)
-        kept = [k for k, line in enumerate(self._text) if k >= skip and _counts(line)]
+        kept = [k for k, line in enumerate(self.text) if k >= skip and _counts(line)]
         if not kept:
             raise GraphFileError("has no row; expected a line of names and rows of values", self.path)
         head = self._header(kept, separator) if header else ""
-        sign = _separator(head or self._text[kept[0]], separator)
+        sign = _separator(head or self.text[kept[0]], separator)
         names = [name.strip() for name in next(_cells([head], sign))] if head else []
         cells = self._split(kept, sign)
         units = dict(zip(names, (cell.strip(BRACKETS) for cell in cells[0]), strict=False)) if cells else {}
@@ -174,44 +198,36 @@ class TextLog(Log):
                 raise GraphFileError(f"{len(cells)} lines are no multiple of {join}, which are one row", self.path)
             cells = [[word for line in cells[k : k + join] for word in line] for k in range(0, len(cells), join)]
             kept = kept[::join]
+        if not cells:
+            raise GraphFileError("has names and no row below them", self.path, kept[0] + 1 if kept else 1)
         if not head:
             names = [str(k + 1) for k in range(max(map(len, cells)))]
+        super().__init__(self.path, self.path.replace("\\", "/").rsplit("/", 1)[-1], names, cells, np.array(kept))
         if where is not None:
             column, value = where
-            if column not in names:
-                super().__init__(self.path, self._name(), names, len(kept))
-                self.column(column)
-            place = names.index(column)
+            place = names.index(self.column(column))
             chosen = [
                 k for k, row in enumerate(cells) if len(row) > place and row[place].strip().lower() == value.lower()
             ]
             if not chosen:
                 raise GraphFileError(f"no row has {value!r} in column {column!r}", self.path)
-            kept, cells = [kept[k] for k in chosen], [cells[k] for k in chosen]
-            names = names if head else names[: len(cells[0])]
-        if not cells:
-            raise GraphFileError("has names and no row below them", self.path, kept[0] + 1 if kept else 1)
-        self.lines = np.array(kept, dtype=np.intp)
-        super().__init__(self.path, self._name(), names, len(cells))
+            self.lines, self.rows = self.lines[chosen], [cells[k] for k in chosen]
+            self.names = names if head else names[: len(self.rows[0])]
         if line:
             self.units = {name: unit for name, unit in units.items() if dimension(unit)}
             self.notes.append(f"{self.title}:{line} is taken for a row of units")
-        self._rows = cells
         self._refuse_counts()
         self.decimal = decimal or self._decimal(sign)
 
-    def _name(self) -> str:
-        return self.path.replace("\\", "/").rsplit("/", 1)[-1]
-
     def _header(self, kept: list[int], separator: str | None) -> str:
         """The line of names, which is taken out of the rows where it is one of them."""
-        first = self._text[kept[0]]
+        first = self.text[kept[0]]
         words = [word.strip() for word in next(_cells([first], _separator(first, separator)))]
         if not any(is_number(word) for word in words):
             kept.pop(0)
             return first
         for k in range(kept[0] - 1, -1, -1):
-            line = self._text[k].strip()
+            line = self.text[k].strip()
             if line:
                 line = line.lstrip("#% ")
                 sign = _separator(line, separator)
@@ -230,18 +246,18 @@ class TextLog(Log):
     def _split(self, kept: list[int], sign: str) -> list[list[str]]:
         """The cells of rows."""
         try:
-            cells = list(_cells([self._text[k] for k in kept], sign))
+            cells = list(_cells([self.text[k] for k in kept], sign))
         except csv.Error as error:
             raise GraphFileError(f"cannot be split into cells: {error}", self.path) from error
         if len(cells) != len(kept):
-            odd = next((k for k in kept if self._text[k].count('"') % 2), kept[0])
+            odd = next((k for k in kept if self.text[k].count('"') % 2), kept[0])
             raise GraphFileError("a quotation mark is not closed on its line", self.path, odd + 1)
         return cells
 
     def _refuse_counts(self) -> None:
         """Refuse a row with another count of cells; one empty cell too many, behind a last separator, is none."""
         expected = len(self.names)
-        for k, row in enumerate(self._rows):
+        for k, row in enumerate(self.rows):
             if len(row) == expected:
                 continue
             if len(row) == expected + 1 and not row[-1].strip():
@@ -252,60 +268,11 @@ class TextLog(Log):
 
     def _decimal(self, sign: str) -> str:
         """A comma where numbers of the first rows have one and it separates nothing."""
-        if sign == "," or not any(DECIMAL_COMMA.fullmatch(cell) for row in self._rows[:100] for cell in row):
+        one = next((cell.strip() for row in self.rows[:100] for cell in row if DECIMAL_COMMA.fullmatch(cell)), "")
+        if sign == "," or not one:
             return "."
-        self.notes.append(f"{self.title}: a comma is taken for the decimal sign, as in {self._comma()!r}")
+        self.notes.append(f"{self.title}: a comma is taken for the decimal sign, as in {one!r}")
         return ","
-
-    def _comma(self) -> str:
-        return next(cell.strip() for row in self._rows for cell in row if DECIMAL_COMMA.fullmatch(cell))
-
-    def part(self, rows: slice) -> Self:
-        """See `Log`."""
-        part = super().part(rows)
-        part._rows, part.lines = self._rows[rows], self.lines[rows]
-        return part
-
-    def words(self, name: str, missing: Missing = ()) -> list[str]:
-        """See `Log`."""
-        place = self.names.index(self.column(name))
-        return blanked([row[place].strip() for row in self._rows], missing)
-
-    def numbers(self, name: str, missing: Missing = ()) -> Array:
-        """See `Log`."""
-        words = self.words(name, missing)
-        if self.decimal == ",":
-            words = [word.replace(",", ".") for word in words]
-        if not any("_" in word for word in words):  # which float() takes
-            for _ in range(2):
-                with suppress(ValueError):
-                    return np.fromiter(map(float, words), float, len(words))
-                words = ["nan" if word.lower() in MISSING else word for word in words]
-        k = next(
-            k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
-        )
-        cure = ", or rows = [1] for a row of units" if k == self.first == 0 else ""
-        raise self.error(
-            k,
-            f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; in the mapping write "
-            f"missing = {words[k][:40]!r} where it stands for none{cure}",
-        )
-
-    def whole(self, name: str) -> Index | None:
-        """See `Log`."""
-        words = self.words(name)
-        if not all(word.isdecimal() and (len(word), word) <= LARGEST for word in words):
-            return None
-        return np.fromiter(map(int, words), np.int64, len(words))
-
-    def error(self, row: int, message: str) -> GraphFileError:
-        """See `Log`."""
-        line = self.number(row)
-        return GraphFileError(message, self.path, line, self._text[line - 1].strip())
-
-    def number(self, row: int) -> int:
-        """See `Log`."""
-        return int(self.lines[row]) + 1
 
 
 def blanked(words: list[str], missing: Missing) -> list[str]:

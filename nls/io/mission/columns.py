@@ -37,7 +37,7 @@ def maybe(*names: str) -> tuple[str, ...]:
 
 
 SPATIAL = (*PLACE, *ANGLES)
-SEEN = tuple(  # of a pose from another one; what a vehicle that is level does not measure may be left out
+RELATIVE = tuple(  # of a pose from another one; what a vehicle that is level does not measure may be left out
     name + "?" * (name.removeprefix("sigma_") in UPRIGHT) for name in (*SPATIAL, *suffixed(SPATIAL))
 )
 MARKED: dict[str, tuple[str, ...]] = {  # those with a question mark may be left out
@@ -74,9 +74,9 @@ MARKED: dict[str, tuple[str, ...]] = {  # those with a question mark may be left
     ),
     "usbl": (*maybe(*WHEN, "beacon"), *USBL, *suffixed(USBL), *maybe(*HOW)),
     "ship": ("time_s", *maybe("x_m", "y_m"), "z_m", *maybe(*GEODETIC), *ANGLES),
-    "closures": (*maybe("i", "j", "time_i_s", "time_j_s"), *SEEN, "kernel?"),
-    "dive_closures": ("i", "dive", "j", *SEEN, "kernel?"),
-    "path": ("time_s", *SEEN),
+    "closures": (*maybe("i", "j", "time_i_s", "time_j_s"), *RELATIVE, "kernel?"),
+    "dive_closures": ("i", "dive", "j", *RELATIVE, "kernel?"),
+    "path": ("time_s", *RELATIVE),
     "motion": ("sigma_walk_m_sqrt_s",),
     "sound-speed": ("z_m", "sound_speed_m_s"),
     "calibration": ("name", "value", "sigma"),
