@@ -26,6 +26,7 @@ from models import R
 from models.algebra import Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
+from nls.io.refusals import refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
@@ -34,6 +35,7 @@ __all__ = ["read_bal"]
 
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
+FILE = "a bundle-adjustment file"
 
 
 def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
@@ -123,18 +125,15 @@ def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:
     """
     for factor in graph.factors:
         if not isinstance(factor, BundleProjection):
-            raise GraphError(
-                f"{path}: {factor!r} cannot be written to a bundle-adjustment file", factor.keys, factor.name
-            )
+            raise unwritable(str(path), factor, FILE)
     if missing := {"c", "k", "l"} - set(values.stacks):
-        raise GraphError(f"{path}: a bundle-adjustment file needs the kinds c, k and l; there is no {min(missing)}")
+        raise GraphError(f"{path}: {FILE} needs the kinds c, k and l; there is no {min(missing)}")
     stacks = [_counted(str(path), values, *kind) for kind in (CAMERAS, LENSES, POINTS)]
     if extra := set(values.stacks) - {"c", "k", "l"}:
-        raise GraphError(f"{path}: a bundle-adjustment file holds the kinds c, k and l, not {', '.join(sorted(extra))}")
+        raise GraphError(f"{path}: {FILE} holds the kinds c, k and l, not {', '.join(sorted(extra))}")
     if len(stacks[0]) != len(stacks[1]):
         raise GraphError(f"{path}: {len(stacks[0])} cameras c and {len(stacks[1])} lenses k, expected one for each")
-    if held := [keys for keys in graph.fixed if len(keys)]:
-        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a bundle-adjustment file has no line for", held)
+    refuse_held(str(path), graph, FILE)
     rows = [row for factor in graph.factors for row in _observations(str(path), factor, values)]
     cameras, lenses, points = (stack.X for stack in stacks)
     numbers = [*np.hstack([cameras, lenses]).reshape(-1).tolist(), *np.ascontiguousarray(points).reshape(-1).tolist()]
@@ -146,29 +145,21 @@ def _counted(path: str, values: Values, kind: str, manifold: object) -> Stack:
     """The stack of a kind whose variables are 0, 1, 2 ... in order."""
     stack = values.stack(kind)
     if stack.manifold is not manifold:
-        raise GraphError(f"{path}: kind {kind} is in {stack.manifold}, a bundle-adjustment file holds {manifold}")
+        raise GraphError(f"{path}: kind {kind} is in {stack.manifold}, {FILE} holds {manifold}")
     if not np.array_equal(stack.numbers, np.arange(len(stack))):
-        raise GraphError(
-            f"{path}: a bundle-adjustment file counts the variables {kind} from 0, these have other numbers"
-        )
+        raise GraphError(f"{path}: {FILE} counts the variables {kind} from 0, these have other numbers")
     return stack
 
 
 def _observations(path: str, factor: Factor, values: Values) -> list[str]:
     """One line per measurement."""
     if factor.kernel is not None:
-        raise GraphError(
-            f"{path}: {factor!r} is robust, {factor.kernel!r}, which the file has no place for", factor.keys
-        )
+        raise unwritable(path, factor, FILE, f"it is robust, {factor.kernel!r}, which the file has no place for")
     camera, lens, point = factor.keys
     if not np.array_equal(camera.numbers, lens.numbers):
-        raise GraphError(
-            f"{path}: {factor!r}: a camera and its lens must have the same number", factor.keys, factor.name
-        )
+        raise unwritable(path, factor, FILE, "a camera and its lens must have the same number")
     model, _ = values.gather(factor)
     if model.W.ndim == 3 or not (model.W == 1).all():
-        raise GraphError(
-            f"{path}: {factor!r}: the noise is not one pixel, and the file has no place for it", factor.keys
-        )
+        raise unwritable(path, factor, FILE, "the noise is not one pixel, and the file has no place for it")
     rows = zip(camera.numbers.tolist(), point.numbers.tolist(), model.z.tolist(), strict=True)
     return [f"{i} {j} {x!r} {y!r}" for i, j, (x, y) in rows]

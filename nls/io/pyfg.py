@@ -37,12 +37,12 @@ from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index, Numbers
-from models.errors import GraphError, NoiseModelError
+from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.io.lines import turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
-from nls.io.refusals import NATIVE, named, unwritable
+from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused_lines import appended, keep_unknown, note_comments
@@ -261,14 +261,9 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
     z = table[:, :size] if size > 1 else table[:, 0]
     if tag.factor is Range and (below := z < 0).any():
         raise text.error("a range is at least 0 m", int(lines[np.argmax(below)]))
-    try:
+    with text.at_lines(lines):
         factor = tag.factor(*keys, z, Covariance(Sigma), **options)
         values.gather(factor)
-    except NoiseModelError as error:
-        message = str(error).split(": ", 1)[1] if error.keys else str(error)  # without the name of the factor
-        raise text.error(message, int(lines[error.index])) from error
-    except GraphError as error:
-        raise text.error(str(error), int(lines[0])) from error
     return factor
 
 
@@ -294,9 +289,7 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
     GraphError
         A factor, space or name the format has no line for; variables held fixed.
     """
-    if held := [keys for keys in graph.fixed if len(keys)]:
-        message = f"{path}: {held[0]!r} is held fixed, which {FILE} has no line for"
-        raise GraphError(message, held, advice=[NATIVE])
+    refuse_held(str(path), graph, FILE)
     known = LoadReport(str(path), "pyfg", "", "") if report is None else report
     factor_times = {id(factor): times for factor, times in known.factor_times}
     space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}

@@ -14,9 +14,7 @@ from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
 from models import LieGroup, R
-from models.advice import Advice
 from models.algebra import Array, Index
-from models.errors import GraphError, NoiseModelError
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import choose, no_information
@@ -197,7 +195,7 @@ def _factor(
     record, at = block.record, block.at[mine]
     keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, block.ids, strict=True)]
     z, numbers = block.X[mine], block.numbers[mine]
-    try:
+    with text.at_lines(at):
         noise = noise_of(record, format.matrix, matrices[mine], numbers[:, : record.element.width], convention)
         shared: list[Array] = []
         if record.parameters or record.element.angles:
@@ -210,12 +208,6 @@ def _factor(
         factor = record.build(keys, z, noise, shared, convention)
         spaces = {"point": R(group.point_dim)}
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
-    except NoiseModelError as error:
-        message = str(error).split(": ", 1)[1] if error.keys else str(error)  # without the name of the factor
-        advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
-        raise text.error(message, int(at[error.index]), advice) from error
-    except GraphError as error:
-        raise text.error(str(error), int(at[error.index])) from error
     return factor
 
 

@@ -7,10 +7,11 @@ from factors.bearing_range import BearingRange
 from factors.range import Range
 from models.advice import Advice
 from models.errors import GraphError
+from nls.graph import FactorGraph
 from nls.io.native.structure import type_name
 from nls.io.records import at_origin, fixed_offsets
 
-__all__ = ["other_files", "unwritable"]
+__all__ = ["other_files", "refuse_held", "unwritable"]
 
 NATIVE = Advice("native")
 
@@ -33,6 +34,18 @@ def unwritable(path: str, factor: Factor, file: str, why: str = "", ranges: bool
         advice = [Advice("pyfg"), *advice]
     message = f"{path}: {factor!r} cannot be written to {file}" + (f": {why}" if why else "")
     return GraphError(message, factor.keys, factor.name, advice=advice)
+
+
+def refuse_held(path: str, graph: FactorGraph, file: str) -> None:
+    """Refuse variables that are held fixed, for a format that has no line for it.
+
+    Raises
+    ------
+    GraphError
+    """
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        message = f"{path}: {held[0]!r} is held fixed, which {file} has no line for"
+        raise GraphError(message, held, advice=[NATIVE])
 
 
 def other_files(factor: Factor) -> list[Advice]:

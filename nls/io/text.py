@@ -8,7 +8,8 @@ float(). It also takes "nan", "1_0" and the digits of other scripts.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from unicodedata import name
 
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
-from models.errors import GraphFileError, ResourceLimitError
+from models.errors import GraphError, GraphFileError, NoiseModelError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
 
@@ -136,6 +137,23 @@ class Text:
         if bad.any():
             k = int(np.argmax(bad))
             raise self.error(problem(k), int(lines[k]))
+
+    @contextmanager
+    def at_lines(self, lines: Index) -> Iterator[None]:
+        """What a graph refuses of measurements that stand on lines (n,), with the line of it.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        try:
+            yield
+        except NoiseModelError as error:
+            message = str(error).split(": ", 1)[1] if error.keys else str(error)  # without the name of the factor
+            advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
+            raise self.error(message, int(lines[error.index]), advice) from error
+        except GraphError as error:
+            raise self.error(str(error), int(lines[error.index])) from error
 
     def once(self, numbers: Numbers, lines: Index, noun: str) -> Index:
         """The order (n,) in which the numbers (n,) of lines (n,) rise; none is there twice.

@@ -22,7 +22,7 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
-from nls.io.refusals import NATIVE, named, other_files, unwritable
+from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.text import rows
 from nls.io.unused_lines import appended
@@ -155,11 +155,8 @@ def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.
     for keys in graph.fixed:
         values.stack(keys.kind)  # refuses a kind without values
     fixed = fixed_variables(graph.fixed, values)
-    if fixed.any() and not format.fix:
-        held = [keys for keys in graph.fixed if len(keys)]
-        raise GraphError(
-            f"{path}: {held[0]!r} is held fixed, which {a_file(format.name)} has no line for", held, advice=[NATIVE]
-        )
+    if not format.fix:
+        refuse_held(path, graph, a_file(format.name))
     return fixed
 
 

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from factors import BearingRange, Diagonal, Prior, Range, ScaledRange, Shifted
+from factors import BearingRange, Diagonal, Prior, Range, ScaledRange
 from factors.base import Factor
-from factors.keys import Keys, Kind, kinds
-from factors.replaced import replaced
+from factors.keys import Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Index, Mask, Numbers
 from models.listing import some as listed
@@ -73,7 +72,7 @@ class Acoustics:
         beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
         self.places = np.full((len(self.numbers), 3), np.nan)
-        self._shifts: dict[str, Keys] = {}
+        self._shifts: list[str] = []
         self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
         self._beacons(tables.get("beacons"))
         if ranges is not None:
@@ -87,11 +86,10 @@ class Acoustics:
         for k, source in enumerate(self._report.sources if self._shifts else ()):
             if source.path != self._tables["usbl"].path:
                 continue
-            for name, variable in self._shifts.items():
-                factor, value = self._graph.factors[k], calibrations.value(name)
-                G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / (1 + value)
-                G = np.broadcast_to(G, factor.z.shape)
-                self._graph.factors[k] = Shifted(replaced(factor, z=factor.z + G * value), G[:, :, None], variable)
+            for name in self._shifts:
+                factor, size = self._graph.factors[k], 1 + calibrations.value(name)
+                G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / size
+                self._graph.factors[k] = calibrations.shifted(factor, name, np.broadcast_to(G, factor.z.shape))
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
@@ -198,9 +196,7 @@ class Acoustics:
         z[:, 0] += calibrations.value(USBL_YAW)
         z[:, 2] /= 1 + calibrations.value(USBL_SCALE)
         noise[:, 2] /= 1 + calibrations.value(USBL_SCALE)
-        self._shifts = {
-            name: key for name in (USBL_YAW, USBL_SCALE) if (key := calibrations.variable(name)) is not None
-        }
+        self._shifts = [name for name in (USBL_YAW, USBL_SCALE) if calibrations.variable(name) is not None]
         if table.has("beacon"):
             beacon = table.integers("beacon")
 

@@ -27,7 +27,6 @@ import numpy as np
 from factors import Between, Diagonal, Heading, Isotropic, Prior, Shifted
 from factors.base import Factor
 from factors.keys import Keys, Kind
-from factors.replaced import replaced
 from models import wrap
 from models.algebra import Array, Index
 from models.dead_reckoning.drop_outs import bridged_variance, longest_step
@@ -38,11 +37,12 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["BIAS", "Attitude", "attitude_of", "clocked", "gyro_biases", "headings", "turn_covariance", "turn_variance"]
+__all__ = ["BIAS", "CLOCK", "Attitude", "attitude_of", "gyro_biases", "headings", "turn_covariance", "turn_variance"]
 
 SMOOTH = 1.0  # s before and after a pose, whose means say how fast the heading turns
 MINUTE = 60.0  # s that a gyro has the same bias
 BIAS = Kind("gyro_bias")
+CLOCK = "ahrs_clock_s"
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
                 "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
             )
         angles = [ahrs.attitude(name) if ahrs.has(name) else np.zeros((len(ahrs), 1)) for name in ANGLES]
-        rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value("ahrs_clock_s")
+        rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value(CLOCK)
         return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
         raise GraphFileError(
@@ -118,23 +118,9 @@ def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibratio
     declination = calibrations.variable("declination_rad")
     if declination is None:
         yaw = yaw + calibrations.value("declination_rad")
-    compass = clocked(Heading(poses, wrap(yaw)[:, None], Isotropic(sigma)), attitude.rates(b)[:, 2:], calibrations)
+    heading = Heading(poses, wrap(yaw)[:, None], Isotropic(sigma))
+    compass = calibrations.shifted(heading, CLOCK, -attitude.rates(b)[:, 2:])
     return compass if declination is None else Shifted(compass, [[-1.0]], declination)
-
-
-def clocked(factor: Factor, rate: Array, calibrations: Calibrations) -> Factor:
-    """Measurements by the times of ahrs.csv, shifted by its clock where that is a variable.
-
-    Parameters
-    ----------
-    factor : z (n, m) at the times by the clock as it is believed to be.
-    rate : (n, m) of z by time.
-    """
-    clock = calibrations.variable("ahrs_clock_s")
-    if clock is None:
-        return factor
-    z = factor.z - rate * calibrations.value("ahrs_clock_s")
-    return Shifted(replaced(factor, z=z), -rate[:, :, None], clock)
 
 
 def _rate(t: Array, y: Array, b: Array) -> Array:

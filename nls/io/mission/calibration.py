@@ -14,6 +14,7 @@ import numpy as np
 from factors import Diagonal, Heading, Prior, Shifted
 from factors.base import Factor
 from factors.keys import Keys, Kind
+from factors.replaced import replaced
 from models import Manifold, R
 from models.algebra import Array, Numbers
 from models.options import did_you_mean
@@ -92,6 +93,12 @@ class Calibrations:
     def value(self, name: str) -> float:
         """The value of a name; 0 where there is no row."""
         return self._rows[name].value if name in self._rows else 0.0
+
+    def shifted(self, factor: Factor, name: str, G: Array) -> Factor:
+        """Measurements z (n, m) as believed, which change by G (n, m) with a calibration; the same where it is held."""
+        if (variable := self.variable(name)) is None:
+            return factor
+        return Shifted(replaced(factor, z=factor.z + G * self.value(name)), G[:, :, None], variable)
 
     def add(self, kind: Kind, count: int, sigma: float) -> None:
         """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""

@@ -48,9 +48,9 @@ from models.manifolds.euler import quaternion_from_angles
 from models.sensors import levelled
 from nls.io.mission.attitude import (
     BIAS,
+    CLOCK,
     Attitude,
     attitude_of,
-    clocked,
     gyro_biases,
     headings,
     turn_covariance,
@@ -146,7 +146,7 @@ def integrated(
         xyh, (_, H_j) = levelled(X, SE3.compose(X, legs.z))
         ways = None if s is None and a is None else _ways(level, velocity)
         turns = np.zeros_like(xyh)  # by the time that the attitude is late
-        if gyro is None and calibrations.variable("ahrs_clock_s") is not None:
+        if gyro is None and calibrations.variable(CLOCK) is not None:
             turns[:, :2] = (level(velocity.v, LATE) - level(velocity.v, -LATE))[:, :2] / (2 * LATE)
     except (GraphError, OptionError) as error:
         raise GraphFileError(f"cannot be integrated: {error}", dvl.path) from error
@@ -187,8 +187,8 @@ def integrated(
     tilting = attitude.rates(b)[:, [1, 0]]
     report.sources.append(ahrs.source(_latest(attitude.t_a, b[in_log])))
     return np.sort(numbers), [
-        clocked(steps, turns, calibrations),
-        clocked(zpr, np.column_stack([np.zeros(len(b)), tilting]), calibrations),
+        calibrations.shifted(steps, CLOCK, -turns),
+        calibrations.shifted(zpr, CLOCK, -np.column_stack([np.zeros(len(b)), tilting])),
         headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"] * alike, calibrations),
     ]
 

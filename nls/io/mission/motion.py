@@ -23,7 +23,7 @@ from factors.keys import kinds
 from models import SE3
 from models.algebra import Array, Numbers
 from models.dead_reckoning.drop_outs import longest_step
-from nls.io.mission.attitude import attitude_of, clocked, headings
+from nls.io.mission.attitude import CLOCK, attitude_of, headings
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
@@ -94,7 +94,8 @@ def walking(
     zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
     heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
     if "ahrs" in logs:
-        zpr = clocked(zpr, np.column_stack([np.zeros(n), attitude.rates(t)[:, [1, 0]]]), calibrations)
+        tilting = np.column_stack([np.zeros(n), attitude.rates(t)[:, [1, 0]]])
+        zpr = calibrations.shifted(zpr, CLOCK, -tilting)
     if "yaw_rad" in measured:
         heading = headings(attitude, x[numbers], t, measured["yaw_rad"][1], calibrations)
     report.vertex_times["x"] = t
