@@ -59,7 +59,7 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
         if table.has("z_m"):
             z = table.floats("z_m")[:, 0]
             out += depth_of(file, z, t)
-            out += outliers_of(file, "z_m", z, sigmas.get("sigma_z_m", 0.0), np.arange(len(z)))
+            out += outliers_of(file, ("z_m",), z[:, None], [sigmas.get("sigma_z_m", 0.0)])
         for column in ("roll_rad", "pitch_rad"):
             out += tilt_of(file, column, table.floats(column)[:, 0]) if table.has(column) else ()
         for column in (*ANGLES, "z_m") if name in ("ahrs", "depth") and not out else ():
