@@ -76,8 +76,10 @@ def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
 
 
 def turns(log: Log) -> Iterator[Implausible]:
-    """The heading of ahrs.csv."""
+    """The heading of ahrs.csv, also one that never changes."""
     yield from turn_of("ahrs.csv", log.t_a, log.rpy[:, 2])
+    if log.rpy[:, 2].any():
+        yield from stuck_of("ahrs.csv", "yaw_rad", log.rpy[:, 2])
 
 
 def turn_of(file: str, t: Array, yaw: Array) -> Iterator[Implausible]:

@@ -24,10 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import XYH, Heading, Position
+from factors import Heading, Position
 from factors.base import Factor
 from factors.keys import kinds
 from factors.shifted import Shifted
+from factors.xyh import HorizontalStep
 from models.algebra import Array, apply
 from models.manifolds.so3 import rotation3
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
@@ -189,7 +190,7 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
     if t is not None and not (np.diff(t) > 0).all():
         t = None
     at = X.index(factor.keys[0])
-    if isinstance(factor, XYH) and file == "dvl.csv" and t is not None:
+    if isinstance(factor, HorizontalStep) and file == "dvl.csv" and t is not None:
         yield from _of_legs(W, factor.z, t[at], t[X.index(factor.keys[1])])
     elif (tilts := factor.tilts(batch.model)) is not None:
         z, w = tilts[:, :1], W[:, :, :1]
