@@ -19,7 +19,6 @@ class Cause(StrEnum):
     SWAPPED = "swapped"  # two columns are exchanged
     AXES = "axes"  # x ahead, y to port, z up
     EARTH = "earth"  # along north, east and down
-    TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
     ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
@@ -37,7 +36,6 @@ class Cause(StrEnum):
     STALE = "stale"  # repeated, of a vehicle that moves
     CALIBRATION = "calibration"  # the row of calibration.csv has `factor`
     KERNEL = "kernel"  # the part `factor` of the rows is to be ignored
-    WAYS = "ways"  # one way and both ways are mixed up
     UNKNOWN = "unknown"
 
 

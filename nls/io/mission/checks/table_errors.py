@@ -58,6 +58,7 @@ HIDDEN = {
     "arm": 5.0,
 }  # that matter
 MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
+LARGEST = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # of a reading: beyond, another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
 (s,) = kinds("s")
 
@@ -69,8 +70,8 @@ class TableError:
     Attributes
     ----------
     file : of the table.
-    quantity : ``heading``, ``turn``, ``depth`` (its zero and its scale), ``zero of the depth``, ``scale``, ``place``,
-        ``clock``, ``drift`` or ``arm``.
+    quantity : ``heading``, ``heading drift``, ``turn``, ``depth`` (its zero and its scale), ``zero of the depth``,
+        ``scale``, ``place``, ``clock``, ``drift`` or ``arm``.
     below : the size that would be seen, rad, m or s; infinite where none is, or nearly so.
     reading : the error as the measurements have it, also one that may be chance; None where they say nothing.
     sigma : of its factor.
@@ -162,6 +163,10 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
     """What an error of this size is; a clock runs fast since a time."""
     table = file.removesuffix(".csv")
+    if not abs(size) < LARGEST.get(quantity, np.inf):
+        return None
+    if quantity == "heading drift":
+        return Reading(Cause.DRIFT, file, "yaw_rad", size)
     if quantity == "clock" and f"{table}_clock_s" not in NAMES:
         return Reading(Cause.CLOCK, file, "time_s", size)
     if quantity == "drift":
@@ -202,6 +207,8 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
             yield from _late(file, -w[:, :, 0] * np.gradient(z[:, 0], t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Heading):
         yield file, "heading", W[:, :, :1]
+        if t is not None:
+            yield file, "heading drift", W[:, :, :1] * (t[at] - t[0])[:, None, None]
         if t is not None and "motion.csv" not in report.tags and not known:
             yield from _late(file, -W[:, :, 0] * np.gradient(np.unwrap(factor.z[:, 0]), t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Position):
