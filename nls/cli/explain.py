@@ -144,8 +144,7 @@ def _explained(
         if judges and (choice := choice_of(graph, values, result, report)) is not None:
             progress.next("explain")
             return _without_wrong_contacts(graph, choice, report)
-        if result.doubt:
-            explain_misfit(report, result.chi2_final, result.dof, options)
+        explain_misfit(report, graph, result, options)
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")

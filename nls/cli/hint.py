@@ -76,8 +76,8 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
-def explain_misfit(report: LoadReport, chi2: float, dof: int, options: argparse.Namespace) -> None:
-    """What explains an implausible chi2 of one mission, into its report.
+def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, options: argparse.Namespace) -> None:
+    """Errors of whole tables of one mission, and what explains an implausible chi2, into its report.
 
     Nothing is tried where special values or units of its tables are wrong: those come first.
     """
@@ -85,14 +85,18 @@ def explain_misfit(report: LoadReport, chi2: float, dof: int, options: argparse.
         return
     from nls.cli.progress import Progress
     from nls.io.mission import MissionReport
+    from nls.io.mission.checks.table_errors import table_errors
     from nls.io.mission.checks.trials import explained, worth_trying
     from nls.io.mission.folder import read_tables
     from nls.stages import listened
 
     assert isinstance(report, MissionReport)
-    if worth_trying(report.findings):
+    chi2, dof = result.believed
+    report.errors = table_errors(graph, result.values, chi2, dof, report) if result.converged else []
+    if (result.doubt or any(error.seen for error in report.errors)) and worth_trying(report.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
-            explanation = explained(read_tables(report.path)[0], chi2, dof, options.elevation or "hinge")
+            tables = read_tables(report.path)[0]
+            explanation = explained(tables, result.chi2_final, result.dof, report.errors, options.elevation or "hinge")
         if explanation.trials or "contacts.csv" not in report.tags:  # the mounting of a sonar is not tried
             report.explained = explanation
 
@@ -117,9 +121,9 @@ def doubts(
     options, written : as for `asking`.
     cures : what else explains or cures it, in words.
     """
-    if not result.misfit:
+    if not (result.misfit or cures):
         return []
     cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
     cure += cures or listed((piece for piece in result.advice if piece.action != "explain"), shell=True)
-    problem = f"implausible: {result.doubt}" if result.doubt else result.misfit
-    return ["; ".join([problem, *cure, f"see: {asking(options, written)}"])]
+    problem = [f"implausible: {result.doubt}" if result.doubt else result.misfit] * bool(result.misfit)
+    return ["; ".join([*problem, *cure, f"see: {asking(options, written)}"])]

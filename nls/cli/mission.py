@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from models.listing import some
 from nls.cli.covariances import covariances
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.redundancy import hidden_errors, position_checks, sigma_at_the_end
+from nls.io.mission.redundancy import position_checks, sigma_at_the_end
 from nls.io.mission.results import undetermined
 from nls.metrics import cep, drms2
 
@@ -129,10 +128,8 @@ class Solved:
     @cached_property
     def unchecked(self) -> list[dict[str, Any]]:
         """Errors of whole tables that nothing shows; none where nothing checks dead reckoning, or at no optimum."""
-        if not (self.checks and self.result.converged):
-            return []
-        r = self.result
-        return [finite_or_none(asdict(e)) for e in hidden_errors(self.graph, r.values, *r.believed, self.report)]
+        errors = [error for error in self.report.errors if error.hidden] if self.checks else []
+        return [finite_or_none({"file": e.file, "quantity": e.quantity, "below": e.below}) for e in errors]
 
     @cached_property
     def end_sigma(self) -> float | None:

@@ -188,8 +188,8 @@ def _optimize(job: Job) -> None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")
-    if job.report.format == "mission" and job.result.doubt and job.choice is None and job.sigmas is None:
-        explain_misfit(job.report, job.result.chi2_final, job.result.dof, job.options)
+    if job.report.format == "mission" and job.choice is None and job.sigmas is None:
+        explain_misfit(job.report, job.graph, job.result, job.options)
         job.clock.lap("report")
 
 

@@ -13,6 +13,7 @@ from nls.values import Values
 
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
+    from nls.io.mission.checks.table_errors import TableError
     from nls.io.mission.table import Table
 
 __all__ = ["MissionReport"]
@@ -34,6 +35,7 @@ class MissionReport(LoadReport):
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     findings : what is implausible in the tables, each also a warning.
     explained : what explains chi2 where it was implausible; None where it was not asked.
+    errors : of whole tables at the optimum, as `nls.io.mission.checks.table_errors` has them.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
@@ -50,6 +52,7 @@ class MissionReport(LoadReport):
     calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Implausible] = field(default_factory=list)
     explained: Explained | None = None
+    errors: list[TableError] = field(default_factory=list)
 
     @property
     def anchored(self) -> bool:
