@@ -18,7 +18,7 @@ from models.listing import some
 from nls.cli.covariances import covariances
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.redundancy import position_checks, sigma_at_the_end
+from nls.io.mission.determination import position_checks, sigma_at_the_end
 from nls.io.mission.results import undetermined
 from nls.metrics import cep, drms2
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from unicodedata import name, normalize
+from unicodedata import normalize
 
 import numpy as np
 
 from models.algebra import Index
-from nls.io.text import NUMBER, Text, printable, strange
+from nls.io.text import NUMBER, Text, named, printable, strange
 
 __all__ = ["refuse_misspelt"]
 SIGNS = bytes.maketrans(b"-:", b"__")  # as they are confused in tags
@@ -99,14 +99,14 @@ def _foreign(tag: bytes, forms: Mapping[bytes, bytes]) -> str:
     if separator and (known := forms.get(_form(head.encode("utf-8", "surrogateescape")))):
         return f"expected {printable(known)} and blanks, not {SEPARATORS[separator]}, between the words"
     if bare != word and (known := forms.get(_form(bare.encode("utf-8", "surrogateescape")))):
-        return f"expected {printable(known)} without {_named(next(c for c in word if c in QUOTES))}"
+        return f"expected {printable(known)} without {named(next(c for c in word if c in QUOTES))}"
     if tag.isascii():
         return ""
     plain = normalize("NFKC", word)
     known = next((forms[form] for form in forms if _alike(plain, form.decode())), None)
     if known is None:
         return ""
-    letter = _named(next(c for c in word if not c.isascii()))
+    letter = named(next(c for c in word if not c.isascii()))
     return f"expected {printable(known)} with a letter of ASCII in the place of {letter}"
 
 
@@ -119,13 +119,6 @@ def _alike(word: str, form: str) -> bool:
         not a.isascii() or _form(a.encode()) == b.encode() for a, b in zip(word, form, strict=True)
     )
     return same or _form(ascii_only.encode()) == form.encode()
-
-
-def _named(character: str) -> str:
-    """A character by its name."""
-    if 0xDC80 <= ord(character) <= 0xDCFF:  # no UTF-8
-        return f"byte {ord(character) - 0xDC00:02X}"
-    return f"{name(character, 'character').lower()} (U+{ord(character):04X})"
 
 
 def _split(
@@ -154,7 +147,7 @@ def _near(word: bytes, tag: bytes) -> bool:
     """
     if abs(len(word) - len(tag)) > 1:
         return False
-    a, b = word.upper().translate(SIGNS), tag.upper().translate(SIGNS)
+    a, b = _form(word), _form(tag)
     for k in range(max(len(a), len(b))):
         shorter, shorter_tag, swapped = a[:k] + a[k + 1 :], b[:k] + b[k + 1 :], a[:k] + a[k : k + 2][::-1] + a[k + 2 :]
         if b in (shorter, swapped) or shorter_tag in (shorter, a):

@@ -3,6 +3,8 @@
 Numbers are read all at once (`nls.io.decimals`). Few are left: those of another form, of more than 19 digits, or next
 to the middle of two floating-point numbers. They are matched against the grammar of a decimal number and go to Python's
 float(). It also takes "nan", "1_0" and the digits of other scripts.
+
+Files without tags, trajectories and logs, have lines of numbers alone, blanks between, and comments that begin with #.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from pathlib import Path
 from unicodedata import name
 
 import numpy as np
@@ -20,9 +23,10 @@ from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError, NoiseModelError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
+from nls.io.files import read_bytes
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["Text"]
+__all__ = ["Text", "plain_lines", "plain_table", "refuse_late"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither
@@ -54,10 +58,14 @@ def strange(line: bytes) -> str:
     ('no-break space (U+00A0)', '')
     """
     match = None if line.isascii() else re.search(STRANGE, line.decode("utf-8", "surrogateescape"))
-    if match is None:
-        return ""
-    character = match[0]
-    return NAMES.get(character) or f"{name(character).lower()} (U+{ord(character):04X})"
+    return "" if match is None else named(match[0])
+
+
+def named(character: str) -> str:
+    """A character by its name; a byte that is no UTF-8 by its number."""
+    if character not in NAMES and 0xDC80 <= ord(character) <= 0xDCFF:
+        return f"byte {ord(character) - 0xDC00:02X}"
+    return NAMES.get(character) or f"{name(character, 'character').lower()} (U+{ord(character):04X})"
 
 
 def rows(tag: str, words: Sequence[Iterable[str]], numbers: Array, digits: Callable[[float], str] = repr) -> list[str]:
@@ -283,3 +291,47 @@ class Text:
             k = int(np.argmin(np.isfinite(number)))
             raise self.error(f"{printable(words[k], 40)!r} is beyond the largest number", int(lines[k]))
         self._decimals[0][tokens] = number
+
+
+def plain_lines(path: str | Path, problem: str) -> tuple[Text, Index, Index, int]:
+    """The text of a file, its lines (n,) that are neither blank nor comments, how many words each has, comments.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read, or has no such line; `problem` is the message.
+    """
+    text = Text(read_bytes(path), str(path))
+    count = np.diff(text.first)
+    lines = np.flatnonzero(count)
+    comment = text.characters(text.first[lines], 1)[:, 0] == ord("#")
+    lines = lines[~comment]
+    if not len(lines):
+        raise text.error(f"has {problem}", 0)
+    return text, lines, count[lines], int(comment.sum())
+
+
+def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") -> tuple[Text, Index, Array, int]:
+    """The text, its lines (n,), their numbers (n, columns), how many comments.
+
+    Raises
+    ------
+    GraphFileError
+        With the line: another count of words than columns, or a word that is no finite number.
+    """
+    text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {expected}")
+    text.refuse(count != columns, lines, lambda k: f"{count[k]} numbers, expected {columns}: {expected}")
+    tokens = text.first[lines][:, None] + np.arange(columns)
+    return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
+
+
+def refuse_late(text: Text, lines: Index, times: Array) -> None:
+    """Refuse times (n,) of lines (n,) that do not rise.
+
+    Raises
+    ------
+    GraphFileError
+        With the line.
+    """
+    late, t = times[1:] <= times[:-1], times
+    text.refuse(late, lines[1:], lambda k: f"time {float(t[k + 1])!r} does not rise over {float(t[k])!r} before it")

@@ -22,8 +22,8 @@ from models.listing import several
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
-from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
+from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import measurements_left_out, note_comments
 from nls.values import Values
 

@@ -21,6 +21,7 @@ from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
+from nls.io.lines import joined
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
@@ -177,8 +178,7 @@ def _refuse_mounts(path: str, graph: FactorGraph, values: Values) -> None:
         return
     used = [k.numbers for f in graph.factors for k in f.keys[1:] if k.kind == KINDS["mount"]]
     numbers = values.stacks[KINDS["mount"]].numbers
-    if not np.isin(numbers, np.concatenate([numbers[:0], *used])).all():
-        lost = Keys(KINDS["mount"], numbers)[~np.isin(numbers, np.concatenate([numbers[:0], *used]))]
+    if len(lost := Keys(KINDS["mount"], numbers[~np.isin(numbers, joined(used))])):
         raise GraphError(
             f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose",
             [lost],

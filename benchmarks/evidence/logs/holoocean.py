@@ -17,7 +17,7 @@ import numpy as np
 
 from models.algebra import Array
 from models.manifolds.so3 import quaternion_from_matrix
-from nls.io.plain import plain_lines
+from nls.io.text import plain_lines
 
 __all__ = ["HoloOcean", "read_holoocean"]
 

@@ -18,8 +18,7 @@ import numpy as np
 
 from models import wrap
 from models.algebra import Array, Index, Numbers
-from nls.io.plain import plain_table
-from nls.io.text import Text
+from nls.io.text import Text, plain_table
 
 from .table import or_compressed
 

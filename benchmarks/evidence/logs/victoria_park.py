@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from models.algebra import Array, Index
-from nls.io.plain import plain_lines, plain_table, refuse_late
+from nls.io.text import plain_lines, plain_table, refuse_late
 
 from .table import or_compressed
 

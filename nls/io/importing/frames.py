@@ -27,6 +27,7 @@ BODY = {"FRD": np.eye(3), "FLU": np.diag([1.0, -1, -1])}
 BODY_OF = {"NED": "FRD", "ENU": "FLU", "NWU": "FLU"}  # that goes with a world, unless said otherwise
 FRAMES = (*WORLD, *BODY)
 ON_BODY = ("sonar", "dvl_mount", "closures", "odometry")  # tables whose places and angles are in axes of the body
+TOLERANCE = 1e-2  # of a quaternion or a matrix, from a rotation
 TO_PORT = ("bearing_rad", "elevation_rad", "azimuth_rad")  # to starboard and down in a mission
 
 
@@ -131,17 +132,11 @@ def angles_of(kind: str, parts: npt.ArrayLike) -> Array:
     numbers = np.asarray(parts, dtype=float)
     if kind == "quaternion":
         off = np.abs(np.linalg.norm(numbers, axis=1) - 1)
-        rotation = numbers
     else:
         M = numbers.reshape(-1, 3, 3)
         off = np.abs(M @ M.mT - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(M) < 0)
-        rotation = np.zeros((len(M), 4))
     if (bad := ~(off < TOLERANCE)).any():
         k = int(np.argmax(bad))
         raise ValueError(k, f"{kind} {numbers[k].tolist()} is no rotation")
-    if kind != "quaternion":
-        rotation = quaternion_from_matrix(numbers.reshape(-1, 3, 3))
+    rotation = numbers if kind == "quaternion" else quaternion_from_matrix(numbers.reshape(-1, 3, 3))
     return angles_from_quaternion(rotation / np.linalg.norm(rotation, axis=1, keepdims=True))
-
-
-TOLERANCE = 1e-2

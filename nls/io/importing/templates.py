@@ -115,8 +115,7 @@ def _template(table: str) -> str:
     """Head and one example of a table."""
     columns = [name for name in COLUMNS[table] if name not in ALTERNATIVES.get(table, ())]
     need = f" Needed for {'a raw log' if table in LOG else 'an integrated track'}." if table in (*LOG, *TRACK) else ""
-    about = ABOUT.get(table, "")
-    lines = [f"# {table}.csv: {about}.{need}" if about else f"# {table}.csv{need}"]
+    lines = [f"# {table}.csv: {ABOUT[table]}.{need}"]
     lines.append("# " + ", ".join(mission_unit(name)[1] or "-" for name in columns))
     if left_out := [name for name in columns if name in optional(table, LOG)]:
         lines.append(f"# may be left out: {', '.join(left_out)}")

@@ -11,6 +11,7 @@ import numpy as np
 from models.algebra import Array
 from models.pressure import ATMOSPHERE, depth_by_density, depth_unesco
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import one_row
 from nls.io.mission.table import Table
 
 SURFACE = 1.0  # m: waves and weather
@@ -55,9 +56,8 @@ def _depth(pressure: Table, p: Array, water: Table | None, report: MissionReport
     """Depths (n, 1) below the surface."""
     given: dict[str, float] = {}
     if water is not None:
-        if len(water) > 1:
-            raise water.at(1, "a second row; expected one")
-        given = dict(zip(water.names, water.measured(*water.names)[0].tolist(), strict=True))
+        given = one_row(water)
+        water.measured(*water.names)  # within what their units allow
         if given.keys() >= {"density_kg_m3", "latitude_deg"}:
             raise water.at(0, "density_kg_m3 and latitude_deg both say how heavy the water is; leave one of them")
     if "atmosphere_pa" not in given:

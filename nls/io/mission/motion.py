@@ -29,7 +29,7 @@ from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import noise_of
+from nls.io.mission.rows import noise_of, one_row
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
 from nls.io.report import Source
@@ -58,8 +58,7 @@ def walking(
         A second row; fewer than two times; no sigma of a sensor; an angle that a measurement needs and none measures.
     """
     motion = tables["motion"]
-    if len(motion) > 1:
-        raise motion.at(1, "a second row; expected one")
+    one_row(motion)
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
     logs: dict[str, Log] = {}
     if "ahrs" in tables:
