@@ -76,7 +76,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
         )
     i = _index(text, rows, 0, cameras, "camera")
     j = _index(text, rows, 1, points, "point")
-    z = text.numbers((text.first[rows][:, None] + np.array([2, 3])).reshape(-1), rows, 2).reshape(-1, 2)
+    z = text.words(rows, 2, 2)
 
     first, last = int(text.first[rows[-1] + 1]), len(text.starts)
     needed = 9 * cameras + 3 * points

@@ -13,7 +13,7 @@ from unicodedata import normalize
 import numpy as np
 
 from models.algebra import Index
-from nls.io.text import NUMBER, Text, named, printable, strange
+from nls.io.text import NUMBER, Text, character_name, printable, strange
 
 __all__ = ["refuse_misspelt"]
 SIGNS = bytes.maketrans(b"-:", b"__")  # as they are confused in tags
@@ -99,14 +99,14 @@ def _foreign(tag: bytes, forms: Mapping[bytes, bytes]) -> str:
     if separator and (known := forms.get(_form(head.encode("utf-8", "surrogateescape")))):
         return f"expected {printable(known)} and blanks, not {SEPARATORS[separator]}, between the words"
     if bare != word and (known := forms.get(_form(bare.encode("utf-8", "surrogateescape")))):
-        return f"expected {printable(known)} without {named(next(c for c in word if c in QUOTES))}"
+        return f"expected {printable(known)} without {character_name(next(c for c in word if c in QUOTES))}"
     if tag.isascii():
         return ""
     plain = normalize("NFKC", word)
     known = next((forms[form] for form in forms if _alike(plain, form.decode())), None)
     if known is None:
         return ""
-    letter = named(next(c for c in word if not c.isascii()))
+    letter = character_name(next(c for c in word if not c.isascii()))
     return f"expected {printable(known)} with a letter of ASCII in the place of {letter}"
 
 

@@ -199,10 +199,9 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     count = text.first[lines + 1] - text.first[lines] - 1
     expected = f"expected {tag.words}: {tag.columns}"
     text.refuse(count != tag.words, lines, lambda k: f"{count[k]} words after {name}, {expected}")
-    first = text.first[lines]
-    times = text.numbers(first + 1, lines, 1) if tag.timed else np.zeros(len(lines))
+    times = text.words(lines, 1, 1)[:, 0] if tag.timed else np.zeros(len(lines))
     names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
-    table = text.numbers((first[:, None] + lead + np.arange(wide)).reshape(-1), lines, wide).reshape(-1, wide)
+    table = text.words(lines, lead, wide)
     if (invalid := tag.space.invalid(table[:, : tag.space.size])) is not None:
         raise text.error(invalid[1], int(lines[invalid[0]]))
     pairs, pair_of = np.unique(np.stack([kind for kind, _ in names], axis=1), axis=0, return_inverse=True)

@@ -13,14 +13,14 @@ import numpy as np
 from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
-from models import LieGroup, R
+from models import LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
-from nls.io.records import KINDS, Format, Record
+from nls.io.records import KINDS, Format, Record, spaces_of
 from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles
 from nls.io.start import started, unstarted
@@ -206,8 +206,7 @@ def _factor(
             columns = [all_offsets[:, k] for k in range(record.parameters)]
             shared = [O[:1] if (O == O[0]).all() else O for O in columns]
         factor = record.build(keys, z, noise, shared, convention)
-        spaces = {"point": R(group.point_dim)}
-        factor.bind(*(spaces.get(slot, group) for slot in record.slots))
+        factor.bind(*(spaces_of(group)[slot] for slot in record.slots))
     return factor
 
 

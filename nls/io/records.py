@@ -129,10 +129,9 @@ class Record:
 
     def holds(self, factor: Factor, manifolds: tuple[Manifold, ...], offsets: int) -> bool:
         """Whether its lines can say this factor, bound to these spaces, with so many fixed offsets."""
-        spaces = {"point": R(self.group.point_dim)}
         return (
             type(factor) is self.factor
-            and tuple(spaces.get(slot, self.group) for slot in self.slots) == manifolds
+            and tuple(spaces_of(self.group)[slot] for slot in self.slots) == manifolds
             and (self.parameters if self.used else 0) == offsets
             and getattr(factor, "components", None) is None
         )
@@ -175,16 +174,16 @@ class Format:
         by_tag = {record.tag: record for record in self.records}
         return by_tag | {alias: by_tag[tag] for alias, tag in self.aliases}
 
-    def vertex(self, role: str, group: LieGroup) -> Record | None:
-        """The record of vertices of a role in the plane or in space; None where the format has none."""
-        slot = "pose" if role == "mount" else role
-        records = [r for r in self.records if r.factor is None and r.slots == (slot,) and r.group is group]
+    def record(self, role: str, group: LieGroup) -> Record | None:
+        """The record of vertices of a role, or of a ``parameter``, in the plane or in space; None where none is."""
+        slots = {"mount": ("pose",), "parameter": ()}.get(role, (role,))
+        records = [r for r in self.records if r.factor is None and r.slots == slots and r.group is group]
         return records[0] if records else None
 
-    def offset(self, group: LieGroup) -> Record | None:
-        """The record of parameters."""
-        records = [r for r in self.records if r.factor is None and not r.slots and r.group is group]
-        return records[0] if records else None
+
+def spaces_of(group: LieGroup) -> dict[str, Manifold]:
+    """The space of vertices by what they are used as, with poses of SE2 or SE3."""
+    return {"pose": group, "point": R(group.point_dim), "mount": group, "either": group}
 
 
 def a_file(format: str) -> str:

@@ -54,8 +54,13 @@ class Statement(NamedTuple):
 
     def only(self, mask: Mask, noise: Noise) -> Statement:
         """The numbers of some of the lines, and the noise of their factor."""
-        z, numbers, parameters, offsets = (array[mask] for array in self[3:])
-        return Statement(noise, self.tag, self.convention, z, numbers, parameters, offsets)
+        return self._replace(
+            noise=noise,
+            z=self.z[mask],
+            numbers=self.numbers[mask],
+            parameters=self.parameters[mask],
+            offsets=self.offsets[mask],
+        )
 
 
 @dataclass

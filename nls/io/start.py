@@ -11,11 +11,11 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
 from factors.sighting import Sighting
-from models import LieGroup, Manifold, R
+from models import LieGroup
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.lines import Lines
-from nls.io.records import KINDS
+from nls.io.records import KINDS, spaces_of
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
 from nls.io.text import Text
@@ -35,7 +35,7 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    spaces = _spaces(group)
+    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
     values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
     for factor, _ in bound:
         if isinstance(factor, Prior):  # a pose, place or point that is known
@@ -62,13 +62,8 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
 
 def unstarted(roles: Roles, group: LieGroup) -> Values:
     """No values, of the kinds that the edges name."""
-    spaces = _spaces(group)
-    return Values({k: (spaces[k], spaces[k].identity(0), []) for k, n in roles.all_ids().items() if len(n)})
-
-
-def _spaces(group: LieGroup) -> dict[str, Manifold]:
-    """The space of every kind of variables."""
-    return {POSE: group, POINT: R(group.point_dim), MOUNT: group}
+    spaces, ids = spaces_of(group), roles.all_ids()
+    return Values({k: (spaces[role], spaces[role].identity(0), []) for role, k in KINDS.items() if len(ids[k])})
 
 
 def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:

@@ -58,10 +58,10 @@ def strange(line: bytes) -> str:
     ('no-break space (U+00A0)', '')
     """
     match = None if line.isascii() else re.search(STRANGE, line.decode("utf-8", "surrogateescape"))
-    return "" if match is None else named(match[0])
+    return "" if match is None else character_name(match[0])
 
 
-def named(character: str) -> str:
+def character_name(character: str) -> str:
     """A character by its name; a byte that is no UTF-8 by its number."""
     if character not in NAMES and 0xDC80 <= ord(character) <= 0xDCFF:
         return f"byte {ord(character) - 0xDC00:02X}"
@@ -106,9 +106,8 @@ class Text:
         self._bytes = b"\n".rjust(PAD) + data + b"\n".ljust(SHORT)  # first words are compared up to SHORT behind
         self._marks = self._bytes.translate(MARKS)
         marks = np.frombuffer(self._marks, dtype=np.uint8)
-        kind: type[np.int32 | np.int64] = (
-            np.int32 if len(marks) < 2**31 else np.int64
-        )  # half the memory where it can be
+        # half the memory where it can be
+        kind: type[np.int32 | np.int64] = np.int32 if len(marks) < 2**31 else np.int64
         edges, newlines = [], []
         for begin in range(0, len(marks), BLOCK):
             block = marks[begin : begin + BLOCK + 1]
@@ -241,12 +240,16 @@ class Text:
             raise self.error(f"{numbers} numbers after the tag, expected {columns}: {expected}{surplus}", int(lines[k]))
         begin, end = int(first[0]), int(first[-1]) + width
         if end - begin > len(lines) * width:  # other lines between
-            tokens = first[:, None] + np.arange(1, width)
-            return self.numbers(tokens.reshape(-1), lines, columns).reshape(len(lines), columns)
+            return self.words(lines, 1, columns)
         value, form = self._decimals
         line, column = (form[begin:end].reshape(-1, width)[:, 1:] == UNREAD).nonzero()
         self._read(first[line] + 1 + column, lines[line])
         return value[begin:end].reshape(-1, width)[:, 1:]
+
+    def words(self, lines: Index, first: int, columns: int) -> Array:
+        """The numbers (n, columns) of so many words of these lines, the first of which is counted from 0."""
+        tokens = self.first.take(lines)[:, None] + np.arange(first, first + columns)
+        return self.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns)
 
     def whole(self, lines: Index, column: int | Index) -> Numbers:
         """Whole numbers of one column per line (1 is the first after the tag): ids, exact up to 2^63 - 1.
@@ -321,8 +324,7 @@ def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") 
     """
     text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {expected}")
     text.refuse(count != columns, lines, lambda k: f"{count[k]} numbers, expected {columns}: {expected}")
-    tokens = text.first[lines][:, None] + np.arange(columns)
-    return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
+    return text, lines, text.words(lines, 0, columns), comments
 
 
 def refuse_late(text: Text, lines: Index, times: Array) -> None:

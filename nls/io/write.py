@@ -22,7 +22,7 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.lines import joined
-from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
+from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.text import rows
@@ -114,7 +114,7 @@ class _Content:
         for kind, stack in values.stacks.items():
             held = fixed[start : start + len(stack)]
             start += len(stack)
-            record = format.vertex(ROLES[kind], group)
+            record = format.record(ROLES[kind], group)
             if record is None:
                 self.unwritten += len(stack)
                 continue
@@ -128,7 +128,7 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
     """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
-    spaces = {KINDS["pose"]: group, KINDS["point"]: R(group.point_dim), KINDS["mount"]: group}
+    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
     for kind, manifold in kinds.items():
         if spaces.get(kind) is not manifold:
             expected = ", ".join(f"{k} in {space}" for k, space in spaces.items())
@@ -194,9 +194,8 @@ class _Offsets:
         parameters = [PARAMETER.match(line) for line in ignored]
         self.used_ids = {int(m[1]) for m in parameters if m}
         self.rows: dict[int, bytes] = {}
-        self.known: dict[
-            bytes, int
-        ] = {}  # the first id of every row: a search through `rows` made 8000 take 3.6 s, not 0.2
+        # the first id of every row: a search through `rows` made 8000 take 3.6 s, not 0.2
+        self.known: dict[bytes, int] = {}
         self.free = max(self.used_ids, default=-1) + 1
 
     def ids(self, offsets: Array, wanted_ids: Numbers) -> Numbers:
@@ -223,7 +222,7 @@ class _Offsets:
         """The parameter lines."""
         if not self.rows:
             return []
-        record = format.offset(self.group)
+        record = format.record("parameter", self.group)
         assert record is not None
         X = np.frombuffer(b"".join(self.rows.values())).reshape(-1, self.group.size)
         return _lines(record.tag, [np.array(list(self.rows), dtype=np.int64)], X)

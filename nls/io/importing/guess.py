@@ -22,30 +22,6 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
         r".*\btime\b.*",
         r".*\bdate\b.*",
     ),
-    "vx_m_s": (
-        rf".*\b{AXIS} ?(?:x|0)",
-        r"(?:surge|forward)\b.*",
-        rf".*\b{AXIS} (?:surge|forward)",
-        r".*\bu",
-        rf".*{AXIS}.*\bx",
-        r".*\blinear x",
-    ),
-    "vy_m_s": (
-        rf".*\b{AXIS} ?(?:y|1)",
-        r"(?:sway|starboard)\b.*",
-        rf".*\b{AXIS} (?:sway|starboard|port)",
-        rf"port {AXIS}",
-        rf".*{AXIS}.*\by",
-        r".*\blinear y",
-    ),
-    "vz_m_s": (
-        rf".*\b{AXIS} ?(?:z|2)",
-        r"heave\b.*",
-        rf".*\b{AXIS} (?:heave|down|up)",
-        rf"(?:down|up) {AXIS}",
-        rf".*{AXIS}.*\bz",
-        r".*\blinear z",
-    ),
     "valid": (r".*\b(?:velocity|bottom|dvl)\b.*\b(?:valid|lock)", r".*\b(?:valid|lock|flag)"),
     "roll_rad": (r"roll", r".*\broll"),
     "pitch_rad": (r"pitch", r".*\bpitch"),
@@ -60,6 +36,18 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
     "landmark": (r"(?:landmark|target|feature)(?: id)?",),
     "beacon": (r"(?:beacon|transponder)(?: id)?",),
     "sound_speed_m_s": (r".*sound.*(?:speed|velocity).*", r".*\bsvp?\b.*"),
+}
+VELOCITIES = {  # by column: its letter, its number, words in front and behind, another form
+    "vx_m_s": ("x", 0, "surge|forward", "surge|forward", r".*\bu"),
+    "vy_m_s": ("y", 1, "sway|starboard", "sway|starboard|port", rf"port {AXIS}"),
+    "vz_m_s": ("z", 2, "heave", "heave|down|up", rf"(?:down|up) {AXIS}"),
+}
+PATTERNS |= {
+    column: (
+        *(rf".*\b{AXIS} ?(?:{letter}|{number})", rf"(?:{front})\b.*", rf".*\b{AXIS} (?:{behind})"),
+        *(other, rf".*{AXIS}.*\b{letter}", rf".*\blinear {letter}"),
+    )
+    for column, (letter, number, front, behind, other) in VELOCITIES.items()
 }
 OTHER = {  # names that are something else: no velocity along own axes, no bottom lock
     "velocity": re.compile(r"\b(north|east|earth|local|ned|enu|map|world|imu|acc\w*|gyro|angular|water|air)\b"),

@@ -135,89 +135,86 @@ class Mapping(TomlFile):
                     table, "", f"[{table}] is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
                 )
             for k, part in enumerate(content if isinstance(content, list) else [content]):
-                self._part = k
+                self._reading = table, k
                 self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
         if not self.sections:
             raise GraphFileError("has no section; expected one for each table, such as [dvl]", path)
 
-    def _refused(self, table: str, key: str, message: str) -> GraphFileError:
+    def _refused(self, key: str, message: str) -> GraphFileError:
         """An error in the section that is being read."""
-        return self.error(table, key, message, self._part)
+        table, part = self._reading
+        return self.error(table, key, message, part)
 
     def _section(self, table: str, content: Mappings[str, Any]) -> Section:
         """A section with its groups taken apart."""
         options = {name: value for name, value in content.items() if name in OPTIONS}
         for name, value in options.items():
-            self._refuse_option(table, name, value)
+            self._refuse_option(name, value)
         cells: dict[str, Cell] = {}
         groups: dict[str, str] = {}
         rotation = None
         known = COLUMNS[table]
 
         def cell(place: str, column: str, value: Any) -> Cell:
-            return read_cell(table, column, value, lambda problem: self._refused(table, place, problem))
+            return read_cell(table, column, value, lambda problem: self._refused(place, problem))
 
         for name, value in content.items():
             columns = tuple(column for column in GROUPS.get(name, ()) if column in known)
             if name in OPTIONS:
                 continue
             if name in ROTATIONS and set(ANGLES) <= set(known):
-                rotation = name, self._parts(table, name, value)
+                rotation = name, self._parts(name, value)
             elif columns:
                 if not isinstance(value, list) or len(value) != len(columns):
-                    raise self._refused(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
+                    raise self._refused(name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
                 cells |= {column: cell(name, column, v) for column, v in zip(columns, value, strict=True)}
                 groups |= dict.fromkeys(columns, name)
             elif name in known or (name in GEODETIC and {"x_m", "y_m"} <= set(known)):
                 cells[name] = cell(name, name, value)
             else:
                 advice = _advice(name, value, known)
-                raise self._refused(
-                    table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}"
-                )
+                raise self._refused(name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}")
         places = {column: [column] for column in cells}
         for group, columns in GROUPS.items():
             if (part := [column for column in columns if column in known]) and set(part) <= cells.keys():
                 places[group] = part
         turned, numbers = rotation or ("", ())
         keys = [*places, *([turned] if turned else [])]
-        missing = self._none(table, "missing", options.get("missing", ()), keys)
+        missing = self._none("missing", options.get("missing", ()), keys)
         for column, one in cells.items():
             if one.columns and not one.missing:
                 key = next((key for key, part in places.items() if column in part and key in missing), "")
                 cells[column] = replace(one, missing=missing.get(key, ()))
         together = [
             (part, values)
-            for key, values in self._none(table, TOGETHER, options.get(TOGETHER, {}), keys).items()
+            for key, values in self._none(TOGETHER, options.get(TOGETHER, {}), keys).items()
             for part in ([cells[column].source for column in places[key]] if key in places else numbers)
         ]
-        self._refuse_times(table, options, any(name.startswith("time_") and one.columns for name, one in cells.items()))
-        return Section(table, cells, options, rotation, groups, missing, together, self, self._part)
+        self._refuse_times(options, any(name.startswith("time_") and one.columns for name, one in cells.items()))
+        return Section(table, cells, options, rotation, groups, missing, together, self, self._reading[1])
 
-    def _none(self, table: str, option: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
+    def _none(self, option: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
         """What stands for none, by the keys of a section."""
         if not isinstance(value, dict):
             return dict.fromkeys(keys, none_words(value))
         for key in value:
             if key not in keys:
                 near = did_you_mean(key, keys) or ";"
-                raise self._refused(
-                    table, option, f"{option}: {key!r} is not mapped here{near} it has {', '.join(keys)}"
-                )
+                raise self._refused(option, f"{option}: {key!r} is not mapped here{near} it has {', '.join(keys)}")
         return {key: none_words(part) for key, part in value.items()}
 
-    def _refuse_times(self, table: str, options: Mappings[str, Any], timed: bool) -> None:
+    def _refuse_times(self, options: Mappings[str, Any], timed: bool) -> None:
         """Refuse how times are written where there are none, and what cannot be read."""
         for name in ("date", "time_format"):
             if name in options and not timed and options[name] != self.tree.get(name):
-                raise self._refused(table, name, f"[{table}] has no column of times; leave {name} out")
+                raise self._refused(name, f"[{self._reading[0]}] has no column of times; leave {name} out")
         if (form := options.get("time_format")) is not None:
             try:
                 check_format(form, "date" in options)
             except ValueError as error:
-                raise self._refused(table, "time_format", f"time_format = {form!r} {error}") from error
+                raise self._refused("time_format", f"time_format = {form!r} {error}") from error
 
-    def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
+    def _parts(self, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
         count, order = ROTATIONS[name]
         if name == "quaternion" and isinstance(value, str):
@@ -225,11 +222,11 @@ class Mapping(TomlFile):
         kinds = {isinstance(part, str) for part in value} if isinstance(value, list) else set()
         if len(kinds) != 1 or len(value) != count or not (True in kinds or all(map(is_number, value))):
             raise self._refused(
-                table, name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
+                name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
             )
         return tuple(value)
 
-    def _refuse_option(self, table: str, name: str, value: Any) -> None:
+    def _refuse_option(self, name: str, value: Any) -> None:
         """Refuse an option of a section with a value it cannot have."""
         good = {
             "sort": isinstance(value, bool),
@@ -248,7 +245,7 @@ class Mapping(TomlFile):
         }.get(name, isinstance(value, str) and bool(value))
         if not good:
             near = did_you_mean(value, FRAMES) if name == "frame" else ""
-            raise self._refused(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
+            raise self._refused(name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
 
 
 def read_mapping(path: str | Path) -> Mapping:

@@ -82,7 +82,8 @@ def rows_of(section: Section, log: Log) -> Rows:
             _known(section, column, cell, log)
             rows.times[column] = stamps(section, log, column, rows.notes)
         elif column in WORDS:
-            rows.words[column] = _words(section, column, cell, log, count)
+            own = [log.words(name, cell.missing) for name in _known(section, column, cell, log).columns]
+            rows.words[column] = own[0] if own else [str(cell.constant)] * count
         else:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
     rows.none = np.full(count, bool(section.together))
@@ -126,12 +127,6 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
             raise section.error(column, f"{log.title} has no column {name!r}{write}; it has {listed}")
         log.column(name)
     return cell
-
-
-def _words(section: Section, column: str, cell: Cell, log: Log, count: int) -> list[str]:
-    if cell.columns:
-        return log.words(_known(section, column, cell, log).columns[0], cell.missing)
-    return [str(cell.constant)] * count
 
 
 def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, notes: list[str]) -> Array:

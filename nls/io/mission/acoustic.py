@@ -227,10 +227,8 @@ class Acoustics:
                 "transceiver, or name the beacon"
             )
         t_s = ship.rising("time_s")
-        rpy, p = (
-            np.unwrap(ship.attitude(*ANGLES), axis=0),
-            np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")]),
-        )
+        rpy = np.unwrap(ship.attitude(*ANGLES), axis=0)
+        p = np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")])
         rowed = self._timeline.rows.get("usbl")
         t = self._timeline.at(poses) if rowed is None else rowed[:, 0]
         inside = (t >= t_s[0]) & (t <= t_s[-1])

@@ -118,8 +118,6 @@ def decoded(plain: Plain) -> Any:
             raise GraphError(f"expected a thing with a type, or a kind and its numbers, got {sorted(arguments)!r:.80}")
         return Keys(arguments["kind"], arguments["numbers"])
     cls = type_named(arguments.pop("type"))
-    if isinstance(cls, str):
-        raise GraphError(cls)
     arguments = {name: decoded(value) for name, value in arguments.items()}
     parameters = inspect.signature(cls).parameters
     own = [name for name in ("z", "noise") if issubclass(cls, Factor) and name in arguments and name not in parameters]
@@ -208,13 +206,19 @@ def register(name: str) -> Callable[[F], F]:
     return registered
 
 
-def type_named(name: object) -> type | str:
-    """The class of a name, or why there is none."""
+def type_named(name: object) -> type:
+    """The class of a name.
+
+    Raises
+    ------
+    GraphError
+        There is none.
+    """
     known = {**_own(), **_registered}
     if isinstance(name, str) and name in known:
         return known[name]
     near = did_you_mean(name, known) if isinstance(name, str) else ""
-    return f"{name!r:.60} is no class of this library and was not registered with `nls.io.register`{near}"
+    raise GraphError(f"{name!r:.60} is no class of this library and was not registered with `nls.io.register`{near}")
 
 
 def type_name(thing: Any) -> str | None:
