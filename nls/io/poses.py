@@ -21,7 +21,6 @@ from models.options import did_you_mean
 from nls.io.mission.columns import ANGLES, PLACE, UPRIGHT, suffixed
 from nls.io.mission.table import Table
 from nls.io.trajectory import TRAJECTORIES, load_trajectory
-from nls.values import Values
 
 __all__ = ["Poses", "read_poses"]
 
@@ -69,16 +68,12 @@ def read_poses(path: str | Path) -> Poses:
     form = Path(str(path).lower().removesuffix(".gz")).suffix[1:]
     if form in TRAJECTORIES:
         values, report = load_trajectory(path, form)
-        return Poses(str(path), np.asarray(values.stack("x").X), _times(values, report.vertex_times))
+        return Poses(str(path), np.asarray(values.stack("x").X), report.vertex_times.get("x") if len(values) else None)
     if form != "csv":
         raise OptionError(
             "file of poses", str(path), "a file ending in .tum, .kitti or .csv; nls convert writes the first two"
         )
     return _table(path)
-
-
-def _times(values: Values, times: dict[str, Array]) -> Array | None:
-    return times.get("x") if len(values) else None
 
 
 def _table(path: str | Path) -> Poses:

@@ -137,7 +137,8 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
                 names.sort(key=lambda name: not _is_stamp(log, name))
             if names:
                 chosen[column] = names[0]
-        if table == "truth" and {*GEODETIC} & set(chosen_places := _places(log)):
+        chosen_places = {column: name for column in GEODETIC if (name := guess(column, log.names)) is not None}
+        if table == "truth" and chosen_places:
             chosen = {name: value for name, value in chosen.items() if name not in ("x_m", "y_m")} | chosen_places
             needed = ("time_s", *ANGLES, *GEODETIC, "z_m")
         if table == "ahrs" and not tilted:
@@ -209,12 +210,6 @@ def _is_odometry(chosen: dict[str, str]) -> bool:
 def _is_acoustic(chosen: dict[str, str]) -> bool:
     """Whether a range is one to a beacon by the names of its columns."""
     return "beacon" in chosen or "slant" in plain(chosen["range_m"]).split()
-
-
-def _places(log: Log) -> dict[str, str]:
-    """The latitude and longitude of a log."""
-    chosen = {column: guess(column, log.names) for column in GEODETIC}
-    return {column: name for column, name in chosen.items() if name is not None}
 
 
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:

@@ -289,15 +289,11 @@ def _fitting(defaults: Mappings[str, Any], table: str, content: Mappings[str, An
 
 def _advice(name: str, value: object, known: tuple[str, ...]) -> str:
     """The line to write in the place of a key that is no column; nothing where no column is like it."""
-    shown = value if isinstance(value, str | int | float) else "..."
+    shown = str(value) if isinstance(value, int | float) else f'"{value if isinstance(value, str) else "..."}"'
     near = did_you_mean(name, [*known, *OPTIONS])
     if column := re.search(r"did you mean '(\w+)'", near):
-        return f"{near}; write {column[1]} = {_toml(shown)}"
+        return f"{near}; write {column[1]} = {shown}"
     return near
-
-
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def required(section: Section) -> list[str]:

@@ -12,6 +12,7 @@ import re
 import numpy as np
 
 from models.algebra import Array
+from nls.io.mission.columns import OF_ENDS
 
 __all__ = ["convert", "dimension", "factor", "header_unit", "known_units", "mission_unit"]
 
@@ -48,19 +49,6 @@ ALIASES = {
     **dict.fromkeys(("percent",), "%"),
     **{unit.lower(): unit for units in UNITS.values() for unit in units},
 }
-OF_COLUMNS = (  # the end of the name of a mission column, its dimension and its unit there
-    ("_m_s_sqrt_s", "", ""),
-    ("_kg_m3", "", ""),
-    ("_m_s", "velocity", "m/s"),
-    ("_rad_s", "rate", "rad/s"),
-    ("_deg_s", "rate", "deg/s"),
-    ("_rad", "angle", "rad"),
-    ("_deg", "angle", "deg"),
-    ("_dbar", "pressure", "dbar"),
-    ("_pa", "pressure", "Pa"),
-    ("_m", "length", "m"),
-    ("_s", "time", "s"),
-)
 MINUTES = re.compile(r"d{2,3}mm(\.m+)?", re.I)
 BRACKET = re.compile(r"[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]\s*$")
 
@@ -73,7 +61,7 @@ def mission_unit(column: str) -> tuple[str, str]:
     >>> mission_unit("vx_m_s"), mission_unit("lat_deg"), mission_unit("valid")
     (('velocity', 'm/s'), ('angle', 'deg'), ('', ''))
     """
-    return next(((kind, unit) for end, kind, unit in OF_COLUMNS if column.endswith(end)), ("", ""))
+    return next((kind, unit) for end, kind, unit, *_ in OF_ENDS if column.endswith(end))
 
 
 def dimension(unit: str) -> str:

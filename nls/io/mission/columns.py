@@ -86,14 +86,21 @@ OPTIONAL = {table: tuple(name[:-1] for name in names if name[-1] == "?") for tab
 BOUNDS = "1e-12", "1e12"  # of a standard deviation: its inverse square, times another, is a number still
 SMALLEST, LARGEST = map(float, BOUNDS)
 TURNS = 2 * math.pi  # rad
-LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
-    ("time_s", 1e15, "seconds, within 1e15"),
-    ("_m_s", 1e9, "meters per second, within 1e9"),
-    ("_rad_s", 100.0, "radians per second, within 100"),
-    ("_rad", TURNS, "radians, -2 pi to 2 pi"),
-    ("_deg", 360.0, "degrees, -360 to 360"),
-    ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
-    ("", LARGEST, f"a number within {BOUNDS[1]}"),
+ANY = LARGEST, f"a number within {BOUNDS[1]}"
+OF_ENDS = (  # the end of a name, its dimension and unit, how far from 0 its numbers may be, what they are
+    ("_m_s_sqrt_s", "", "", *ANY),
+    ("_kg_m3", "", "", *ANY),
+    ("time_s", "time", "s", 1e15, "seconds, within 1e15"),
+    ("_m_s", "velocity", "m/s", 1e9, "meters per second, within 1e9"),
+    ("_rad_s", "rate", "rad/s", 100.0, "radians per second, within 100"),
+    ("_deg_s", "rate", "deg/s", *ANY),
+    ("_rad", "angle", "rad", TURNS, "radians, -2 pi to 2 pi"),
+    ("_deg", "angle", "deg", 360.0, "degrees, -360 to 360"),
+    ("_dbar", "pressure", "dbar", *ANY),
+    ("_pa", "pressure", "Pa", *ANY),
+    ("_m", "length", "m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
+    ("_s", "time", "s", *ANY),
+    ("", "", "", *ANY),
 )
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these

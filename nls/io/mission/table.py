@@ -2,7 +2,7 @@
 
 Cells are what stands between commas; blanks around them do not count. Text may stand in quotation marks, and must where
 it has a comma. Blank lines and lines that begin with ``#`` are skipped. Columns are found by name and may stand in any
-order; none may be missing, unknown or there twice. Their names say the unit, and so what a number can be (`LIMITS`).
+order; none may be missing, unknown or there twice. Their names say the unit, and so what a number can be (`OF_ENDS`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from models.manifolds.euler import GIMBAL_LOCK
 from models.options import did_you_mean
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
-from nls.io.mission.columns import BOUNDS, LARGEST, LIMITS, SMALLEST
+from nls.io.mission.columns import BOUNDS, LARGEST, OF_ENDS, SMALLEST
 from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
@@ -207,7 +207,7 @@ class Table(Text):
         return other
 
     def measured(self, *names: str, rows: Mask | None = None) -> Array:
-        """Numbers (n, k) of columns, each within what its unit allows, see `LIMITS`.
+        """Numbers (n, k) of columns, each within what its unit allows, see `OF_ENDS`.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class Table(Text):
         """
         numbers = self.floats(*names)
         limits, expected = zip(
-            *(next(limit for end, *limit in LIMITS if name.endswith(end)) for name in names), strict=True
+            *(next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names), strict=True
         )
         bad = ~(np.abs(numbers) <= np.array(limits))
         if rows is not None:
