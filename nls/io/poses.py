@@ -85,6 +85,7 @@ def _table(path: str | Path) -> Poses:
     if not (table.has("i") or table.has("time_s")):
         raise table.at_names("no column 'i' and none 'time_s': one of the two says which pose a row is")
     measured = [name for name in NEEDED if table.has(name) and table.filled(name).any()]
+    table.refuse_empty([name for name in ("i", "time_s", *measured) if table.has(name)])
     state = np.zeros((len(table), len(NEEDED)))
     state[:, [NEEDED.index(name) for name in measured]] = table.floats(*measured)
     times = table.floats("time_s")[:, 0] if table.has("time_s") else None

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from models import SE2, SE3
 from models.algebra import Array
 from models.errors import GraphError
+from models.finite import numbers
 from models.listing import several
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
@@ -112,10 +113,7 @@ def write_tum(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> N
 def tum_text(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> bytes:
     """The bytes `write_tum` writes; the path is for messages."""
     X = _some(path, poses)
-    try:
-        t = np.array(times, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"{path}: the times are not an array of numbers: {error}") from error
+    t = numbers(str(path), "times", times)
     if t.shape != (len(X),):
         raise GraphError(f"{path}: times have shape {t.shape}, expected ({len(X)},): one per pose")
     if not (np.isfinite(t).all() and (t[1:] > t[:-1]).all()):
@@ -176,10 +174,7 @@ def lifted(poses: npt.ArrayLike) -> Array:
     >>> lifted([[1.0, 2.0, np.pi]]).round(6)
     array([[1., 2., 0., 0., 0., 1., 0.]])
     """
-    try:
-        X = np.atleast_2d(np.asarray(poses, dtype=float))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"the poses are not an array of numbers: {error}") from error
+    X = np.atleast_2d(numbers("lifted", "poses", poses))
     if X.ndim != 2 or X.shape[1] not in (3, 7):
         raise GraphError(f"poses have shape {X.shape}, expected (n, 7): SE3, or (n, 3): SE2")
     if X.shape[1] == 7:

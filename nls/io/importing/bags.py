@@ -122,17 +122,13 @@ class Bag:
             }
 
     def log(self, topic: str, most: int | None = None) -> BagLog:
-        """All messages of a topic as a table, or the first of them.
+        """All messages of one of its topics as a table, or the first of them.
 
         Raises
         ------
-        KeyError
-            No such topic.
         GraphFileError
             Messages that cannot be read, or are not all of one form.
         """
-        if topic not in self.topics:
-            raise KeyError(topic)
         names, rows = [RECORDED], list[list[Any]]()
         with _reading(self.path) as reader:
             connections = [connection for connection in reader.connections if connection.topic == topic]
@@ -186,7 +182,7 @@ def _reading(path: str) -> Iterator[Any]:
         raise GraphFileError(f"cannot be read as a bag: {error}", path) from error
     try:
         yield reader
-    except (GraphFileError, KeyError):
+    except GraphFileError:
         raise
     except _failures() as error:
         raise GraphFileError(f"is a damaged bag: {error}", path) from error

@@ -106,17 +106,12 @@ class Logs:
             bag = self.bag(name)
             if topic is None:
                 raise section.error("", f"{name} is a bag; write topic = one of {', '.join(map(repr, bag.topics))}")
-            key: Any = (name, topic)
-            if key not in self._read:
-                try:
-                    self._read[key] = bag.log(topic)
-                except KeyError as error:
-                    listed = ", ".join(map(repr, bag.topics))
-                    near = did_you_mean(topic, bag.topics)
-                    raise section.error(
-                        "topic", f"{name} has no topic {topic!r}{near or ';'} it has {listed}"
-                    ) from error
-            return self._read[key]
+            if topic not in bag.topics:
+                near, listed = did_you_mean(topic, bag.topics) or ";", ", ".join(map(repr, bag.topics))
+                raise section.error("topic", f"{name} has no topic {topic!r}{near} it has {listed}")
+            if (name, topic) not in self._read:
+                self._read[name, topic] = bag.log(topic)
+            return self._read[name, topic]
         if "topic" in section.options:
             raise section.error("topic", f"{name} is a text file and has no topics; leave topic out")
         how = {option: section.options[option] for option in READING if option in section.options}

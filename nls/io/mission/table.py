@@ -114,7 +114,7 @@ class Table(Text):
         self.refuse_rows(count != len(names), uneven)
         self._place = {name: k for k, name in enumerate(names)}
         if others is None:
-            self._refuse_empty(names)
+            self.refuse_empty(names)
 
     def _split(self, quoted: bool) -> tuple[Index, int]:
         """Put cells, trimmed, in the place of words; empty ones have no length, ``quoted`` ones no quotation marks.
@@ -168,7 +168,7 @@ class Table(Text):
         cells = self._cells(names)
         return np.asarray(self.starts[cells] < self.ends[cells])
 
-    def _refuse_empty(self, names: Sequence[str]) -> None:
+    def refuse_empty(self, names: Sequence[str]) -> None:
         """Refuse a cell of these columns that is empty."""
         if not (filled := self.filled(*names)).all():
             k, column = divmod(int(np.argmin(filled)), len(names))
@@ -182,7 +182,6 @@ class Table(Text):
         GraphFileError
             A cell that is no finite decimal number.
         """
-        self._refuse_empty(names)
         numbers = self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
         for k, name in enumerate(names):
             if name in self._other:
