@@ -202,20 +202,19 @@ def _parsed(
     if dialect in NATIVE:
         from nls.io.native.native import read_native
 
-        graph, values, report = read_native(data, path)
-    elif dialect == "bal":
+        return read_native(data, path)
+    if dialect == "bal":
         from nls.io.bal import read_bal
 
-        graph, values, report = read_bal(data, path)
-        report.reason = reason
+        read = read_bal(data, path)
     elif dialect == "pyfg":
         from nls.io.pyfg import read_pyfg
 
-        graph, values, report = read_pyfg(data, path, convention)
-        report.reason = reason
+        read = read_pyfg(data, path, convention)
     else:
-        graph, values, report = read_graph(data, path, convention, dialect, repair_information)
-    return graph, values, report
+        return read_graph(data, path, convention, dialect, repair_information)
+    read[2].reason = reason
+    return read
 
 
 def foreign(data: bytes, path: str) -> tuple[str, str]:

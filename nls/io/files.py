@@ -99,9 +99,8 @@ def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: 
     """
     first = file.read(CHUNK)
     if first[:2] != GZIP:
-        return _content(
-            chain([first], iter(partial(file.read, CHUNK), b"")), BoundedText(f"{name}: has", limit), name, archive
-        )
+        chunks = chain([first], iter(partial(file.read, CHUNK), b""))
+        return _content(chunks, BoundedText(f"{name}: has", limit), name, archive)
     try:
         return _content(_unpacked(first, file, name), BoundedText(f"{name}: unpacks to", limit), name, archive)
     except EOFError as error:

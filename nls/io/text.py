@@ -335,5 +335,8 @@ def refuse_late(text: Text, lines: Index, times: Array) -> None:
     GraphFileError
         With the line.
     """
-    late, t = times[1:] <= times[:-1], times
-    text.refuse(late, lines[1:], lambda k: f"time {float(t[k + 1])!r} does not rise over {float(t[k])!r} before it")
+
+    def late(k: int) -> str:
+        return f"time {float(times[k + 1])!r} does not rise over {float(times[k])!r} before it"
+
+    text.refuse(times[1:] <= times[:-1], lines[1:], late)

@@ -107,7 +107,8 @@ class Logs:
             if topic is None:
                 raise section.error("", f"{name} is a bag; write topic = one of {', '.join(map(repr, bag.topics))}")
             if topic not in bag.topics:
-                near, listed = did_you_mean(topic, bag.topics) or ";", ", ".join(map(repr, bag.topics))
+                near = did_you_mean(topic, bag.topics) or ";"
+                listed = ", ".join(map(repr, bag.topics))
                 raise section.error("topic", f"{name} has no topic {topic!r}{near} it has {listed}")
             if (name, topic) not in self._read:
                 self._read[name, topic] = bag.log(topic)

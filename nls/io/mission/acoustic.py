@@ -25,7 +25,7 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
 from nls.io.mission.sound import NOMINAL, Profile
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Timeline, one_of
+from nls.io.mission.timeline import Timeline, leave_out, one_of
 
 __all__ = ["Acoustics"]
 
@@ -190,7 +190,8 @@ class Acoustics:
         poses, rows = self._rows[table]
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
-        steep, expected = ~(np.abs(z[:, 1]) <= np.pi / 2), "expected radians, -pi/2 to pi/2, down is positive"
+        steep = ~(np.abs(z[:, 1]) <= np.pi / 2)
+        expected = "expected radians, -pi/2 to pi/2, down is positive"
         table.refuse_rows(steep, lambda k: f"elevation_rad is {float(z[k, 1])!r}; {expected}")
         noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
         z[:, 0] += calibrations.value(USBL_YAW)
@@ -233,14 +234,8 @@ class Acoustics:
         t = self._timeline.at(poses) if rowed is None else rowed[:, 0]
         inside = (t >= t_s[0]) & (t <= t_s[-1])
         if (away := rows & ~inside).any():
-            k = int(np.argmax(away))
-            span = f"ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
-            if not (rows & inside).any():
-                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the times of {span}")
-            self._report.notes.append(
-                f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within "
-                f"the times of {span}"
-            )
+            span = f"the times of ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
+            leave_out(table, away, not (rows & inside).any(), float(t[np.argmax(away)]), span, self._report)
         rows = rows & inside
 
         def pose(t: Array) -> Array:

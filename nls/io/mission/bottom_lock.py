@@ -26,8 +26,8 @@ def bottom_lock(dvl: Table, notes: list[str]) -> Mask:
         valid &= dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
     if dvl.has("beams"):
         beams = dvl.integers("beams")
-        strange, expected = (beams < 0) | (beams > MOST_BEAMS), f"expected how many see the bottom, 0 to {MOST_BEAMS}"
-        dvl.refuse_rows(strange, lambda k: f"beams is {beams[k]}; {expected}")
+        expected = f"expected how many see the bottom, 0 to {MOST_BEAMS}"
+        dvl.refuse_rows((beams < 0) | (beams > MOST_BEAMS), lambda k: f"beams is {beams[k]}; {expected}")
         valid = locked_rows(dvl, valid, beams >= BEAMS, f"fewer than {BEAMS} beams on the bottom", notes)
     if dvl.has("altitude_m"):
         altitude = dvl.measured("altitude_m", rows=valid)[:, 0]

@@ -40,7 +40,8 @@ class Profile:
 
     def __init__(self, table: Table) -> None:
         self.z, self.c = table.rising("z_m"), table.measured("sound_speed_m_s")[:, 0]
-        wrong, expected = (self.c < SLOWEST) | (self.c > FASTEST), "expected m/s, near 1500 in water"
+        wrong = (self.c < SLOWEST) | (self.c > FASTEST)
+        expected = "expected m/s, near 1500 in water"
         table.refuse_rows(wrong, lambda k: f"sound_speed_m_s is {float(self.c[k])!r}; {expected}")
         change = np.diff(self.c)
         mean = change / np.where(change == 0, 1.0, np.log1p(change / self.c[:-1]))  # no cancellation where it is small

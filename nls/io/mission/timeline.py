@@ -19,7 +19,7 @@ from nls.io.mission.calibration import Calibrations
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["Timeline", "Times", "measured_times", "poses_of_rows", "united"]
+__all__ = ["Timeline", "Times", "leave_out", "measured_times", "poses_of_rows", "united"]
 
 AROUND = 5  # rows of a log, over which poses are counted
 SAME = 1e-3  # s: 2 mm at 2 m/s
@@ -168,18 +168,28 @@ class Timeline:
                 "pose at this time to poses.csv"
                 + ("" if "odometry.csv" in self.report.tags else ", or leave poses.csv out"),
             )
-        if away.all():
-            raise table.at(k, f"is at {time!r} s, and no row is within the track, {span}; do the clocks agree?")
-        self.report.notes.append(
-            f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within the "
-            f"track, {span}"
-        )
+        leave_out(table, away, away.all(), time, f"the track, {span}", self.report)
 
     def at(self, numbers: Numbers) -> Array:
         """Times (n,) of poses, s; a GraphFileError where there are none."""
         if self.times is None:
             raise GraphFileError("no pose has a time; add poses.csv, with i and time_s of every pose", self.report.path)
         return self.times[np.searchsorted(self.numbers, numbers)]
+
+
+def leave_out(table: Table, away: Mask, no_other: bool, time: float, span: str, report: MissionReport) -> None:
+    """Say that rows (n,) away from a span of time are left out, the first of them at a time, s.
+
+    Raises
+    ------
+    GraphFileError
+        There is no other row.
+    """
+    k = int(np.argmax(away))
+    if no_other:
+        raise table.at(k, f"is at {time!r} s, and no row is within {span}; do the clocks agree?")
+    count = f"the first row of {int(away.sum())} that are left out, of {len(table)}"
+    report.notes.append(f"{table.place(k)}: {count}: not within {span}")
 
 
 def _nearest(rising: Array, t: Array) -> Numbers:

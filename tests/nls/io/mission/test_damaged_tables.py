@@ -56,7 +56,7 @@ sound-speed | 10,1490 | 0,1490 | 3 | z_m 0.0 does not rise over 0.0
 sound-speed | 1490 | 4900 | 3 | sound_speed_m_s is 4900.0; expected m/s, near 1500
 usbl | 0.4,0.5 | 1.8,0.5 | 2 | elevation_rad is 1.8; expected radians, -pi/2 to pi/2
 usbl | 2,30 | 2,-30 | 2 | range_m is -30.0; expected a number above 0
-ship | \n60 | \n1 | 2 | is of 3.0 s, and no row is within the times of ship.csv, 0.0 to 1.0 s
+ship | \n60 | \n1 | 2 | is at 3.0 s, and no row is within the times of ship.csv, 0.0 to 1.0 s
 ship | \n0,0,0 | \n70,0,0 | 3 | time_s 60.0 does not rise over 70.0
 closures | 0,3,3.5 | 3,3,3.5 | 2 | the closure joins pose 3 to itself
 closures | 0,3,3.5 | 0,9,3.5 | 2 | j 9: no such pose in the track
