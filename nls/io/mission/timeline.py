@@ -168,7 +168,7 @@ class Timeline:
                 "pose at this time to poses.csv"
                 + ("" if "odometry.csv" in self.report.tags else ", or leave poses.csv out"),
             )
-        leave_out(table, away, away.all(), time, f"the track, {span}", self.report)
+        leave_out(table, away, bool(away.all()), time, f"the track, {span}", self.report)
 
     def at(self, numbers: Numbers) -> Array:
         """Times (n,) of poses, s; a GraphFileError where there are none."""
