@@ -49,8 +49,8 @@ def _of_tables(job: Job) -> list[str]:
         if finding.file not in robust or finding.check != "jumps"
     ]
     if not (left or job.result.doubt):
-        seen = sorted((error for error in job.report.errors if error.seen), key=lambda error: -error.fall)
-        left = [f"{error.quantity} ({error.file})" for error in seen[:1]]
+        evident = sorted((error for error in job.report.errors if error.evident), key=lambda error: -error.fall)
+        left = [f"{error.quantity} ({error.file})" for error in evident[:1]]
     return [f"implausible: {', '.join(dict.fromkeys(left))}"] if left else []
 
 

@@ -93,7 +93,7 @@ def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, optio
     assert isinstance(report, MissionReport)
     chi2, dof = result.believed
     report.errors = table_errors(graph, result.values, chi2, dof, report) if result.converged else []
-    if (result.doubt or any(error.seen for error in report.errors)) and worth_trying(report.findings):
+    if (result.doubt or any(error.evident for error in report.errors)) and worth_trying(report.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
             tables = read_tables(report.path)[0]
             explanation = explained(tables, result.chi2_final, result.dof, report.errors, options.elevation or "hinge")

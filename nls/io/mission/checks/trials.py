@@ -29,9 +29,8 @@ from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.mission.calibration import NAMES
-from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
+from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
 from nls.io.mission.checks.readings import Alternative, corrected, readings
-from nls.io.mission.checks.table_errors import TableError
 from nls.io.mission.columns import COLUMNS, GEODETIC
 from nls.io.mission.determination import LEFT
 from nls.io.mission.folder import report_of
@@ -71,7 +70,7 @@ def explained(
     ----------
     tables : of the mission, as `nls.io.mission.folder.read_tables` has them.
     chi2, dof : of its optimum.
-    errors : of whole tables, of which one is seen where chi2 alone is plausible. No other constants are tried then.
+    errors : of whole tables, of which one is evident where chi2 alone is plausible. No other constants are tried then.
     elevation : as of `nls.io.mission.read.read_mission`.
 
     Raises
