@@ -54,13 +54,8 @@ class Statement(NamedTuple):
 
     def only(self, mask: Mask, noise: Noise) -> Statement:
         """The numbers of some of the lines, and the noise of their factor."""
-        return self._replace(
-            noise=noise,
-            z=self.z[mask],
-            numbers=self.numbers[mask],
-            parameters=self.parameters[mask],
-            offsets=self.offsets[mask],
-        )
+        some = {name: getattr(self, name)[mask] for name in ("z", "numbers", "parameters", "offsets")}
+        return self._replace(noise=noise, **some)
 
 
 @dataclass

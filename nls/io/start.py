@@ -25,6 +25,7 @@ from nls.starts.landmarks import locate_points
 from nls.values import Values
 
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
+NO_VERTICES = "no vertices in the file"
 
 
 def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
@@ -43,17 +44,13 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
             values[factor.keys[0]] = known
     if len(roles.poses):
         values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
-        report.notes.append(f"no vertices in the file: {several(len(roles.poses), 'pose')} chained along the edges")
+        report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
         values = _placed(text, bound, roles, values)
-        report.notes.append(
-            f"no vertices in the file: {several(len(roles.points), 'point')} placed by the measurements"
-        )
-    if len(roles.mounts):
-        places = (
-            "1 place of a sensor begins" if len(roles.mounts) == 1 else f"{len(roles.mounts)} places of sensors begin"
-        )
-        report.notes.append(f"no vertices in the file: {places} at the vehicle's own")
+        report.notes.append(f"{NO_VERTICES}: {several(len(roles.points), 'point')} placed by the measurements")
+    if count := len(roles.mounts):
+        places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
+        report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
     if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
         line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)

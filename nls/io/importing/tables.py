@@ -38,21 +38,21 @@ class Rows:
     ----------
     section : of the mapping.
     log : they are from; of constants one without columns.
+    none : (n,) rows in which `Section.together` says that there is none.
+    rows : (n,) of the log.
     numbers : (n,) by column, with units and axes of the mission.
     words : (n,) by column.
     times : (n,) by column.
-    none : (n,) rows in which `Section.together` says that there is none.
-    rows : (n,) of the log.
     notes : what was assumed and left out.
     """
 
     section: Section
     log: Log
+    none: Mask
+    rows: Index
     numbers: dict[str, Array] = field(default_factory=dict)
     words: dict[str, list[str]] = field(default_factory=dict)
     times: dict[str, Stamps] = field(default_factory=dict)
-    none: Mask = field(default_factory=lambda: np.zeros(1, dtype=bool))
-    rows: Index = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
     notes: list[str] = field(default_factory=list)
 
 
@@ -75,8 +75,8 @@ def rows_of(section: Section, log: Log) -> Rows:
         log = log.part(slice(between[0], *between[1:] or [None]))
         if not len(log):
             raise section.error("rows", f"rows = {between} leaves no row")
-    rows = Rows(section, log)
     count = len(log)
+    rows = Rows(section, log, np.full(count, bool(section.together)), np.arange(count))
     for column, cell in section.cells.items():
         if column in TIMES and cell.columns:
             _known(section, column, cell, log)
@@ -86,13 +86,11 @@ def rows_of(section: Section, log: Log) -> Rows:
             rows.words[column] = own[0] if own else [str(cell.constant)] * count
         else:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
-    rows.none = np.full(count, bool(section.together))
     for source, values in section.together:
         cells = log.words(source) if source in log.names else [str(source)]
         rows.none &= [not word for word in blanked(cells, values)]
     if section.rotation is not None:
         _rotate(section, log, rows, count)
-    rows.rows = np.arange(count)
     _keep(rows, *_complete(rows, count))
     if "time_s" in rows.times:
         _order(rows)
