@@ -14,7 +14,7 @@ from nls.io.importing.quantities import LARGEST
 from nls.io.importing.templates import NOISE, example
 from nls.io.importing.text_log import Log, TextLog
 from nls.io.importing.units import dimension, header_unit, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, PLACE, VELOCITY
+from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, OPTIONAL, PLACE, VELOCITY
 
 __all__ = ["draft"]
 
@@ -37,12 +37,6 @@ BY_SIZE = "by the size of its angles"
 SINCE_1970 = 1e8  # s, of 1973; also of other units
 NO_UNIT = "its header names no unit"
 LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
-NUMBERS = {  # columns that no log has
-    "fixes": ("sigma_x_m", "sigma_y_m"),
-    "path": ("sigma_x_m", "sigma_y_m", "sigma_yaw_rad"),
-    "contacts": ("sigma_range_m", "sigma_azimuth_rad"),
-    "ranges": ("sigma_range_m",),
-}
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
 WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
 MESSAGES = {  # sections by type of message; {topic} is filled in
@@ -190,9 +184,11 @@ def _heights(log: Log) -> list[str]:
 
 
 def _numbers(table: str) -> list[str]:
-    """The lines of a section that are no columns of the log."""
+    """The lines of a section that are no columns of the log: the sigmas that its table needs."""
+    sigmas = [name for name in COLUMNS[table] if name.startswith("sigma_") and name not in OPTIONAL[table]]
+    sigmas += ["sigma_range_m"] * (table == "ranges")  # or that of a travel time
     remark = "   # a guess, as are the next; of one step" if table == "path" else "   # a guess"
-    numbers = [f"{column} = {example(table, column)}" for column in NUMBERS.get(table, ())]
+    numbers = [f"{column} = {example(table, column)}" for column in sigmas]
     return [numbers[0] + remark, *numbers[1:]] if numbers else []
 
 
