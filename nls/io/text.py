@@ -327,8 +327,8 @@ def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") 
     return text, lines, text.words(lines, 0, columns), comments
 
 
-def refuse_late(text: Text, lines: Index, times: Array) -> None:
-    """Refuse times (n,) of lines (n,) that do not rise.
+def refuse_late(text: Text, lines: Index, times: Array, name: str = "time") -> None:
+    """Refuse numbers (n,) of lines (n,) that do not rise.
 
     Raises
     ------
@@ -337,6 +337,8 @@ def refuse_late(text: Text, lines: Index, times: Array) -> None:
     """
 
     def late(k: int) -> str:
-        return f"time {float(times[k + 1])!r} does not rise over {float(times[k])!r} before it"
+        before, time = times[k : k + 2].tolist()
+        cure = f"sort the rows by {name}" if time < before else "delete one of the two rows"
+        return f"{name} {time!r} does not rise over {before!r} before it; {cure}"
 
     text.refuse(times[1:] <= times[:-1], lines[1:], late)

@@ -24,7 +24,7 @@ from nls.io.decimals import PAD
 from nls.io.files import read_bytes
 from nls.io.mission.columns import BOUNDS, LARGEST, OF_ENDS, SMALLEST
 from nls.io.report import Source
-from nls.io.text import NUMBER, Text, printable
+from nls.io.text import NUMBER, Text, printable, refuse_late
 
 __all__ = ["Table", "csv_text"]
 LONGEST = 100  # characters of a name that is compared with the names of columns
@@ -306,12 +306,7 @@ class Table(Text):
             One that does not.
         """
         t = self.measured(name)[:, 0]
-
-        def late(k: int) -> str:
-            cure = f"sort the rows by {name}" if t[k] < t[k - 1] else "delete one of the two rows"
-            return f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}"
-
-        self.refuse_rows(np.append(False, t[1:] <= t[:-1]), late)
+        refuse_late(self, self.lines, t, name)
         return t
 
     def known(self, name: str, among: Numbers, problem: str) -> Numbers:
