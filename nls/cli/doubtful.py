@@ -23,11 +23,7 @@ def reasons(job: Job) -> list[str]:
     out = _of_tables(job) + [job.result.doubt] * bool(job.result.doubt and job.result.converged)
     out += [] if job.choice is None else map(str, job.choice.doubts)
     out += [] if job.sigmas is None else sigmas.doubts(job.sigmas)
-    if job.select is not None:
-        from nls.cli.scan_mission import doubts
-
-        out += doubts(job.solved)
-    return out
+    return out if job.solved is None else out + job.solved.faults()
 
 
 def marks(job: Job) -> list[str]:

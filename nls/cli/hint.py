@@ -49,7 +49,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
 
 def _asking_of_scans(folder: str, written: Sequence[str]) -> str:
     """The command that explains the graph with the closures of a scan mission, or writes it; empty for another one."""
-    from nls.cli.solved_scans import GRAPH
+    from nls.cli.scan_mission import GRAPH
     from nls.io.scan_mission import is_scan_mission
 
     if not is_scan_mission(folder):

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from models.errors import LeadlineError
     from nls.analysis import VarianceComponents
     from nls.certificate import Certificate
-    from nls.cli.mission import Solved
-    from nls.cli.solved_scans import SolvedScans
+    from nls.cli.scan_mission import SolvedScans
+    from nls.cli.solved_mission import SolvedMission
     from nls.cli.timing import Clock
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -57,7 +57,7 @@ class Job:
     init = ""
     chi2_read: float | None = None
     result: Result
-    solved: Solved | SolvedScans | None = None
+    solved: SolvedMission | SolvedScans | None = None
     certificate: Certificate | None = None
 
     def __init__(self, options: argparse.Namespace, clock: Clock, solver: LinearSolver | None, stop: Stop) -> None:
@@ -81,8 +81,7 @@ class Job:
         """Additions of a mission, scales, a choice and a certificate to the report for programs."""
         from nls.cli import certificate, outliers, sigmas
 
-        name = "mission" if self.select is None else "scans"
-        record: dict[str, Any] = {} if self.solved is None else {name: self.solved.record()}
+        record: dict[str, Any] = {} if self.solved is None else {self.solved.name: self.solved.record()}
         record |= {} if self.sigmas is None else {"sigmas": sigmas.record(self.sigmas)}
         record |= {} if self.choice is None else outliers.record(self.choice)
         return record | (

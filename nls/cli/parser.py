@@ -139,7 +139,7 @@ def parser() -> Parser:
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
-        added.set_defaults(run=run)
+        added.set_defaults(run=run, default_of=added.get_default)
         if reads_graph:
             _input(added)
         else:

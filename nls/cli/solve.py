@@ -259,15 +259,13 @@ def _improve(job: Job) -> None:
 
 def _write(job: Job) -> None:
     """Every output but the reports."""
-    from nls.cli.doubtful import marks
     from nls.cli.solve_outputs import write_outputs
 
     if job.report.format == "mission":
-        from nls.cli.dives import solution_of
+        from nls.cli.dives import SolvedDives
+        from nls.cli.solved_mission import SolvedMission
 
-        job.solved = solution_of(job)
-    if job.solved is not None:
-        job.solved.doubts += marks(job)
+        job.solved = (SolvedDives if job.options.dives else SolvedMission)(job)
     write_outputs(job)
     job.clock.lap("write")
 
@@ -317,6 +315,7 @@ def _report(job: Job) -> None:
         rows = [] if job.choice is None else outliers.rows(job.choice, options.robust is not None)
         rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
         rows += [] if job.certificate is None else certificate.rows(job.certificate, job.refuted)
+        rows += [] if job.solved is None else job.solved.lines(record[job.solved.name])
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 

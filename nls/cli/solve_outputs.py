@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nls.cli.outputs import complain, write_json
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
+    from nls.cli.solution import Content
 
 
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
@@ -30,23 +34,39 @@ def write_outputs(job: Job) -> None:
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
     from models.errors import GraphFileError
-    from nls.cli.dives import outputs_of
-    from nls.cli.mission import Solved
-    from nls.io.files import new_folder, write_bytes
+    from nls.io.files import new_folder
 
     try:
         with new_folder(options.output):
-            solved, folder = job.solved, options.output
-            files = outputs_of(solved, folder) if isinstance(solved, Solved) else solved.outputs(folder)
-            mark, text = Path(folder, MARK), "".join(f"{reason}\n" for reason in solved.doubts).encode()
+            files, text = job.solved.files(), "".join(f"{reason}\n" for reason in job.solved.doubts).encode()
             if text:
-                files.append((lambda path: write_bytes(path, text), str(mark)))
+                files[MARK] = lambda: text
             else:
-                mark.unlink(missing_ok=True)  # of another solution
-            attempt(job, files)
+                Path(options.output, MARK).unlink(missing_ok=True)  # of another solution
+            folder = options.output
+            attempt(job, [(partial(_write_file, job, make), str(Path(folder, name))) for name, make in files.items()])
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)
+
+
+def _write_file(job: Job, make: Content, path: str) -> None:
+    """Write a file of a solution, in a folder that is made where it is missing."""
+    from nls.io.files import write_bytes
+
+    content = make()
+    Path(path).parent.mkdir(exist_ok=True)
+    if isinstance(content, bytes):
+        write_bytes(path, content)
+    else:
+        _write_picture(job, content, path)
+
+
+def _write_picture(job: Job, figure: Figure, path: str) -> None:
+    from nls.cli.doubtful import marks
+    from nls.plot.picture import write_picture
+
+    write_picture(path, figure, marks(job))
 
 
 def _optimum(job: Job, path: str) -> None:
@@ -71,18 +91,12 @@ def _covariance(job: Job, path: str) -> None:
 
 
 def _plot(job: Job, path: str) -> None:
-    from nls.cli.doubtful import marks
-    from nls.cli.plot import drawings
-    from nls.cli.solved_scans import SolvedScans
     from nls.io.files import title_of
-    from nls.plot.picture import write_picture
+    from nls.plot import before_after
 
-    if isinstance(job.solved, SolvedScans):
-        job.solved.draw(path)
-        return
-    _, before_after = drawings(job.report)
-    figure = before_after(job.graph, job.before, job.result, title=title_of(job.report.path))
-    write_picture(path, figure, marks(job))
+    title = title_of(job.report.path)
+    figure = job.solved.picture() if job.solved else before_after(job.graph, job.before, job.result, title)
+    _write_picture(job, figure, path)
 
 
 def attempt(job: Job, outputs: Sequence[Output]) -> None:

@@ -114,7 +114,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     Parameters
     ----------
     report, result : of the run.
-    findings : rows of a choice and of a certificate.
+    findings : rows of a choice, of a certificate and of a solved mission.
     warned : notes that were printed already.
     verbose : whether iterations and seconds follow.
     """
@@ -142,14 +142,6 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         *(f"method      {remark}" for remark in result.remarks),
         *findings,
     ]
-    if "mission" in report:
-        from nls.cli.mission import lines as worth
-
-        lines += worth(report["mission"])
-    if "scans" in report:
-        from nls.cli.scan_mission import lines as mapped
-
-        lines += mapped(report["scans"])
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:

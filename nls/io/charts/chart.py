@@ -14,7 +14,7 @@ from models.geodesy import LocalPlane
 from nls.covariance import Marginals
 from nls.covariance.ellipse import outlines
 from nls.io.mission.report import MissionReport
-from nls.io.mission.results import determined, landmark_covariances
+from nls.io.mission.results import covariances, landmark_covariances
 from nls.io.mission.solution import Elevations
 from nls.values import Values
 
@@ -129,14 +129,8 @@ def _bottom(p: Array, times: Array | None, soundings: Array | None) -> Array:
 
 def _covariances(values: Values, marginals: Marginals | None, kind: str, elevations: Elevations | None) -> Array:
     """Covariances (n, 3, 3) of positions, nan where there are none."""
-    stack = values.stack(kind)
-    Sigma = np.full((len(stack), 3, 3), np.nan)
-    if marginals is None:
-        return Sigma
-    known = determined(marginals, Kind(kind), stack.numbers)
-    if known.any():
-        Sigma[known] = marginals.covariance(Keys(kind, stack.numbers[known]), view="position")
-    if kind == "l" and elevations is not None:
-        rows = stack.index(Keys(kind, elevations.landmarks))
+    Sigma = covariances(values, marginals, Kind(kind), "position")
+    if marginals is not None and kind == "l" and elevations is not None:
+        rows = values.stack(kind).index(Keys(kind, elevations.landmarks))
         Sigma[rows] = landmark_covariances(marginals, elevations)
     return Sigma
