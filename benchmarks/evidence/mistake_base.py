@@ -56,12 +56,19 @@ class Mistake:
     def quantities(self) -> set[str]:
         """What of its table is wrong, in the words of the program for what nothing checks."""
         table = self.tables[0] if self.tables else ""
+        if re.search("late|early|fast|times of", self.name):
+            return {f"clock of {table}.csv"}
         if table == "depth":
             return {"depth of depth.csv", *["zero of the depth of depth.csv"] * ("too deep" in self.name)}
         if table == "fixes":
-            clock = re.search("late|early|fast|times of", self.name)
-            return {f"{'clock' if clock else 'arm' if 'arm' in self.name else 'place'} of fixes.csv"}
+            return {f"{'arm' if 'arm' in self.name else 'place'} of fixes.csv"}
         return {"heading of ahrs.csv"} if self.name.startswith("ahrs") and "heading" in self.name else set()
+
+    @property
+    def size(self) -> float:
+        """By how many seconds a clock is late on average; 0 of other mistakes."""
+        late = re.search(r"(\d+) s (late|early)", self.name)
+        return float(late[1]) if late else 2.0 if "fast" in self.name else 0.5 if "times of" in self.name else 0.0
 
 
 def change(table: str, columns: list[str], function: Callable[[Array], Any]) -> Change:

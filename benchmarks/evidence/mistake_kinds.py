@@ -35,7 +35,12 @@ def timed(table: str | None, function: Callable[[Array], Any]) -> Change:
 def clock_of(table: str) -> tuple[str, ...]:
     """Patterns of a clock that is off."""
     off = r"time_s|\d s (late|early)|(subtract|add) [\d.]+ s"
-    return (rf"{table}_clock_s", rf"\b{table}\b.*({off}|midnight)", rf"({off}|midnight).*\b{table}\b")
+    return (
+        rf"{table}_clock_s",
+        rf"clock of {table}\b",
+        rf"\b{table}\b.*({off}|midnight)",
+        rf"({off}|midnight).*\b{table}\b",
+    )
 
 
 def us_dates(survey: Survey) -> None:

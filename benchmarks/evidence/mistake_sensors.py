@@ -126,7 +126,7 @@ def of_velocities() -> Iterator[Mistake]:
         mapped("dvl", valid=None),
         (r"\bvalid\b|= .*\b0\b|without bottom lock",),
     )
-    yield Mistake("dvl_mount: x 5 m off", ("dvl",), grown("dvl_mount", x_m=13.5), ("dvl_mount|arm|lever",))
+    yield Mistake("dvl_mount: x 5 m off", ("dvl",), grown("dvl_mount", x_m=13.5), ("dvl_mount|lever",))
     yield Mistake("noise: sigma_v 10 times too small", ("dvl",), grown("noise", sigma_v_m_s=0.1), ("sigma_v_m_s",))
 
 
@@ -138,7 +138,7 @@ def of_angles() -> Iterator[Mistake]:
         ) -> Mistake:
             return Mistake(f"{t}: {name}", (t,), change(t, columns, function), right)
 
-        turned = f"{TURNED}|bearing_rad"
+        turned = TURNED if table == "ahrs" else f"{TURNED}|bearing_rad|usbl_yaw_rad,"  # the same to the vehicle
         for turn in (13, 90, -90, 180):
             yield of(f"heading {turn} deg off", [YAW], lambda a, d=turn: (a + d) % 360, (turned,))
         yield of("heading counterclockwise", [YAW], lambda a: -a % 360, named([YAW], "-1", "sign", "clockwise"))
@@ -154,7 +154,7 @@ def of_angles() -> Iterator[Mistake]:
         yield of("roll upside down", [ROLL], lambda a: a + 180, named([ROLL], "180|axes|frame|upside|FLU|-1"))
         yield of("roll, pitch in deg x 100", [ROLL, PITCH], lambda a: 100 * a, unit([ROLL, PITCH], "cdeg", 100))
         for value in (0, 999, -9999):
-            right = (rf"missing = .*\b{value}\b", rf"\b{value}\b.*(none|special|missing)", "leave out lines")
+            right = (rf"missing = .*{value}\b", rf"{value}\b.*(none|special|missing)", "leave out lines")
             name = f"{value} for 30 s"
             yield Mistake(f"{table}: {name}", (table,), change(table, ANGLES, gap(value)), right)
     yield Mistake("ahrs: degrees under [rad]", ("ahrs",), radians_header, unit(ANGLES, "deg", DEG))

@@ -62,9 +62,11 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - rov: compass, depth and positions every 2 s, without a DVL.
 - Error: root mean square of the positions over the track, against the truth.
 - harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
-  that is larger. cured: the same after a cure. still loud: another exit status, or no answer in
-  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that nothing checks
-  this quantity of this table, as the depth of the rov.
+  that is larger, or that of the result itself. cured: the same after a cure. still loud: another exit status, or no
+  answer in {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that
+  nothing checks this quantity of this table, as the depth of the rov, or no error of this size.
+- Where the answer lists causes that nothing tells apart, the one that was made is taken if it is among them: whoever
+  looks at the vehicle knows it.
 - Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
   what is harmless or unmeasured."""
 
@@ -82,11 +84,19 @@ class Answer:
         return [line for line in self.lines if line.strip() and not (ROW.match(line) and not cures_of(line))]
 
     @property
-    def unchecked(self) -> set[str]:
-        """Quantities of tables that nothing checks, whatever the size of the error, such as ``depth of depth.csv``."""
+    def unchecked(self) -> dict[str, float]:
+        """Quantities of tables that nothing checks, such as ``depth of depth.csv``, up to which size."""
         said = next((line for line in self.lines if line.startswith("unchecked ")), "").partition(" the ")[2]
         tables = [table.partition(":")[0].rpartition(" of ")[::2] for table in said.split("; ")]
-        return {f"{name} of {file}" for names, file in tables for name in names.removeprefix("the ").split(", the ")}
+        named = [(name.partition(" ("), file) for names, file in tables for name in names.split(", the ")]
+        return {
+            f"{name} of {file}": float((re.findall(r"below (\S+)", size) or ["inf"])[0])
+            for (name, _, size), file in named
+        }
+
+    def misses(self, mistake: Mistake) -> bool:
+        """Whether it says that nothing checks what is wrong, or nothing as small as that."""
+        return any(below > mistake.size for what, below in self.unchecked.items() if what in mistake.quantities)
 
     @property
     def alarm(self) -> bool:
@@ -200,24 +210,31 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     run = solved(survey, folder)
     first, before, followed = run.answer, run.error, list[str]()
     for _ in range(CURES):
-        cures = [cure for line in run.answer.statements for cure in cures_of(line)]
-        if not cures or cures[0].text in followed:
+        cure = next((cure for line in run.answer.statements for cure in chosen(line, mistake)), None)
+        if cure is None or cure.text in followed:
             break
-        followed.append(cures[0].text.replace("`", ""))
+        followed.append(cure.text.replace("`", ""))
         try:
-            run.follow(cures[0])
+            run.follow(cure)
             run.solve()
         except Unfollowable as error:
             followed[-1] += f": cannot be followed, {error}"
             break
     said = first.statements
     right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
-    within = run.error <= WORSE * max(clean.error, clean.sigma)
-    wrong = UNMEASURED if not followed and run.answer.unchecked & mistake.quantities else SILENT
+    within = run.error <= WORSE * max(clean.error, clean.sigma, run.sigma)
+    wrong = UNMEASURED if run.answer.misses(mistake) else SILENT
     kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
     numbers = (clean.error, before, run.error)
     words = tuple(followed), " / ".join(said)
     return Verdict(survey.mission, mistake.name, seed, kind, first.alarm, right, *numbers, run.answer.status, *words)
+
+
+def chosen(line: str, mistake: Mistake) -> list[Cure]:
+    """The cures of a line; of several causes those of the one that was made, if it is there."""
+    parts = line.split("; or ")
+    made = [part for part in parts if any(re.search(pattern, part, re.I) for pattern in mistake.right)]
+    return cures_of(made[0] if len(parts) > 1 and made else line)
 
 
 def controls(data: Path | None, seeds: int, folder: Path) -> Iterator[tuple[str, int, int, str]]:

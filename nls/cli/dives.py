@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.solution import Content
+from nls.cli.job import Content
 from nls.cli.solved_mission import SolvedMission, drift_record
 from nls.io.mission.dives import SHARED, Dive, DivesReport
 from nls.values import Values

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from models.advice import Advice, listed
 from nls.cli import outliers
+from nls.cli.formats import mission_of
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -76,25 +77,28 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
-def explain_misfit(report: LoadReport, chi2: float, dof: int, options: argparse.Namespace) -> None:
-    """What explains an implausible chi2 of one mission, into its report.
+def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, options: argparse.Namespace) -> None:
+    """Errors of whole tables of one mission, and what explains an implausible chi2, into its report.
 
     Nothing is tried where special values or units of its tables are wrong: those come first.
     """
-    if report.format != "mission" or getattr(options, "dives", []):
+    mission = mission_of(report)
+    if mission is None or getattr(options, "dives", []):
         return
     from nls.cli.progress import Progress
-    from nls.io.mission import MissionReport
+    from nls.io.mission.checks.table_errors import table_errors
     from nls.io.mission.checks.trials import explained, worth_trying
     from nls.io.mission.folder import read_tables
     from nls.stages import listened
 
-    assert isinstance(report, MissionReport)
-    if worth_trying(report.findings):
+    chi2, dof = result.believed
+    mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
+    if (result.doubt or any(error.seen for error in mission.errors)) and worth_trying(mission.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
-            explanation = explained(read_tables(report.path)[0], chi2, dof, options.elevation or "hinge")
-        if explanation.trials or "contacts.csv" not in report.tags:  # the mounting of a sonar is not tried
-            report.explained = explanation
+            tables = read_tables(mission.path)[0]
+            explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")
+        if explanation.trials or "contacts.csv" not in mission.tags:  # the mounting of a sonar is not tried
+            mission.explained = explanation
 
 
 def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace) -> list[str]:
@@ -117,9 +121,9 @@ def doubts(
     options, written : as for `asking`.
     cures : what else explains or cures it, in words.
     """
-    if not result.misfit:
+    if not (result.misfit or cures):
         return []
     cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
     cure += cures or listed((piece for piece in result.advice if piece.action != "explain"), shell=True)
-    problem = f"implausible: {result.doubt}" if result.doubt else result.misfit
-    return ["; ".join([problem, *cure, f"see: {asking(options, written)}"])]
+    problem = [f"implausible: {result.doubt}" if result.doubt else result.misfit] * bool(result.misfit)
+    return ["; ".join([*problem, *cure, f"see: {asking(options, written)}"])]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.errors import OptionError
+from nls.cli.formats import mission_of
 from nls.io.dialects import SUFFIXES
-from nls.io.mission import MissionReport
 
 if TYPE_CHECKING:
     from nls.io import LoadReport
@@ -52,9 +52,9 @@ def chosen_projection(name: str, output: str | None, report: LoadReport) -> Proj
     """
     from nls.io.charts import projection
 
-    if not isinstance(report, MissionReport) or not output:
+    if (mission := mission_of(report)) is None or not output:
         raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
-    return projection(name, report.plane)
+    return projection(name, mission.plane)
 
 
 def lines(mission: dict[str, Any]) -> list[str]:

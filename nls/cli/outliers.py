@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nls.cli.formats import mission_of
+
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -107,13 +109,11 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
 
     The given report stays that of the whole graph; both have one list of notes.
     """
-    from nls.io.mission import DivesReport
-
     masks = [weight > 0 for weight in choice.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
-    if isinstance(report, DivesReport):
-        of_dive = zip(report.dive_of, masks, strict=True)
-        report = replace(report, dive_of=[name for name, mask in of_dive if mask.any()])
+    if (mission := mission_of(report)) and mission.dive_of:
+        of_dive = zip(mission.dive_of, masks, strict=True)
+        report = replace(mission, dive_of=[name for name, mask in of_dive if mask.any()])
     known = {id(statement.noise): statement for statement in report.statements}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
     factor_times = [

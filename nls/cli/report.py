@@ -25,7 +25,6 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
     path : of the page.
     """
     import nls
-    from nls.cli.doubtful import reasons
     from nls.cli.explain import explanation_of, with_tables
     from nls.io.files import write_bytes
     from nls.optimizers import Result
@@ -49,7 +48,7 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
         marginals=None if solved is None else solved.marginals,
         certificate=job.certificate,
         rejected=() if choice is None else choice.rejected,
-        doubts=reasons(job) if isinstance(result, Result) else (),
+        doubts=job.doubts if isinstance(result, Result) else (),
         facts=_facts(job, result),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else solved.pictures(),

@@ -14,7 +14,7 @@ from factors.keys import kinds
 from models.algebra import distance_along
 from models.errors import GraphWarning, LeadlineError, OptionError, SingularGeometryError
 from models.options import did_you_mean
-from nls.cli.solution import Content, Solution, circles
+from nls.cli.job import Content, Job, Solution, circles
 from nls.io.scan_mission import ScanReport, is_scan_mission
 from nls.io.scan_mission.results import closures_text, map_text, points_text, trajectory_text, verdict_words
 from nls.sonar.scans import SetupFinding, check_setup, close
@@ -24,10 +24,7 @@ from nls.sonar.scans.setup.words import record as finding_record
 from nls.sonar.scans.setup.words import sentence
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from models.algebra import Array
-    from nls.cli.job import Job
     from nls.metrics import TrajectoryError
     from nls.sonar.scans import Closing, Matches, Round
 
@@ -238,14 +235,14 @@ class SolvedScans(Solution):
             return {}
         return {"ATE": f"{self.errors['dead_reckoning'].rmse:.3g} → {self.errors['solution'].rmse:.3g} m"}
 
-    def picture(self) -> Figure:
+    def picture(self) -> Any:
         """The map from above."""
         from nls.plot.scan_map import scan_map
 
         truth = self.report.truth if self.errors else None
         return scan_map(self.poses, self.dead, self.report.scans, self.matches, truth)
 
-    def pictures(self) -> dict[str, Figure]:
+    def pictures(self) -> dict[str, Any]:
         """The map."""
         return {"The map": self.picture()}
 

@@ -7,6 +7,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from nls.cli.formats import mission_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
@@ -188,15 +189,14 @@ def _optimize(job: Job) -> None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")
-    if job.report.format == "mission" and job.result.doubt and job.choice is None and job.sigmas is None:
-        explain_misfit(job.report, job.result.chi2_final, job.result.dof, job.options)
+    if job.report.format == "mission" and job.choice is None and job.sigmas is None:
+        explain_misfit(job.report, job.graph, job.result, job.options)
         job.clock.lap("report")
 
 
 def _find_optimum(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
-    from nls.cli.doubtful import by_file
     from nls.cli.progress import Progress
     from nls.cli.solve_outputs import write_free
 
@@ -208,10 +208,20 @@ def _find_optimum(job: Job) -> None:
                 _estimate(job, _optimizer(job, progress))
             else:
                 job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
-            job.result = by_file(job, job.result)
+            _name_tables(job)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
+
+
+def _name_tables(job: Job) -> None:
+    """Of a mission under a kernel, say what is ignored by the file of every table."""
+    from nls.optimizers.fit import shares
+
+    if job.result.shares and (mission := mission_of(job.report)):
+        factors = job.graph.factors
+        names = [f"{factor.name} ({table})" for factor, table in zip(factors, mission.tables, strict=True)]
+        job.result.shares = shares(factors, job.result.values, names)
 
 
 def _close(job: Job) -> None:
@@ -323,7 +333,6 @@ def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
     from nls.cli import certificate
-    from nls.cli.doubtful import reasons
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -334,7 +343,7 @@ def _status(job: Job) -> int:
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
         print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
-    doubts = [] if options.allow_doubtful or refuted else reasons(job)
+    doubts = [] if options.allow_doubtful or refuted else job.doubts
     if doubts and (result.converged or allowed):
         print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
     for failure in job.failed:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from nls.cli.formats import mission_of
 from nls.cli.outputs import complain, write_json
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from models.errors import UnderconstrainedError
-    from nls.cli.job import Job
-    from nls.cli.solution import Content
+    from nls.cli.job import Content, Job
 
 
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
@@ -62,11 +60,10 @@ def _write_file(job: Job, make: Content, path: str) -> None:
         _write_picture(job, content, path)
 
 
-def _write_picture(job: Job, figure: Figure, path: str) -> None:
-    from nls.cli.doubtful import marks
+def _write_picture(job: Job, figure: Any, path: str) -> None:
     from nls.plot.picture import write_picture
 
-    write_picture(path, figure, marks(job))
+    write_picture(path, figure, job.marks)
 
 
 def _optimum(job: Job, path: str) -> None:
@@ -81,13 +78,12 @@ def _optimum(job: Job, path: str) -> None:
 def _covariance(job: Job, path: str) -> None:
     from nls import Marginals
     from nls.io.covariance_csv import write_covariances
-    from nls.io.mission import MissionReport
 
     marginals = None if job.solved is None else job.solved.marginals
     if marginals is None:
         marginals = Marginals(job.graph, job.result.values, job.solver, job.options.gauge)
-    unmeasured = job.report.unmeasured if isinstance(job.report, MissionReport) else ()
-    write_covariances(path, marginals, unmeasured=unmeasured)
+    mission = mission_of(job.report)
+    write_covariances(path, marginals, unmeasured=mission.unmeasured if mission else ())
 
 
 def _plot(job: Job, path: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -14,18 +14,15 @@ from factors.keys import Kind, kinds
 from models.errors import UnderconstrainedError
 from models.finite import finite_or_none
 from models.listing import some
+from nls.cli.job import Content, Job, Solution, circles
 from nls.cli.mission import lines, of_tables
-from nls.cli.solution import Content, Solution, circles
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
 from nls.io.mission.calibration import NAMES as CALIBRATIONS
-from nls.io.mission.redundancy import hidden_errors, position_checks, sigma_at_the_end
+from nls.io.mission.redundancy import position_checks, sigma_at_the_end
 from nls.io.mission.results import beacons_text, calibration_text, map_text, trajectory_text, undetermined
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from models.algebra import Array
-    from nls.cli.job import Job
     from nls.covariance import Marginals
     from nls.io.charts import Chart
     from nls.io.mission.determination import Determination
@@ -75,10 +72,8 @@ class SolvedMission(Solution):
     @cached_property
     def unchecked(self) -> list[dict[str, Any]]:
         """Errors of whole tables that nothing shows; none where nothing checks dead reckoning, or at no optimum."""
-        if not (self.checks and self.result.converged):
-            return []
-        r = self.result
-        return [finite_or_none(asdict(e)) for e in hidden_errors(self.graph, r.values, *r.believed, self.report)]
+        errors = [error for error in self.report.errors if error.hidden] if self.checks else []
+        return [finite_or_none({"file": e.file, "quantity": e.quantity, "below": e.below}) for e in errors]
 
     @cached_property
     def end_sigma(self) -> float | None:
@@ -187,14 +182,14 @@ class SolvedMission(Solution):
         """Whether a sonar saw landmarks."""
         return bool(self.contacts) and self.report.sonar is not None
 
-    def picture(self) -> Figure:
+    def picture(self) -> Any:
         """Before and after, from above and from the side."""
         from nls.io.files import title_of
         from nls.plot.mission import plan_before_after
 
         return plan_before_after(self.graph, self.job.before, self.result, title=title_of(self.report.path))
 
-    def pictures(self) -> dict[str, Figure]:
+    def pictures(self) -> dict[str, Any]:
         """The track, and the landmarks where a sonar saw some."""
         return {"The track": self._track()} | ({"The landmarks": self._landmarks()} if self.mapped else {})
 
@@ -255,18 +250,18 @@ class SolvedMission(Solution):
     def _beacons(self) -> bytes:
         return beacons_text(self.values, self.marginals, self._extra(np.asarray(self.values.stack("b").X)))
 
-    def _track(self) -> Figure:
+    def _track(self) -> Any:
         from nls.plot.mission import track
 
         return track(self.values, self.dead, self.report.truth, self.marginals, self.tracks)
 
-    def _landmarks(self) -> Figure:
+    def _landmarks(self) -> Any:
         from nls.plot.mission import landmark_map
 
         assert self.report.sonar is not None
         return landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
 
-    def _fan(self) -> Figure:
+    def _fan(self) -> Any:
         """The fan of the pose with the most contacts."""
         from nls.plot.sonar import arcs
 

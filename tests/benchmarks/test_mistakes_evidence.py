@@ -120,6 +120,18 @@ def text(survey: Any, name: str) -> str:
 
 def test_what_the_program_calls_unchecked_is_read(script: Callable[[str], Any]) -> None:
     table = "the depth of depth.csv; the place, the clock (below 4 s), the arm of fixes.csv: no other measurement"
-    answer = script("mistakes").Answer(0, [f"unchecked   {table}"])
-    sized = "clock (below 4 s) of fixes.csv"
-    assert answer.unchecked == {"depth of depth.csv", "place of fixes.csv", sized, "arm of fixes.csv"}
+    evidence = script("mistakes")
+    answer = evidence.Answer(0, [f"unchecked   {table}"])
+    anything = dict.fromkeys(["depth of depth.csv", "place of fixes.csv", "arm of fixes.csv"], float("inf"))
+    assert answer.unchecked == anything | {"clock of fixes.csv": 4.0}
+    mistakes = {mistake.name: mistake for mistake in evidence.MISTAKES}
+    missed = {name: answer.misses(mistakes[name]) for name in ("fixes: 3 s late", "fixes: 18 s late", "dvl: 1 s late")}
+    assert missed == {"fixes: 3 s late": True, "fixes: 18 s late": False, "dvl: 1 s late": False}
+
+
+def test_of_causes_that_nothing_tells_apart_the_one_that_was_made_is_followed(script: Callable[[str], Any]) -> None:
+    evidence = script("mistakes")
+    late = next(mistake for mistake in evidence.MISTAKES if mistake.name == "ahrs: 1 s late")
+    arm, clock = "x_m of dvl_mount.csv: subtract 1.9 from x_m", "write `ahrs_clock_s,1,0.3` in calibration.csv"
+    assert [cure.form for cure in evidence.chosen(f"{arm}; or {clock}", late)] == ["calibration"]
+    assert [cure.form for cure in evidence.chosen(arm, late)] == ["numbers"]

@@ -26,7 +26,7 @@ from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
 from nls.values import Values
 
-__all__ = ["CLOCKED", "shift_clocks"]
+__all__ = ["CLOCKED", "rates_by_time", "shift_clocks", "total", "twists"]
 
 CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
@@ -49,38 +49,48 @@ def shift_clocks(
     start : poses whose track gives the rates.
     ship : (k, 6) twists of the ship at its poses, in its own axes.
     """
-    twists = {s.name: ship}
+    moving = {s.name: ship}
     for name in CLOCKED:
         clock = calibrations.variable(f"{name}_clock_s") if name in timeline.rows else None
         if clock is None:
             continue
-        if x.name not in twists:
-            twists[x.name] = _twists(start, timeline)
+        if x.name not in moving:
+            moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
         for k, source in enumerate(report.sources):
             if source.path == tables[name].path:
-                graph.factors[k] = _shifted(graph.factors[k], start, twists, clock)
+                graph.factors[k] = _shifted(graph.factors[k], start, moving, clock)
 
 
-def _shifted(factor: Factor, start: Values, twists: dict[str, Array], clock: Keys) -> Shifted:
+def _shifted(factor: Factor, start: Values, moving: dict[str, Array], clock: Keys) -> Shifted:
     """A factor whose rows are late by the clock."""
-    model, X = start.gather(factor)
+    G = -total(rates_by_time(factor, start, moving))
+    return Shifted(replaced(factor, z=start.gather(factor)[0].z + G * start[clock]), G[:, :, None], clock)
+
+
+def rates_by_time(factor: Factor, values: Values, moving: dict[str, Array]) -> dict[str, Array]:
+    """Rates dh/dt (n, m) of measurements, from each kind that moves with twists (k, 6)."""
+    model, X = values.gather(factor)
     H = factor.predict(model.manifolds, *X)[1]
     assert H is not None
-    G = np.zeros((len(factor), model.space.dim))
-    for keys, block in zip(factor.keys, H, strict=True):
-        if keys.kind in twists:
-            G -= apply(np.asarray(block), twists[keys.kind][start.stack(keys.kind).index(keys)])
-    return Shifted(replaced(factor, z=model.z + G * start[clock]), G[:, :, None], clock)
+    return {
+        keys.kind: apply(np.asarray(block), moving[keys.kind][values.stack(keys.kind).index(keys)])
+        for keys, block in zip(factor.keys, H, strict=True)
+        if keys.kind in moving
+    }
 
 
-def _twists(start: Values, timeline: Timeline) -> Array:
-    """Body twists (n, 6) of the poses, m/s and rad/s, in the order of their stack: over the legs before and after."""
-    t = timeline.at(start.stack(x).numbers)
+def total(rates: dict[str, Array]) -> Array:
+    """Rates (n, m) of measurements from all kinds."""
+    return np.asarray(np.sum(list(rates.values()), axis=0))
+
+
+def twists(X: Array, t: Array) -> Array:
+    """Body twists (n, 6) of poses (n, 7) at times (n,), m/s and rad/s: over the legs before and after."""
     order = np.argsort(t)
-    X, dt = start[x][order], np.diff(t[order])
+    X, dt = X[order], np.diff(t[order])
     step = SE3.local(X[:-1], X[1:])
     zero = np.zeros((1, SE3.dim))
-    total = np.concatenate([step, zero]) + np.concatenate([zero, step])
-    twists: Array = np.zeros(total.shape)
-    twists[order] = total / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None]
-    return twists
+    both = np.concatenate([step, zero]) + np.concatenate([zero, step])
+    out: Array = np.zeros(both.shape)
+    out[order] = both / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None]
+    return out

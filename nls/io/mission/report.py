@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.algebra import Array
@@ -13,6 +14,7 @@ from nls.values import Values
 
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
+    from nls.io.mission.checks.table_errors import TableError
     from nls.io.mission.table import Table
 
 __all__ = ["MissionReport"]
@@ -34,7 +36,9 @@ class MissionReport(LoadReport):
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     findings : what is implausible in the tables, each also a warning.
     explained : what explains chi2 where it was implausible; None where it was not asked.
+    errors : of whole tables at the optimum, as `nls.io.mission.checks.table_errors` has them.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
+    dive_of : the name of the dive that each factor is of; empty for one mission.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
 
@@ -50,6 +54,14 @@ class MissionReport(LoadReport):
     calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Implausible] = field(default_factory=list)
     explained: Explained | None = None
+    errors: list[TableError] = field(default_factory=list)
+    dive_of: list[str] = field(default_factory=list, repr=False)
+
+    @property
+    def tables(self) -> list[str]:
+        """The file that each factor is from, such as ``fixes.csv``; of several dives with the name of the dive."""
+        files = [Path(source.path).name for source in self.sources]
+        return [f"{dive}/{file}" for dive, file in zip(self.dive_of, files, strict=True)] if self.dive_of else files
 
     @property
     def anchored(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -46,8 +46,22 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
     far = np.linalg.norm(p, axis=1)
     if (beyond := ~(far <= REACH)).any():
         k = int(np.argmax(beyond))
-        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km")
+        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in _elsewhere(plane, *lat_lon[k]))
+        why = ", so one of the two files is wrong" if hints else ""
+        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km{hints}{why}")
     return p
+
+
+def _elsewhere(plane: LocalPlane, lat: float, lon: float) -> Iterator[tuple[str, float]]:
+    """How a latitude and a longitude may be meant that are near the origin then, and how far they are, m."""
+    for how, (a, b) in {
+        "lat_deg, lon_deg exchanged": (lon, lat),
+        "lon_deg times -1": (lat, -lon),
+        "lat_deg times -1": (-lat, lon),
+        "lat_deg, lon_deg read in rad": (np.degrees(lat), np.degrees(lon)),
+    }.items():
+        if abs(a) <= 90 and (d := float(np.linalg.norm(plane.local(np.array([a]), np.array([b]))))) <= REACH:
+            yield how, d
 
 
 def columns_together(table: Table, *names: str) -> bool:

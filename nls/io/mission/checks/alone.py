@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -25,7 +25,7 @@ HIGHEST = -2.0  # m: waves, and a zero that is not the surface
 SLOWEST_LOG, FASTEST_LOG = 20.0, 1e-4  # s between rows
 SHARE, FAR = 0.015, 10.0  # part of the rows that may be outliers, and sigmas from which one is
 CALM = 0.3  # m/s, rad and m: deviations that are no outliers
-SIDE_BY_SIDE = 4  # rounds, each of which finds outliers that stood beside others
+SIDE_BY_SIDE = 3  # rounds, each of which finds outliers that stood beside others
 ROUGH = 8.0  # times the stated sigma
 FEW_ROWS = 20
 DAY = 86400.0  # s
@@ -76,8 +76,10 @@ def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
 
 
 def turns(log: Log) -> Iterator[Implausible]:
-    """The heading of ahrs.csv."""
+    """The heading of ahrs.csv, also one that never changes."""
     yield from turn_of("ahrs.csv", log.t_a, log.rpy[:, 2])
+    if log.rpy[:, 2].any():
+        yield from stuck_of("ahrs.csv", "yaw_rad", log.rpy[:, 2])
 
 
 def turn_of(file: str, t: Array, yaw: Array) -> Iterator[Implausible]:
@@ -146,30 +148,33 @@ def step_of(file: str, t: Array) -> Iterator[Implausible]:
 
 def outliers(log: Log) -> Iterator[Implausible]:
     """Single rows of dvl.csv, ahrs.csv and depth.csv far from their neighbors."""
-    rows = np.flatnonzero(log.valid)
-    for k, name in enumerate(VELOCITY):
-        yield from outliers_of("dvl.csv", name, log.v[rows, k], log.sigmas["sigma_v_m_s"], rows)
-    for k, name in enumerate(ANGLES):
-        yield from outliers_of("ahrs.csv", name, log.rpy[:, k], log.sigmas[f"sigma_{name}"], np.arange(len(log.t_a)))
-    yield from outliers_of("depth.csv", "z_m", log.z, log.sigmas["sigma_z_m"], np.arange(len(log.z)))
+    rows, of = np.flatnonzero(log.valid), log.sigmas
+    yield from outliers_of("dvl.csv", VELOCITY, log.v[rows], [of["sigma_v_m_s"]] * 3, rows)
+    yield from outliers_of("ahrs.csv", ANGLES, log.rpy, [of[f"sigma_{name}"] for name in ANGLES])
+    yield from outliers_of("depth.csv", ("z_m",), log.z[:, None], [of["sigma_z_m"]])
 
 
-def outliers_of(file: str, column: str, y: Array, sigma: float, rows: Index) -> Iterator[Implausible]:
-    """Single numbers of y (n,) far from their neighbors, more of them than a sensor has; rows (n,) of the table.
+def outliers_of(
+    file: str, columns: Sequence[str], y: Array, sigmas: Sequence[float], rows: Index | None = None
+) -> Iterator[Implausible]:
+    """Single rows of y (n, k) far from their neighbors, more of them than a sensor has; rows (n,) of the table.
 
-    Where there are so many, those that stand side by side are found when the first ones are out.
+    Where there are so many, those that stand side by side, and lesser ones, are found when the first ones are out.
     """
     if len(y) < FEW_ROWS:
         return
-    wild: Mask = np.zeros(len(y), dtype=bool)
-    for _ in range(SIDE_BY_SIDE):
-        kept = np.flatnonzero(~wild)
-        away, spread = _deviation(y[kept], column.endswith("_rad"))
-        wild[kept] = away > max(FAR * spread, FAR * sigma, CALM)
-        if wild.mean() <= SHARE:
+    wild: Mask = np.zeros(y.shape, dtype=bool)
+    for limit in (FAR,) * SIDE_BY_SIDE + (FAR / 2,) * SIDE_BY_SIDE:
+        for k, (column, sigma) in enumerate(zip(columns, sigmas, strict=True)):
+            kept = np.flatnonzero(~wild.any(axis=1))
+            away, spread = _deviation(y[kept, k], column.endswith("_rad"))
+            wild[kept, k] = away > max(limit * spread, limit * sigma, CALM * (limit / FAR) ** 2)
+        if (share := float(wild.mean(axis=0).max())) <= SHARE:
             return
-    cause, at = Reading(Cause.OUTLIERS, file, column), tuple(rows[wild].tolist())
-    yield Implausible("outliers", file, at[0], column, float(wild.mean()), SHARE, "of the rows", (cause,), at)
+    names = ", ".join(column for k, column in enumerate(columns) if wild[:, k].any())
+    at = tuple((np.arange(len(y)) if rows is None else rows)[wild.any(axis=1)].tolist())
+    cause = Reading(Cause.OUTLIERS, file, names)
+    yield Implausible("outliers", file, at[0], names.split(", ")[0], share, SHARE, "of the rows", (cause,), at)
 
 
 def _deviation(y: Array, turns: bool) -> tuple[Array, float]:

@@ -23,6 +23,9 @@ class Cause(StrEnum):
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
     ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
+    DRIFT = "drift"  # fast by the part `factor`
+    ARM = "arm"  # `factor` m too large
+    SCALE = "scale"  # `factor` times too large
     INVERTED = "inverted"
     NONE = "none"  # the number `factor` stands for none
     ZEROS = "zeros"  # 0 in all columns does
@@ -40,12 +43,16 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """A cause, of which file and column, with its factor, degrees or seconds; 1 where it has none."""
+    """A cause, of which file and column, with its factor, degrees or seconds; 1 where it has none.
+
+    A clock that runs fast has an offset, s, to be added to its times after they are divided by 1 + factor.
+    """
 
     cause: Cause
     file: str
     column: str
     factor: float = 1.0
+    offset: float = 0.0
 
 
 class Numbered:

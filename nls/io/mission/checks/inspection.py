@@ -16,8 +16,8 @@ from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.fixes import jumping, of_fixes
 from nls.io.mission.checks.log import Log, read_fixes, read_log
 from nls.io.mission.checks.readings import alternatives
-from nls.io.mission.checks.special import special_values, stale, without
-from nls.io.mission.checks.track import of_heading, of_track
+from nls.io.mission.checks.special import repeated, special_values, stale, without
+from nls.io.mission.checks.track import of_heading, of_ship, of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]
@@ -43,7 +43,7 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
     if clocks := of_clocks(tables):  # nothing is compared at other times
         return special + [_placed(entry, tables) for entry in clocks]
     log = read_log(tables, plane) if "dvl" in tables else None
-    old = stale(log, read_fixes(tables.get("fixes"), plane), _way(tables, log))
+    old = [*stale(log, read_fixes(tables.get("fixes"), plane), _way(tables, log)), *repeated(tables)]
     if old:
         special += [_placed(entry, tables) for entry in old]
         tables = without(tables, old)
@@ -57,6 +57,7 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
         thin = log.thinned()
         out = of_ranges(tables, thin, _start(tables, thin))
     out += sound_speeds(tables.get("sound-speed"))
+    out += of_ship(tables["ship"]) if "ship" in tables else ()
     return special + [_placed(entry, tables) for entry in out]
 
 

@@ -19,13 +19,15 @@ from nls.io.mission.checks.log import Log, read_log
 from nls.io.mission.columns import ANGLES, GEODETIC, TILT, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = ["SPEED_UNITS", "Alternative", "alternatives", "readings"]
+__all__ = ["SPEED_UNITS", "Alternative", "alternatives", "corrected", "readings"]
 SPEED_UNITS = (1000.0, 100.0, 1.9438, 3.2808, 3.6)  # mm/s, cm/s, knots, ft/s and km/h in a m/s
 LENGTH_UNITS = (100.0, 3.2808, 0.5468, 10.0, 0.001, 0.1, 0.01)  # cm, feet, fathoms, kPa, km, bar, kPa to dm
 PLACE_UNITS = (1000.0, 100.0, 3.2808, 0.001)
 TIME_UNITS = (1e3, 1e6, 2.0, 0.5)  # ms and us in a second; both ways, and one of two
 DEGREES = 180 / np.pi
+TURN_UNITS = (DEGREES, 1 / DEGREES)  # degrees in a column of radians, radians that were taken for degrees
 LAGS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)  # s
+SHIP_LAGS = (4.0, 8.0, 12.0, 18.0, 30.0)  # s; beside them chi2 is linear enough
 LEVEL = ("x_m", "y_m")
 LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the columns of the numbers
     "dvl.csv": ("v", "t_v", VELOCITY),
@@ -35,14 +37,17 @@ LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the co
 }
 OF_TABLES: dict[str, tuple[tuple[tuple[str, ...], Iterable[float]], ...]] = {  # vectors of one unit; what that may be
     "fixes": ((LEVEL, PLACE_UNITS),),
-    "odometry": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,))),
-    "path": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,)), (("z_m",), LENGTH_UNITS)),
+    "odometry": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS)),
+    "path": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS), (("z_m",), LENGTH_UNITS)),
     "zpr": tuple(((name,), (DEGREES,) if name.endswith("_rad") else LENGTH_UNITS) for name in TILT),
-    "closures": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,))),
-    "contacts": ((("azimuth_rad",), (DEGREES,)), (("range_m",), PLACE_UNITS)),
-    "usbl": ((("bearing_rad", "elevation_rad"), (DEGREES,)), (("range_m",), PLACE_UNITS)),
+    "closures": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS)),
+    "contacts": ((("azimuth_rad",), TURN_UNITS), (("range_m",), PLACE_UNITS)),
+    "usbl": (
+        (("bearing_rad", "elevation_rad"), TURN_UNITS),
+        (("range_m",), (*PLACE_UNITS, 2.0, 0.5)),
+    ),
     "ranges": ((("range_m",), (*PLACE_UNITS, 2.0, 0.5)), (("travel_time_s",), TIME_UNITS)),
-    "ship": ((LEVEL, PLACE_UNITS), (("yaw_rad",), (DEGREES,)), (("z_m",), ())),
+    "ship": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS), (("roll_rad", "pitch_rad"), ()), (("z_m",), ())),
     "beacons": ((LEVEL, PLACE_UNITS), (("z_m",), ())),
 }
 
@@ -107,7 +112,17 @@ def readings() -> list[Alternative]:
     steady = [a for a in (*_of_velocities(), *_of_angles(), *_of_depths()) if a.reading.cause is not Cause.TURNED]
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
     geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
-    return [*steady, *of_tables, *geodetic]
+    ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
+    return [*steady, *of_tables, *geodetic, *ship]
+
+
+def corrected(reading: Reading) -> Alternative:
+    """Without the error of a whole table: a clock that is late or fast, an arm, a scale."""
+    A, c = {
+        Cause.DRIFT: (1 / (1 + reading.factor), reading.offset),
+        Cause.SCALE: (1 / reading.factor, 0.0),
+    }.get(reading.cause, (1.0, -reading.factor))
+    return Alternative(reading, np.array([[A]]), np.array([c]))
 
 
 def _read(
@@ -135,6 +150,7 @@ def _of_velocities() -> list[Alternative]:
     return [
         *(a for names in (VELOCITY, (x,), (y,), (z,)) for a in _units(file, names, SPEED_UNITS)),
         *_signs(file, VELOCITY),
+        _read(Cause.SIGN, file, VELOCITY, -np.eye(3), -1.0),
         *_exchanged(file, (x, y), (x, z), (y, z)),
         _read(Cause.EARTH, file, VELOCITY, np.eye(3)),
         _read(Cause.AXES, file, VELOCITY, np.diag([1.0, -1.0, -1.0])),
@@ -157,7 +173,7 @@ def _of_angles() -> list[Alternative]:
         _north(file),
         _read(Cause.NORTH, file, (pitch, yaw), np.diag([-1, -1]), 90.0, (0.0, np.pi / 2)),
         *(_read(Cause.TURNED, file, [yaw], 1, turn, -np.radians(turn)) for turn in (90.0, -90.0, 180.0)),
-        *(a for names in ((yaw,), (pitch,), (roll,), (roll, pitch)) for a in _units(file, names, [DEGREES])),
+        *(a for names in ((yaw,), (pitch,), (roll,), (roll, pitch)) for a in _units(file, names, TURN_UNITS)),
     ]
 
 
@@ -169,7 +185,11 @@ def _of_clocks(log: Log) -> list[Alternative]:
     """Each sensor late by up to ten seconds, or early."""
     files = ["ahrs.csv", "depth.csv", "dvl.csv", *["fixes.csv"] * (log.fixes is not None)]
     lags = (*LAGS, *(-lag for lag in LAGS))
-    return [_read(Cause.CLOCK, file, ["time_s"], 1, lag, -lag) for lag in lags for file in files]
+    return [_late(file, lag) for lag in lags for file in files]
+
+
+def _late(file: str, lag: float) -> Alternative:
+    return _read(Cause.CLOCK, file, ["time_s"], 1, lag, -lag)
 
 
 def _of_table(name: str) -> Iterator[Alternative]:
@@ -182,4 +202,6 @@ def _of_table(name: str) -> Iterator[Alternative]:
             yield from _signs(file, columns)
         if columns == ("yaw_rad",):
             yield _north(file)
-        yield from _units(file, columns, factors)
+        angles = len(columns) > 1 and columns[0].endswith("_rad")
+        for names in (columns, *((name,) for name in columns * angles)):
+            yield from _units(file, names, factors)

@@ -24,7 +24,7 @@ from nls.io.mission.checks.log import Fixes, Log
 from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = ["meant", "special_values", "stale", "without"]
+__all__ = ["meant", "repeated", "special_values", "stale", "without"]
 NINES, WHOLE = (999, 9999, 99999, 999999, 9999999), (32767, 32768, 65535, 2147483647, 2147483648)
 NUMBERS = np.array([*NINES, *WHOLE], dtype=float)  # that loggers write for none, of either sign
 UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
@@ -159,6 +159,25 @@ def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None
                 reading, seconds = Reading(Cause.STALE, file, ", ".join(columns)), float(np.ptp(t[stuck]))
                 out.append(_named("repeated", reading, places[stuck], seconds, "s"))
     return out
+
+
+def repeated(tables: dict[str, Table]) -> Iterator[Implausible]:
+    """Directions of usbl.csv, places and headings of ship.csv that are repeated, where others hardly ever are."""
+    for name, columns, often in (
+        ("usbl", ("range_m", "bearing_rad", "elevation_rad"), OFTEN),
+        ("ship", ("x_m", "y_m"), MANY),
+        ("ship", GEODETIC, MANY),
+        ("ship", ("yaw_rad",), MANY),
+    ):
+        if (table := tables.get(name)) is None or not table.has(*columns, "time_s"):
+            continue
+        y, t = table.floats(*columns), table.floats("time_s")[:, 0]
+        first, last = _runs(y)
+        many = last - first >= often
+        same = _repeats(first[many], last[many], len(y))
+        if same.any() and len(np.unique(y[~same, 0])) > max(len(y) - same.sum(), MANY) / 2:
+            reading = Reading(Cause.STALE, f"{name}.csv", ", ".join(columns))
+            yield _named("repeated", reading, np.flatnonzero(same), float(np.ptp(t[same])), "s")
 
 
 def _runs(y: Array) -> tuple[Index, Index]:

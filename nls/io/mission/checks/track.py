@@ -30,10 +30,10 @@ from nls.io.mission.checks.alone import (
 )
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log
-from nls.io.mission.columns import ANGLES, VELOCITY
+from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = ["of_heading", "of_track"]
+__all__ = ["of_heading", "of_ship", "of_track"]
 LARGEST = 1e9  # m, as the reader has it
 AHEAD, ASIDE = 0.9, 0.8  # R of a vehicle that goes ahead; at most that of one that does not
 CLEAR = 6.0  # sigmas of a fix that the middle way from one to the next has
@@ -59,7 +59,7 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
         if table.has("z_m"):
             z = table.floats("z_m")[:, 0]
             out += depth_of(file, z, t)
-            out += outliers_of(file, "z_m", z, sigmas.get("sigma_z_m", 0.0), np.arange(len(z)))
+            out += outliers_of(file, ("z_m",), z[:, None], [sigmas.get("sigma_z_m", 0.0)])
         for column in ("roll_rad", "pitch_rad"):
             out += tilt_of(file, column, table.floats(column)[:, 0]) if table.has(column) else ()
         for column in (*ANGLES, "z_m") if name in ("ahrs", "depth") and not out else ():
@@ -72,6 +72,17 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
     if not out and fixes is not None and "ahrs" in tables and tables["ahrs"].has("yaw_rad"):
         out += _between_fixes(fixes, tables["ahrs"])
     return [*out, *_steps(tables["odometry"], tables.get("poses"))] if "odometry" in tables else out
+
+
+def of_ship(ship: Table) -> Iterator[Implausible]:
+    """Attitude of a ship: roll and pitch, turns, and a heading that is one while the ship moves."""
+    file, t, (roll, pitch, yaw) = "ship.csv", ship.rising("time_s"), ship.floats(*ANGLES).T
+    yield from tilt_of(file, "roll_rad", roll)
+    yield from tilt_of(file, "pitch_rad", pitch)
+    yield from turn_of(file, t, yaw)
+    places = next((p for p in (("x_m", "y_m"), GEODETIC) if ship.has(*p)), ())
+    if places and np.ptp(ship.floats(*places), axis=0).any():
+        yield from stuck_of(file, "yaw_rad", yaw)
 
 
 def _course(path: Table) -> Iterator[Implausible]:

@@ -14,7 +14,7 @@ ignores few of them and noise explains all others.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,13 +23,15 @@ import numpy as np
 from factors.keys import Kind
 from factors.robust import Cauchy
 from models.errors import EvaluationError, GraphFileError, SingularGeometryError
-from nls.analysis.alternatives import HALF, Fit, expected, nearest, solved
+from nls.analysis.alternatives import HALF, REFUSED, Fit, expected, nearest, solved
 from nls.analysis.calibrations import explains
+from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.mission.calibration import NAMES
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
-from nls.io.mission.checks.readings import readings
+from nls.io.mission.checks.readings import Alternative, corrected, readings
+from nls.io.mission.checks.table_errors import TableError
 from nls.io.mission.columns import COLUMNS, GEODETIC
 from nls.io.mission.determination import LEFT
 from nls.io.mission.folder import report_of
@@ -37,7 +39,9 @@ from nls.io.mission.read import graph_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table, csv_text
 from nls.io.mission.timeline import TIMED
+from nls.optimizers.fit import TWICE
 from nls.stages import announce
+from nls.system import LinearSystem
 from nls.values import Values
 
 __all__ = ["explained", "worth_trying"]
@@ -53,16 +57,20 @@ LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, 
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
 BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
+ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
 IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
 
 
-def explained(tables: Tables, chi2: float, dof: int, elevation: str = "hinge") -> Explained:
-    """The constants that explain chi2 of a mission, else the one table that a kernel cures; `Explained` may be empty.
+def explained(
+    tables: Tables, chi2: float, dof: int, errors: Sequence[TableError] = (), elevation: str = "hinge"
+) -> Explained:
+    """The constants that explain chi2 of a mission, else the one table that a kernel cures, or whose sigmas are small.
 
     Parameters
     ----------
     tables : of the mission, as `nls.io.mission.folder.read_tables` has them.
-    chi2, dof : of its optimum, implausible.
+    chi2, dof : of its optimum.
+    errors : of whole tables, of which one is seen where chi2 alone is plausible. No other constants are tried then.
     elevation : as of `nls.io.mission.read.read_mission`.
 
     Raises
@@ -70,14 +78,19 @@ def explained(tables: Tables, chi2: float, dof: int, elevation: str = "hinge") -
     GraphFileError
         The tables as they are cannot be read.
     """
+    linear = [Trial(e.reading, e.sigma, chi2 - e.fall, dof) for e in errors if e.reading]
+    if chi2 <= TWICE * dof:
+        return Explained(chi2, dof, nearest(linear))
     whole = _mission(tables, elevation, chi2, dof)
     few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
     mission = _mission(few, elevation) if thinned else whole
-    trials = [] if expected(mission) else _best(mission, [*_calibrations(mission), *_readings(mission)])
+    trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings())]
     if thinned:
-        trials = _best(whole, [trial for earlier in trials for trial in _again(whole, earlier)])
-    return Explained(chi2, dof, tuple(trials or _kernels(whole)))
+        trials = [trial for earlier in _best(mission, trials) for trial in _again(whole, earlier)]
+    near = [t.reading for t in linear if t.reading.cause is not Cause.CALIBRATION and explains(t, chi2, dof)]
+    trials += _tried(whole, map(corrected, near))
+    return Explained(chi2, dof, tuple(_best(whole, trials) or [*_kernels(whole)] or _sigmas(whole)))
 
 
 def worth_trying(findings: Sequence[Implausible]) -> bool:
@@ -98,13 +111,16 @@ class Mission:
     chi2: float
     dof: int
 
-    def optimum(self, tables: Tables) -> Fit | None:
-        """The optimum of other tables; None where dead reckoning fits worse than here, or fewer rows count."""
+    def optimum(self, tables: Tables, anywhere: bool = False) -> Fit | None:
+        """The optimum of other tables; None where dead reckoning fits worse than here, or fewer rows count.
+
+        Begun anywhere, dead reckoning may fit worse.
+        """
         try:
             graph, start, _ = _read(tables, self.elevation)
         except GraphFileError:  # tables that the reader refuses are no answer
             return None
-        fit = solved(graph, start, start=False, iterations=BRIEF, limit=self.limit)
+        fit = solved(graph, start, start=False, iterations=BRIEF, limit=np.inf if anywhere else self.limit)
         return fit if fit is not None and fit.dof >= self.dof else None
 
 
@@ -137,7 +153,7 @@ def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
     if trial.reading.cause is Cause.CALIBRATION:
         yield from _calibration(mission, trial.reading.column, (trial.reading.factor,))
     else:
-        yield from _readings(mission, trial.reading)
+        yield from _tried(mission, [a for a in readings() if a.reading == trial.reading])
 
 
 def _calibrations(mission: Mission) -> Iterator[Trial]:
@@ -151,8 +167,9 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
     announce(f"trying {name}")
     usual, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
 
-    def at(value: float) -> Fit | None:
-        return mission.optimum(mission.tables | {"calibration": _with_row(mission.tables, name, value, wide)})
+    def at(value: float, anywhere: bool = False) -> Fit | None:
+        tables = mission.tables | {"calibration": _with_row(mission.tables, name, value, wide)}
+        return mission.optimum(tables, anywhere)
 
     fits = [(fit, value) for value in begins or usual if (fit := at(value)) is not None]
     fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
@@ -160,7 +177,7 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
         return
     for _ in range(ROUNDS):
         before, value = value, float(fit.values[Kind(name)[0]][0])
-        if abs(value - before) < SETTLED * wide or (fit := at(value)) is None:
+        if abs(value - before) < SETTLED * wide or (fit := at(value, anywhere=True)) is None:
             break
     if fit is None or not explains(fit, mission.chi2, mission.dof):
         return
@@ -181,10 +198,10 @@ def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
     return Table("calibration.csv", COLUMNS["calibration"], data=data)
 
 
-def _readings(mission: Mission, reading: Reading | None = None) -> Iterator[Trial]:
-    """Other readings, or one of them."""
-    for alternative in readings():
-        if reading in (None, alternative.reading) and (other := alternative.on_tables(mission.tables)):
+def _tried(mission: Mission, alternatives: Iterable[Alternative]) -> Iterator[Trial]:
+    """Other readings of its tables."""
+    for alternative in alternatives:
+        if other := alternative.on_tables(mission.tables):
             announce(f"trying {alternative.reading.cause} of {alternative.reading.column}")
             if (fit := mission.optimum(other)) is not None and explains(fit, mission.chi2, mission.dof):
                 yield Trial(alternative.reading, 0.0, fit.chi2, fit.dof)
@@ -192,11 +209,8 @@ def _readings(mission: Mission, reading: Reading | None = None) -> Iterator[Tria
 
 def _kernels(mission: Mission) -> Iterator[Trial]:
     """The tables of which a kernel ignores few rows, and noise explains the rest."""
-    graph, report = mission.graph, mission.report
-    files = {f"{name}.csv" for name in TIMED if name != "contacts"}  # which are judged one by one
-    files_of = [Path(source.path).name.removesuffix(".gz") for source in report.sources]
-    types = {factor.name: file for factor, file in zip(graph.factors, files_of, strict=True) if file in files}
-    for name, file in types.items():
+    graph = mission.graph
+    for name, file in _files(mission).items():
         announce(f"trying a kernel for {file}")
         robust = [f.robust(Cauchy(1.0)) if f.name == name else f for f in graph.factors]
         fit = solved(FactorGraph(robust, graph.fixed), mission.start, start=False)
@@ -214,3 +228,33 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
         trial = Trial(Reading(Cause.KERNEL, file, name, share), 0.0, rest, dof)
         if share <= FEW and expected(trial):
             yield trial
+
+
+def _files(mission: Mission) -> dict[str, str]:
+    """The file of every type of measurement; not of contacts, which are judged one by one."""
+    files = {f"{name}.csv" for name in TIMED if name != "contacts"}
+    files_of = [Path(source.path).name.removesuffix(".gz") for source in mission.report.sources]
+    pairs = zip(mission.graph.factors, files_of, strict=True)
+    return {factor.name: file for factor, file in pairs if file in files}
+
+
+def _sigmas(mission: Mission) -> list[Trial]:
+    """The one table whose sigmas are too small: its residuals are white, and all others as large as stated."""
+    announce("trying sigmas")
+    try:
+        scaled = variance_components(mission.graph, mission.start)
+    except REFUSED:
+        return []
+    large = [c for c in scaled.components if c.known and c.scale > ROUGH]
+    files = _files(mission)
+    if len(large) != 1 or large[0].name not in files:
+        return []
+    (name, file), scale = (large[0].name, files[large[0].name]), large[0].scale
+    columns = [c for c in mission.tables[file.removesuffix(".csv")].names if c.startswith("sigma_")]
+    pattern = scaled.graph.pattern(scaled.result.values)
+    b = LinearSystem.at(pattern, scaled.result.values).b
+    e = np.concatenate([b[k.rows].reshape(len(k), -1) for k in pattern.batches if k.model.factor.name == name])
+    if not columns or np.abs(np.sum(e[1:] * e[:-1])) > WHITE * np.sum(e**2):
+        return []
+    reading = Reading(Cause.SIGMA, file, ", ".join(columns), scale)
+    return [Trial(reading, large[0].sigma, scaled.result.chi2_final, scaled.result.dof)]

@@ -15,7 +15,7 @@ from nls.io.mission.checks.special import meant
 __all__ = ["record", "sentence"]
 COARSE = 0.1  # rad, and ten times that in s: sigma of a turn or a lag that is one of a list
 CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
-LISTED = 50  # runs of lines
+LISTED = 100  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
@@ -23,7 +23,7 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 0.5468: "fathom", 0.001: "km", 0.01: "hm"}
     | {10.0: "kPa", 1e4: "Pa", 0.1: "bar"},
     "_m": {1000.0: "mm", 100.0: "cm", 3.2808: "ft", 0.001: "km"},
-    "_rad": {180 / math.pi: "deg", 18000 / math.pi: "cdeg"},
+    "_rad": {180 / math.pi: "deg", 18000 / math.pi: "cdeg", math.pi / 180: "rad"},
     "_pa": {1.0: "dbar", 10.0: "kPa", 100.0: "hPa", 1e4: "Pa"},
     "_deg": {math.pi / 180: "rad"},
     "travel_time_s": {1e3: "ms", 1e6: "us"},
@@ -59,8 +59,9 @@ CAUSES = {
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
     Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
-    Cause.OUTLIERS: "{column} of {file} has outliers: {act}, or give them no weight",
+    Cause.OUTLIERS: "{column} of {file} {has} outliers: {act}, or give them no weight",
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small (or a variance): multiply {column} by {ratio}",
+    Cause.SCALE: "{column} of {file} looks {factor:.4g} times too large: divide {column} by {factor:.4g}",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
     Cause.WAYS: "{column} of {file} is of both ways and taken as one, or the other way around: give the column ways",
     Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
@@ -109,7 +110,9 @@ def cause(reading: Reading, rows: str = "") -> str:
     """The cause and what to do; rows are the lines that it is about."""
     if reading.cause in (Cause.NONE, Cause.ZEROS):
         return f"{_none(reading)}, or leave out {rows} of {reading.file}"
-    of = {"column": reading.column, "file": reading.file, "ratio": f"{float(f'{reading.factor:.2g}'):g}", "lines": rows}
+    of = {"column": reading.column, "file": reading.file, "factor": reading.factor, "lines": rows}
+    of["ratio"] = f"{float(f'{reading.factor:.2g}'):g}"
+    of["has"] = "have" if ", " in reading.column else "has"
     of["act"] = f"leave out {rows} of {reading.file}" if rows else "delete these rows"
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
 
@@ -162,8 +165,9 @@ def _sign(r: Reading) -> str:
         "lat_deg": "latitudes are north",
         "lon_deg": "longitudes are east",
     }.get(r.column, "")
+    looks = "look as if they" if ", " in r.column else "looks as if it"
     return (
-        f"{r.column} of {r.file} looks as if it had the other sign: multiply {r.column} by -1{_origin(r)}"
+        f"{r.column} of {r.file} {looks} had the other sign: multiply {r.column} by -1{_origin(r)}"
         f"{_mapped(r, 'sign = -1', r.column)}{f'; {positive}' if positive else ''}"
     )
 
@@ -229,6 +233,18 @@ def _clock(r: Reading) -> str:
     return f"{looks}: {act} {abs(r.factor):.3g} s {prefix} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
 
 
+def _fast(r: Reading) -> str:
+    act = f"divide time_s by {1 + r.factor:.12g}, then add {r.offset:.6f} s to it"
+    return f"the clock of {r.file} looks {100 * r.factor:.2g} % fast: {act}"
+
+
+def _arm(r: Reading) -> str:
+    size, (looks, act) = f"{abs(r.factor):.2g}", ("large", "subtract") if r.factor > 0 else ("small", "add")
+    return (
+        f"{r.column} of {r.file} looks {size} m too {looks}: {act} {size} {'from' if r.factor > 0 else 'to'} {r.column}"
+    )
+
+
 def _row(name: str, value: float, sigma: float) -> str:
     """A row of calibration.csv, with as many digits as sigma has two of."""
     digits = max(0, 1 - math.floor(math.log10(sigma)))
@@ -288,4 +304,6 @@ DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.CLOCK: _clock,
     Cause.PRESSURE: _pressure,
     Cause.ZONE: _zone,
+    Cause.DRIFT: _fast,
+    Cause.ARM: _arm,
 }

@@ -131,7 +131,7 @@ SPOILS: dict[str, tuple[Change, Reading]] = {
     "times in ms": (times(1e3), of(Cause.UNIT, "dvl", "time_s", 1e3)),
     "times in ns": (times(1e9), of(Cause.UNIT, "dvl", "time_s", 1e9)),
     "valid inverted": (lambda log: replace(log, valid=~log.valid), of(Cause.INVERTED, "dvl", "valid")),
-    "outliers of the DVL": (wild("v", 3.0), of(Cause.OUTLIERS, "dvl", "vx_m_s")),
+    "outliers of the DVL": (wild("v", 3.0), of(Cause.OUTLIERS, "dvl", V)),
     "outliers of the depth": (wild("z", 20.0), of(Cause.OUTLIERS, "depth", "z_m")),
     "outliers of the fixes": (wild_fixes, of(Cause.OUTLIERS, "fixes", "x_m, y_m")),
     "fixes swapped": (positions([[0, 1], [1, 0]]), of(Cause.SWAPPED, "fixes", "x_m, y_m")),

@@ -1,0 +1,240 @@
+r"""Errors of whole tables: a clock that is late or fast, an arm, a scale, a turn. Which are seen, which stay hidden?
+
+An error nabla of all rows of a table is C nabla in their whitened residuals b. The optimum takes up a part of it. By
+the rest chi2 grows by nabla'M nabla. Without a number that was measured so,
+
+    nabla = C'b / M,    fall of chi2 = (C'b)^2 / M,    M = C'(I - A (A'A)^-1 A') C
+
+The fall is the square of Baarda's w. Where it is more than `SEEN` times what is left per degree of freedom, and the
+track moves by more than its own standard deviation, the error is seen. A smaller one is hidden,
+
+    |nabla| < sqrt(SEEN / lambda_min(M))
+
+A row measured c before its time has z(t - c), so C = -W dz/dt. Of a clock that runs fast by r since the first pose,
+c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count, and nothing is seen.
+
+Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968: w-test, internal and external reliability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from factors import Heading, Position
+from factors.base import Factor
+from factors.keys import kinds
+from factors.shifted import Shifted
+from factors.xyh import HorizontalStep
+from models.algebra import Array, apply
+from models.manifolds.so3 import rotation3
+from nls.gauge import choose_gauge, fixed_variables, touched_variables
+from nls.graph import FactorGraph
+from nls.io.mission.calibration import NAMES
+from nls.io.mission.checks.findings import Cause, Reading
+from nls.io.mission.clocks import CLOCKED, rates_by_time, total, twists
+from nls.io.mission.report import MissionReport
+from nls.linear import factorize
+from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Batch
+from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
+from nls.values import Values
+
+__all__ = ["TableError", "table_errors"]
+SEEN = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
+ROUNDING = 1e-9  # part of an error that rounding shows
+WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
+SAMPLES = 20  # poses, whose positions are compared
+HIDDEN = {
+    "heading": 0.2,
+    "depth": 1.0,
+    "zero of the depth": 2.0,
+    "place": 10.0,
+    "clock": 1.0,
+    "arm": 5.0,
+}  # that matter
+MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
+ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
+(s,) = kinds("s")
+
+
+@dataclass(frozen=True)
+class TableError:
+    """An error of all rows of a table.
+
+    Attributes
+    ----------
+    file : of the table.
+    quantity : ``heading``, ``turn``, ``depth`` (its zero and its scale), ``zero of the depth``, ``scale``, ``place``,
+        ``clock``, ``drift`` or ``arm``.
+    below : the size that would be seen, rad, m or s; infinite where none is, or nearly so.
+    reading : the error as the measurements have it, also one that may be chance; None where they say nothing.
+    sigma : of its factor.
+    fall : of chi2 without it.
+    seen : whether it is beyond chance and moves the track by more than its standard deviation.
+    hidden : whether one that matters, and moves the track so, would not be seen.
+    """
+
+    file: str
+    quantity: str
+    below: float
+    reading: Reading | None = None
+    sigma: float = 0.0
+    fall: float = 0.0
+    seen: bool = False
+    hidden: bool = False
+
+
+@single_thread()
+def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, report: MissionReport) -> list[TableError]:
+    """The errors of whole tables that are seen, and those that would be hidden; none where something is free.
+
+    Parameters
+    ----------
+    graph, values, chi2, dof : of a mission, its optimum.
+    report : of its folder.
+    """
+    whole = graph.pattern(values)
+    fixed = fixed_variables(graph.fixed, values) | ~touched_variables(whole)
+    pattern = whole.holding(choose_gauge("first", whole, values, fixed).held)
+    linear = LinearSystem.at(pattern, values)
+    blocks, errors, walks = list(linear.blocks), dict[tuple[str, str], Array](), False
+    for number, (batch, source) in enumerate(zip(pattern.batches, report.sources, strict=False)):
+        if Path(source.path).name == "motion.csv":
+            blocks[number], walks = tuple(WALK * A for A in blocks[number]), True
+        elif source.lines.any() and not batch.model.factor.limit_only and len(batch) > 1:
+            weights = np.sqrt(batch.model.factor.weights(values))[:, None, None]
+            for name, quantity, C in _errors(batch, values, report, Path(source.path).name):
+                rows = errors.setdefault((name, quantity), np.zeros((pattern.m, C.shape[2])))
+                rows[batch.rows] += (weights * C).reshape(-1, C.shape[2])
+    if not errors:
+        return []
+    system, all_C = LinearSystem(pattern, blocks, linear.b), np.concatenate(list(errors.values()), axis=1)
+    sampled = np.linspace(0, len(values.stack("x")) - 1, SAMPLES).astype(int)
+    at = pattern.starts[pattern.offsets["x"] + sampled]
+    places = (at[at >= 0, None] + np.arange(3)).ravel()
+    unit = np.zeros((pattern.n, len(places)))
+    unit[places, np.arange(len(places))] = 1.0
+    try:
+        taken = factorize(system).solve(np.hstack([system.A.T @ all_C, unit]))
+    except SingularSystemError:
+        return []
+    left = all_C - system.A @ taken[:, : all_C.shape[1]]
+    variance = np.trace(taken[places, all_C.shape[1] :]) / max(len(places) / 3, 1)
+    times = report.vertex_times.get("x", np.zeros(1))
+    out, first = [], 0
+    for (file, quantity), C in errors.items():
+        k = slice(first, first + C.shape[1])
+        first += C.shape[1]
+        M, largest = left[:, k].T @ left[:, k], float(np.linalg.eigvalsh(C.T @ C).max())
+        shown = float(np.linalg.eigvalsh(M).min())
+        least = HIDDEN.get(quantity, np.inf)
+        if not shown > ROUNDING * largest:
+            out.append(TableError(file, quantity, np.inf, hidden=least < np.inf))
+            continue
+        size = left[:, k].T @ linear.b / np.diag(M)
+        fall = size**2 * np.diag(M)
+        j = int(np.argmax(fall))
+        ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
+        below = float(np.sqrt(SEEN * ratio / shown))
+        far = np.sqrt(np.sum(taken[places, k] ** 2, axis=0) / (variance * max(len(places) / 3, 1)))  # by one unit
+        reading = None if walks else _reading(file, quantity, j, float(size[j]), float(times.min()))
+        out.append(
+            TableError(
+                file,
+                quantity,
+                below if below < MOST.get(quantity, np.inf) else np.inf,
+                reading,
+                float(M[j, j] ** -0.5),
+                float(fall[j]),
+                seen=reading is not None and bool(fall[j] > SEEN * ratio and abs(size[j]) * far[j] > 1),
+                hidden=bool(below > least and below * far.max() > 1),
+            )
+        )
+    wholly = {error.file for error in out if error.quantity == "depth" and error.hidden}
+    return [error for error in out if error.quantity != "zero of the depth" or error.file not in wholly]
+
+
+def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
+    """What an error of this size is; a clock runs fast since a time."""
+    table = file.removesuffix(".csv")
+    if quantity == "clock" and f"{table}_clock_s" not in NAMES:
+        return Reading(Cause.CLOCK, file, "time_s", size)
+    if quantity == "drift":
+        return Reading(Cause.DRIFT, file, "time_s", size, size / (1 + size) * since)
+    if quantity == "arm":
+        return Reading(Cause.ARM, "dvl_mount.csv" if table == "dvl" else file, ARMS[file][component], size)
+    if quantity == "scale" and table == "depth":
+        return Reading(Cause.SCALE, file, "z_m", 1 + size)
+    turned = quantity in ("turn", "heading")
+    name = {"clock": f"{table}_clock_s", "scale": "dvl_scale", "turn": "dvl_yaw_rad", "heading": "declination_rad"}.get(
+        quantity
+    )
+    return Reading(Cause.CALIBRATION, "calibration.csv", name, -size if turned else size) if name else None
+
+
+def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> Iterator[tuple[str, str, Array]]:
+    """What may be wrong with all measurements of a factor: file, name, and C (n, m, k) of k numbers."""
+    factor, W = batch.model.factor, batch.model.W
+    clock = f"{file.removesuffix('.csv')}_clock_s"
+    known = any(keys.kind == clock for keys in factor.keys)  # a variable
+    while isinstance(factor, Shifted):
+        factor = factor.factor
+    W = W if W.ndim == 3 else W[:, :, None] * np.eye(W.shape[1])
+    W = np.broadcast_to(W, (len(batch), *W.shape[1:]))
+    X, t = values.stack("x"), report.vertex_times.get("x")
+    if t is not None and not (np.diff(t) > 0).all():
+        t = None
+    at = X.index(factor.keys[0])
+    if isinstance(factor, HorizontalStep) and file == "dvl.csv" and t is not None:
+        yield from _of_legs(W, factor.z, t[at], t[X.index(factor.keys[1])])
+    elif (tilts := factor.tilts(batch.model)) is not None:
+        z, w = tilts[:, :1], W[:, :, :1]
+        yield file, "zero of the depth", w
+        yield file, "scale", w * z[:, :, None]
+        if "dvl.csv" not in report.tags:  # the checks before the graph compare it with the way down
+            yield file, "depth", w * (z - z.mean())[:, :, None]
+        elif t is not None:
+            yield from _late(file, -w[:, :, 0] * np.gradient(z[:, 0], t[at])[:, None], t[at], t[0])
+    elif isinstance(factor, Heading):
+        yield file, "heading", W[:, :, :1]
+        if t is not None and "motion.csv" not in report.tags and not known:
+            yield from _late(file, -W[:, :, 0] * np.gradient(np.unwrap(factor.z[:, 0]), t[at])[:, None], t[at], t[0])
+    elif isinstance(factor, Position):
+        yield file, "place", W[:, :, :2]
+        if np.any(factor.offset):
+            yield file, "arm", -W[:, :, :2] @ rotation3(X.X[at, 3:])[:, :2, :2]
+    if file.removesuffix(".csv") in CLOCKED and t is not None and not known:
+        yield from _of_clocks(factor, W, values, t, file)
+
+
+def _of_legs(W: Array, z: Array, t_i: Array, t_j: Array) -> Iterator[tuple[str, str, Array]]:
+    """Of legs (n, 3) between times: a DVL that is late, runs fast, or is elsewhere on the vehicle."""
+    v, middle = z[:, :2] / (t_j - t_i)[:, None], (t_i + t_j) / 2
+    begin, end = (np.column_stack([np.interp(t, middle, axis) for axis in v.T]) for t in (t_i, t_j))
+    yield from _late("dvl.csv", apply(W[:, :, :2], begin - end), middle, t_i[0])
+    yield "dvl.csv", "scale", apply(W[:, :, :2], z[:, :2])[:, :, None]
+    yield "dvl.csv", "turn", (W[:, :, :2] @ np.stack([-z[:, 1], z[:, 0]], axis=1)[:, :, None])
+    c, s = np.cos(z[:, 2]) - 1, np.sin(z[:, 2])
+    yield "dvl.csv", "arm", -W[:, :, :2] @ np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
+
+
+def _late(file: str, late: Array, t: Array, first: float) -> Iterator[tuple[str, str, Array]]:
+    """Of rows at times (n,) that are late, or run fast since the first pose, with whitened rates (n, m)."""
+    yield file, "clock", late[:, :, None]
+    yield file, "drift", (late * (t - first)[:, None])[:, :, None]
+
+
+def _of_clocks(factor: Factor, W: Array, values: Values, t: Array, file: str) -> Iterator[tuple[str, str, Array]]:
+    """Of fixes, ranges and directions: their own clock, and that of the ship."""
+    X = values.stack("x")
+    when = t[X.index(next(keys for keys in factor.keys if keys.kind == "x"))]
+    moving = {"x": twists(X.X, t)} | ({"s": twists(values[s], when)} if "s" in values.stacks else {})
+    by_kind = rates_by_time(factor, values, moving)
+    yield from _late(file, -apply(W, total(by_kind)), when, t[0])
+    if "s" in by_kind:
+        yield from _late("ship.csv", apply(W, by_kind["s"]), when, t[0])

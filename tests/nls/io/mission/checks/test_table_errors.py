@@ -1,0 +1,116 @@
+"""Errors of whole tables: which are seen, with their size, and which no other measurement shows, up to what size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from models.algebra import Array
+from nls.io.mission import MissionReport, read_mission
+from nls.io.mission.checks import Cause, table_errors
+from nls.io.mission.checks.table_errors import TableError
+from tests.nls.io.mission.mission_files import folder
+from tests.nls.io.mission.positioned import Positioned, csv
+from tests.nls.io.mission.test_motion import ARM, T, fixes, logs, state
+
+T_FIX = np.concatenate([np.arange(12.0, 18.0), np.arange(62.0, 67.0)])
+T_ALL = np.arange(2.0, 78.0, 2.0)
+FIXES = "time_s,x_m,y_m,sigma_x_m,sigma_y_m,arm_x_m,arm_y_m,arm_z_m"
+
+
+def _solved(path: Path) -> tuple[nls.FactorGraph, nls.Result, MissionReport]:
+    graph, start, report = read_mission(path)
+    return graph, graph.optimize(start), report
+
+
+def _errors(path: Path) -> list[TableError]:
+    graph, result, report = _solved(path)
+    return table_errors.table_errors(graph, result.values, result.chi2_final, result.dof, report)
+
+
+def _hidden(path: Path) -> dict[tuple[str, str], float]:
+    return {(error.quantity, error.file): error.below for error in _errors(path) if error.hidden}
+
+
+def _places(p: Array, late: float = 0.0, arm: tuple[float, float] = (0.5, 0.0)) -> str:
+    n = len(T_FIX)
+    return csv(FIXES, T_FIX + late, p[:, :2], np.full((n, 2), 0.1), np.tile([*arm, 0.0], (n, 1)))
+
+
+def test_nothing_checks_the_depth_the_heading_and_the_place_of_a_rov(tmp_path: Path) -> None:
+    below = _hidden(folder(tmp_path / "m", logs(fixes=fixes(0 * ARM), motion="sigma_walk_m_sqrt_s\n1\n")))
+    tables = {("depth", "depth.csv"), ("heading", "ahrs.csv"), ("place", "fixes.csv"), ("clock", "fixes.csv")}
+    assert below == dict.fromkeys(tables, np.inf)
+
+
+def test_places_with_a_depth_check_its_zero(tmp_path: Path) -> None:
+    p = state(T)[:, 3:]
+    names = "time_s,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m"
+    below = _hidden(folder(tmp_path, logs(fixes=csv(names, T, p, np.full((len(T), 3), 0.2)))))
+    assert not {what for what, file in below if file == "depth.csv"}
+
+
+def test_a_dvl_and_fixes_at_both_ends_check_the_heading_and_the_clock(tmp_path: Path) -> None:
+    true = Positioned(tmp_path / "truth")
+    files = true.files | {"fixes": _places(true.places(T_FIX, (0.5, 0.0, 0.0)))}
+    below = _hidden(folder(tmp_path / "m", files))
+    depth = {("zero of the depth", "depth.csv"): np.inf, ("clock", "depth.csv"): np.inf}
+    assert 1.0 < below.pop(("clock", "dvl.csv")) < 5.0
+    assert below == depth | {("place", "fixes.csv"): np.inf}
+
+
+SPOILS: dict[str, tuple[tuple[str, str], Cause, str, float]] = {  # factor and column of a table, and what it is then
+    "fixes late": (("fixes", "time_s"), Cause.CALIBRATION, "fixes_clock_s", 1.0),
+    "compass late": (("ahrs", "time_s"), Cause.CALIBRATION, "ahrs_clock_s", 1.0),
+    "compass turned": (("ahrs", "yaw_rad"), Cause.CALIBRATION, "declination_rad", -0.1),
+    "arm": (("fixes", "arm_x_m"), Cause.ARM, "arm_x_m", 3.0),
+}
+
+
+def _spoiled(table: str, column: str, size: float) -> str:
+    names, *rows = (line.split(",") for line in table.splitlines())
+    k = names.index(column)
+    for cells in rows:
+        cells[k] = repr(float(cells[k]) + size)
+    return "\n".join(",".join(cells) for cells in [names, *rows]) + "\n"
+
+
+@pytest.mark.parametrize("name", SPOILS)
+def test_an_error_of_a_table_is_seen_with_its_size(name: str, tmp_path: Path) -> None:
+    (table, column), cause, constant, size = SPOILS[name]
+    true = Positioned(tmp_path / "truth", t=T_ALL)
+    places = true.places(T_ALL, (0.5, 0.0, 0.0))[:, :2]
+    n = len(T_ALL)
+    right = csv(FIXES, T_ALL, places, np.full((n, 2), 0.1), np.tile([0.5, 0.0, 0.0], (n, 1)))
+    files = true.files | {"fixes": right}
+    assert not [error for error in _errors(folder(tmp_path / "right", files)) if error.seen], "the clean control"
+    added = -size if constant == "declination_rad" else size
+    errors = _errors(folder(tmp_path / "wrong", files | {table: _spoiled(files[table], column, added)}))
+    seen = {(e.reading.cause, e.reading.column): e for e in errors if e.reading and e.seen}
+    found = seen[cause, constant]
+    assert found.fall > 0.9 * max(error.fall for error in errors), "a clock is like an arm where the vehicle goes ahead"
+    assert found.reading is not None
+    assert found.reading.factor == pytest.approx(size, abs=max(4 * found.sigma, 0.1 * abs(size)))
+
+
+@pytest.mark.parametrize("quantity", ["heading", "clock", "arm"])
+def test_chi2_grows_by_what_is_seen_from_the_size_on(quantity: str, tmp_path: Path) -> None:
+    true = Positioned(tmp_path / "truth", t=T_FIX)
+    places = true.places(T_FIX, (0.5, 0.0, 0.0))
+    file = "ahrs.csv" if quantity == "heading" else "fixes.csv"
+    errors = _errors(folder(tmp_path / "m", true.files | {"fixes": _places(places)}))
+    (below,) = (error.below for error in errors if (error.quantity, error.file) == (quantity, file))
+
+    def chi2(size: float) -> float:
+        spoiled = {
+            "heading": {"fixes": _places(places), "ahrs": _spoiled(true.files["ahrs"], "yaw_rad", size)},
+            "clock": {"fixes": _places(places, late=size)},
+            "arm": {"fixes": _places(places, arm=(0.5 + size, 0.0))},
+        }[quantity]
+        return float(_solved(folder(tmp_path / f"{size}", true.files | spoiled))[1].chi2_final)
+
+    growth = [chi2(part * below) for part in (0.8, 1.2)]
+    assert growth[0] < table_errors.SEEN < growth[1]
