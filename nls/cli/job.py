@@ -12,7 +12,6 @@ from models.errors import UnderconstrainedError
 from nls.cli.formats import mission_of
 
 if TYPE_CHECKING:
-    from models.algebra import Array
     from models.errors import LeadlineError
     from nls.analysis import VarianceComponents
     from nls.certificate import Certificate
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["Content", "Job", "Solution", "circles", "covariances"]
+__all__ = ["Content", "Job", "Solution", "covariances"]
 
 Content = Callable[[], Any]  # makes what is written to a file: its bytes, or a figure of matplotlib
 
@@ -205,13 +204,6 @@ class Solution(ABC):
         from nls.io.trajectory import trajectory_text
 
         return trajectory_text("trajectory.tum", "tum", self.graph, self.values, self.report)[0]
-
-
-def circles(errors: Array) -> dict[str, float]:
-    """Radii about the truth that hold half and 95 % of the horizontal errors (n, 3), and twice their rms, m."""
-    from nls.metrics import cep, drms2
-
-    return {"cep50_m": cep(errors), "cep95_m": cep(errors, 0.95), "drms2_m": drms2(errors)}
 
 
 def covariances(

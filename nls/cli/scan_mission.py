@@ -14,7 +14,8 @@ from factors.keys import kinds
 from models.algebra import distance_along
 from models.errors import GraphWarning, LeadlineError, OptionError, SingularGeometryError
 from models.options import did_you_mean
-from nls.cli.job import Content, Job, Solution, circles
+from nls.cli.evaluate import circles
+from nls.cli.job import Content, Job, Solution
 from nls.io.scan_mission import ScanReport, is_scan_mission
 from nls.io.scan_mission.results import closures_text, map_text, points_text, trajectory_text, verdict_words
 from nls.sonar.scans import SetupFinding, check_setup, close

@@ -25,7 +25,9 @@ def solve(options: argparse.Namespace) -> int:
     if job.select is None:
         _optimize(job)
     else:
-        _close(job)
+        from nls.cli.scan_mission import close_loops
+
+        close_loops(job)
     if options.improve:
         _improve(job)
     _write(job)
@@ -181,7 +183,7 @@ def _check_graph(job: Job) -> None:
 def _optimize(job: Job) -> None:
     """The optimum, of a mission without wrong contacts where that of all says that some are wrong."""
     from nls.cli.hint import explain_misfit
-    from nls.cli.wrong_contacts import choice_of
+    from nls.cli.outliers import choice_of
 
     _find_optimum(job)
     judges = job.judge_contacts and job.options.robust is None and job.options.sigmas == "stated"
@@ -222,13 +224,6 @@ def _name_tables(job: Job) -> None:
         factors = job.graph.factors
         names = [f"{factor.name} ({table})" for factor, table in zip(factors, mission.tables, strict=True)]
         job.result.shares = shares(factors, job.result.values, names)
-
-
-def _close(job: Job) -> None:
-    """The map from scans."""
-    from nls.cli.scan_mission import close_loops
-
-    close_loops(job)
 
 
 def _estimate(job: Job, optimizer: Optimizer) -> None:

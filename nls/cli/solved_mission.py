@@ -14,7 +14,8 @@ from factors.keys import Kind, kinds
 from models.errors import UnderconstrainedError
 from models.finite import finite_or_none
 from models.listing import some
-from nls.cli.job import Content, Job, Solution, circles
+from nls.cli.evaluate import circles
+from nls.cli.job import Content, Job, Solution
 from nls.cli.mission import lines, of_tables
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
 from nls.io.mission.calibration import NAMES as CALIBRATIONS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,6 +86,14 @@ class Chart:
         way = self.way
         at = np.searchsorted(way, np.linspace(0, way[-1], ELLIPSES))
         return np.unique(np.append(at, len(way) - 1))
+
+    @property
+    def ellipses(self) -> Iterator[tuple[str, int, Array]]:
+        """The 95 % ellipses: what each is of, its number and its outline (48, 2), m; of the track at its intervals."""
+        for points, rows in ((self.track, self.intervals), *((p, np.arange(len(p.p))) for p in self.points)):
+            rows, outlines_of_rows = points.ellipses(rows)
+            for number, outline in zip(points.numbers[rows].tolist(), outlines_of_rows, strict=True):
+                yield points.name, number, outline
 
 
 def chart_of(

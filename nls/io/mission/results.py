@@ -44,14 +44,14 @@ def trajectory_text(
     stack = values.stack("x")
     state = np.hstack([euler.from_se3(stack.X), _sigmas(covariances(values, marginals, x, "euler"))])
     state[:, [name.split("_")[0] in unmeasured for name in POSE[1:]] * 2] = np.nan
-    return csv_text((*TRAJECTORY, *extra), stack.numbers, _or_empty(state), *extra.values())
+    return csv_text((*TRAJECTORY, *extra), stack.numbers, or_empty(state), *extra.values())
 
 
 def beacons_text(values: Values, marginals: Marginals | None, extra: Mapping[str, Array] = {}) -> bytes:
     """beacons.csv: the estimated beacons ``b``, with the columns of the file of a mission."""
     stack, sigmas = values.stack("b"), _sigmas(covariances(values, marginals, b))
     names = ("beacon", *PLACE, *suffixed(PLACE), *extra)
-    return csv_text(names, stack.numbers, np.asarray(stack.X), _or_empty(sigmas), *extra.values())
+    return csv_text(names, stack.numbers, np.asarray(stack.X), or_empty(sigmas), *extra.values())
 
 
 def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
@@ -59,7 +59,7 @@ def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
     names = [name for name in values.stacks if name in NAMES]
     numbers = np.array([[float(values.stack(name).X[0, 0])] for name in names])
     sigmas = np.array([_sigmas(covariances(values, marginals, Kind(name)))[0] for name in names])
-    return csv_text(COLUMNS["calibration"], names, numbers, _or_empty(sigmas))
+    return csv_text(COLUMNS["calibration"], names, numbers, or_empty(sigmas))
 
 
 def covariances(values: Values, marginals: Marginals | None, kind: Kind, view: str | None = None) -> Array:
@@ -103,8 +103,8 @@ def map_text(
         Sigma = landmark_covariances(marginals, elevations)[:, *UPPER]
     return csv_text(
         (*MAP, *extra),
-        *(elevations.landmarks, values[l[elevations.landmarks]], _or_empty(Sigma), elevations.views, elevations.poses),
-        *(elevations.elevation[:, None], _or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
+        *(elevations.landmarks, values[l[elevations.landmarks]], or_empty(Sigma), elevations.views, elevations.poses),
+        *(elevations.elevation[:, None], or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
         [
             "" if np.isnan(sigma) else str(int(m))
             for sigma, m in zip(elevations.sigma, elevations.mirrored, strict=True)
@@ -123,6 +123,6 @@ def landmark_covariances(marginals: Marginals, elevations: Elevations) -> Array:
     return Sigma
 
 
-def _or_empty(rows: Array) -> list[list[str]]:
+def or_empty(rows: Array) -> list[list[str]]:
     """Cells, empty where a number is not known."""
     return [["" if np.isnan(number) else repr(number) for number in row] for row in rows.tolist()]
