@@ -120,7 +120,7 @@ def _inputs(read: str) -> set[object]:
     if not os.path.isdir(read):
         return {_identity(read)}
     from nls.io.mission.columns import COLUMNS
-    from nls.io.scan_mission.columns import COLUMNS as OF_SCANS
+    from nls.io.scan_mission import COLUMNS as OF_SCANS
 
     tables = (os.path.join(read, name + end) for name in {*COLUMNS, *OF_SCANS} for end in (".csv", ".csv.gz"))
     return {_identity(read), *(_identity(table) for table in tables if os.path.exists(table))}

@@ -8,7 +8,7 @@ from models.algebra import Array, Numbers
 from nls.io.charts.ply import ply_text
 from nls.io.mission.results import or_empty
 from nls.io.mission.table import csv_text
-from nls.io.scan_mission.report import ScanReport
+from nls.io.scan_mission.read import ScanReport
 from nls.sonar.scans import Matches, Verdict
 from nls.sonar.scans.scans import in_world
 
