@@ -1,6 +1,8 @@
-"""Fixes, beacons, ranges and closures of a graph as the tables that `read_mission` makes these factors of."""
+"""Factors as the columns of tables; fixes, beacons, ranges and closures of a graph as rows of theirs."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -9,14 +11,14 @@ from factors import Between, Heading, Position, Prior, Range
 from factors.base import Factor
 from factors.robust import KERNELS
 from models import SE3, euler
-from models.algebra import Array, Numbers
+from models.algebra import Array
 from models.errors import GraphError
 from nls.io.mission.columns import ANGLES, ARM, COLUMNS, PLACE, suffixed
 from nls.io.mission.rows import NO_KERNEL
 from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
 from nls.io.mission.table import csv_text
 
-__all__ = ["positioned", "positioned_files", "positioned_poses"]
+__all__ = ["Columns", "columns_of", "joined", "measured", "positioned", "positioned_rows", "stated", "table_text"]
 
 Columns = dict[str, npt.ArrayLike]
 PLACES = (None, ("x", "y"), ("x", "y", "z"))
@@ -39,8 +41,12 @@ def positioned(factors: list[Factor]) -> dict[int, str]:
     return out
 
 
-def positioned_files(factors: list[Factor]) -> dict[str, bytes]:
-    """The tables of these factors, by the names of their files.
+def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[str, list[Columns]]:
+    """The rows of the tables of these factors, by the names of the tables.
+
+    Parameters
+    ----------
+    factors, of_tables : those of a graph, and which of them are of which table, see `positioned`.
 
     Raises
     ------
@@ -48,7 +54,7 @@ def positioned_files(factors: list[Factor]) -> dict[str, bytes]:
         Factors of one table with other columns; noise with correlations; a kernel where there is no column for it.
     """
     tables: dict[str, list[Columns]] = {}
-    for k, name in positioned(factors).items():
+    for k, name in of_tables.items():
         columns = ROWS[name](factors[k])
         rows = tables.setdefault(name, [])
         if name != "beacons":
@@ -58,25 +64,41 @@ def positioned_files(factors: list[Factor]) -> dict[str, bytes]:
         if rows and list(rows[0]) != list(columns):
             raise no_file(factors[k], f"another factor has other columns of {name}.csv: {', '.join(rows[0])}")
         rows.append(columns)
-    out = {}
-    for name, rows in tables.items():
-        whole = {column: np.concatenate([np.asarray(row[column]) for row in rows]) for column in rows[0]}
-        if name == "beacons" and len(np.unique(whole["beacon"])) < len(whole["beacon"]):
-            raise GraphError("write_mission: a beacon has two priors, and beacons.csv one row for each")
-        names = [n for n in COLUMNS[name] if n in whole and not _says_nothing(n, whole)]
-        out[f"{name}.csv"] = csv_text(names, *(whole[n] for n in names))
-    return out
+    if "beacons" in tables and len(np.unique(beacons := joined(tables["beacons"])["beacon"])) < len(beacons):
+        raise GraphError("write_mission: a beacon has two priors, and beacons.csv one row for each")
+    return tables
 
 
-def positioned_poses(factors: list[Factor]) -> dict[str, Numbers]:
-    """Numbers of the poses in each of these tables."""
-    out: dict[str, list[Numbers]] = {}
-    for k, name in positioned(factors).items():
-        out.setdefault(name, []).extend(keys.numbers for keys in factors[k].keys if keys.kind == "x")
-    return {name: np.concatenate(numbers) for name, numbers in out.items() if numbers}
+def joined(rows: list[Columns]) -> dict[str, npt.NDArray[Any]]:
+    """The columns of a table whose rows come in parts."""
+    return {column: np.concatenate([np.asarray(row[column]) for row in rows]) for column in rows[0]}
 
 
-def _says_nothing(name: str, whole: dict[str, npt.NDArray[np.generic]]) -> bool:
+def table_text(table: str, rows: list[Columns]) -> bytes:
+    """The file of a table, without the columns that say nothing."""
+    whole = joined(rows)
+    names = [name for name in COLUMNS[table] if name in whole and not _says_nothing(name, whole)]
+    return csv_text(names, *(whole[name] for name in names))
+
+
+def stated(ids: Columns, names: tuple[str, ...], z: Array, sigmas: Array) -> Columns:
+    """Columns of measurements (n, m) and of their standard deviations (n, m), after those of their ids."""
+    return ids | columns_of(names, z) | columns_of(suffixed(names), sigmas)
+
+
+def measured(factor: Factor, ids: tuple[str, ...], names: tuple[str, ...]) -> Columns:
+    """Columns of a factor: the numbers of its variables by `ids`, what it measures by `names`, and how well."""
+    numbers: Columns = {name: keys.numbers for name, keys in zip(ids, factor.keys, strict=True)}
+    components = tuple(name.rpartition("_")[0] for name in names)
+    return stated(numbers, names, measured_numbers(factor), standard_deviations(factor, components))
+
+
+def columns_of(names: tuple[str, ...], numbers: Array) -> Columns:
+    """Columns by name of numbers (n, m)."""
+    return dict(zip(names, np.broadcast_to(numbers, (len(numbers), len(names))).T, strict=True))
+
+
+def _says_nothing(name: str, whole: dict[str, npt.NDArray[Any]]) -> bool:
     """Whether a column may be left out: no arm at all, no kernel at all."""
     if name == "kernel":
         return bool(np.all(whole[name] == NO_KERNEL))
@@ -93,29 +115,16 @@ def _kernel(factor: Factor) -> str:
     return f"{names[type(factor.kernel)]}:{factor.kernel.c!r}"
 
 
-def _columns(names: tuple[str, ...], numbers: Array) -> Columns:
-    return dict(zip(names, np.broadcast_to(numbers, (len(numbers), len(names))).T, strict=True))
-
-
 def _fix(factor: Factor) -> Columns:
     assert isinstance(factor, Position)
-    z = measured_numbers(factor)
-    names = PLACE[: z.shape[1]]
-    sigmas = standard_deviations(factor, ("x", "y", "z")[: z.shape[1]])
-    return {
-        "i": factor.keys[0].numbers,
-        **_columns(names, z),
-        **_columns(suffixed(names), sigmas),
-        **_arm(factor, factor.offset),
-    }
+    return measured(factor, ("i",), PLACE[: factor.z.shape[-1]]) | _arm(factor, factor.offset)
 
 
 def _beacon(factor: Factor) -> Columns:
     assert isinstance(factor, Prior)
-    names = PLACE[2:] if factor.components else PLACE
-    z = np.broadcast_to(factor.z.reshape(-1, 3), (len(factor), 3))[:, 3 - len(names) :]
-    sigmas = standard_deviations(factor, ("x", "y", "z")[3 - len(names) :])
-    return {"beacon": factor.keys[0].numbers, **_columns(names, z), **_columns(suffixed(names), sigmas)}
+    names, components = (PLACE[2:], ("z",)) if factor.components else (PLACE, ("x", "y", "z"))
+    z = np.broadcast_to(factor.z.reshape(-1, 3), (len(factor), 3))[:, -len(names) :]
+    return stated({"beacon": factor.keys[0].numbers}, names, z, standard_deviations(factor, components))
 
 
 def _range(factor: Factor) -> Columns:
@@ -123,27 +132,20 @@ def _range(factor: Factor) -> Columns:
     if factor.offset is not None and (np.asarray(factor.offset)[:, 3:] != SE3.identity()[0, 3:]).any():
         raise no_file(factor, "ranges.csv has no column for the attitude of a sensor on the vehicle")
     offset = None if factor.offset is None else np.asarray(factor.offset)[:, :3]
-    return {
-        "i": factor.keys[0].numbers,
-        "beacon": factor.keys[1].numbers,
-        "range_m": measured_numbers(factor)[:, 0],
-        "sigma_range_m": standard_deviations(factor, ("range",))[:, 0],
-        **_arm(factor, offset),
-    }
+    return measured(factor, ("i", "beacon"), ("range_m",)) | _arm(factor, offset)
 
 
 def _closure(factor: Factor) -> Columns:
-    names = (*PLACE, *ANGLES)
     z = euler.from_se3(np.broadcast_to(factor.z.reshape(-1, SE3.size), (len(factor), SE3.size)))
-    sigmas = standard_deviations(factor, SE3.components)
     i, j = (keys.numbers for keys in factor.keys)
-    return {"i": i, "j": j, **_columns(names, z[:, [3, 4, 5, 0, 1, 2]]), **_columns(suffixed(names), sigmas)}
+    sigmas = standard_deviations(factor, SE3.components)
+    return stated({"i": i, "j": j}, (*PLACE, *ANGLES), z[:, [3, 4, 5, 0, 1, 2]], sigmas)
 
 
 def _arm(factor: Factor, offset: Array | None) -> Columns:
     """Lever arms of all rows, 0 where there is none."""
     arm = np.zeros((1, 3)) if offset is None else offset
-    return _columns(ARM, np.broadcast_to(arm, (len(factor), 3)))
+    return columns_of(ARM, np.broadcast_to(arm, (len(factor), 3)))
 
 
 ROWS = {"fixes": _fix, "beacons": _beacon, "ranges": _range, "closures": _closure}

@@ -1,4 +1,4 @@
-"""A folder of keyframes and scans: its files, and what they are read as: a graph of dead reckoning, points, a report."""
+"""A folder of keyframes and scans: its files, and what is read of them: a graph of dead reckoning, points, a report."""
 
 from __future__ import annotations
 
