@@ -24,8 +24,7 @@ def evaluate(options: argparse.Namespace) -> int:
     from nls.io.poses import read_poses
 
     distances = _distances(options.distances)
-    for file in (options.file, options.truth):
-        refuse_unwritable({"--json": options.json}, file)
+    refuse_unwritable({"--json": options.json}, options.file, options.truth)
     options.phase.doing = f"while reading {options.file}"
     estimate = read_poses(options.file)
     options.phase.doing = f"while reading {options.truth}"

@@ -29,8 +29,7 @@ def explain(options: argparse.Namespace) -> int:
     from nls.cli.preparation import believes_all, prepare
     from nls.cli.progress import Progress
 
-    for file in (options.file, *options.dives):
-        refuse_unwritable({"--json": options.json}, file)
+    refuse_unwritable({"--json": options.json}, options.file, *options.dives)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     for file in (options.file, *options.dives):

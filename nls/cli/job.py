@@ -42,7 +42,6 @@ class Job:
     as_read, values, report : of the file; without what was rejected.
     graph : under kernels, with kinds held; with ``--sigmas estimate`` rescaled, and `as_read`, too.
     choice : of `nls.gnc`; None where all measurements are believed.
-    judge_contacts : whether contacts of a mission that do not fit may be left out.
     sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     start, init, starts : values to begin with, the name of the start, and chi2 of all that were tried.
     chi2_read : chi2 of the values as read; None where it does not exist.
@@ -60,7 +59,6 @@ class Job:
     report: LoadReport
     graph: FactorGraph
     choice: Robustified | None = None
-    judge_contacts = True
     sigmas: VarianceComponents | None = None
     start: Values
     init = ""

@@ -180,9 +180,3 @@ def without_left(values: Values, kept: Values) -> Values:
         there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
         stacks.append(stack if there.all() else Stack(stack.kind, stack.manifold, stack.X[there], stack.numbers[there]))
     return Values.of(stacks)
-
-
-def left_out(choice: Robustified, output: str | None) -> list[str]:
-    """The note on what the output does not hold."""
-    count = len(choice.rejected)
-    return [f"{output} holds the graph without the {count} rejected measurements"] if output and count else []

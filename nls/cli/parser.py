@@ -30,6 +30,7 @@ FILE = (
 )
 OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
 RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
+ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
 ALONE = "turns off thresholds that are not given"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
@@ -155,11 +156,7 @@ def parser() -> Parser:
     )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
-    solve.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
+    solve.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
     solve.add_argument(
         "--crs",
         metavar="CRS",
@@ -217,11 +214,7 @@ def parser() -> Parser:
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps")
     _dives(explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    explain.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
+    explain.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
     _problem(explain)
     _json(explain)
 

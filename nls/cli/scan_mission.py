@@ -20,7 +20,7 @@ from nls.io.scan_mission import ScanReport, is_scan_mission
 from nls.io.scan_mission.results import closures_text, map_text, points_text, trajectory_text, verdict_words
 from nls.sonar.scans import SetupFinding, check_setup, close
 from nls.sonar.scans.closing import ROUNDS, SELECTIONS
-from nls.sonar.scans.setup.findings import BENDING
+from nls.sonar.scans.setup.checks import BENDING
 from nls.sonar.scans.setup.words import record as finding_record
 from nls.sonar.scans.setup.words import sentence
 

@@ -55,8 +55,7 @@ def _checked(options: argparse.Namespace) -> Job:
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}
     output_files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
-    for file in (options.file, *options.dives):
-        refuse_unwritable(output_files, file)
+    refuse_unwritable(output_files, options.file, *options.dives)
     if mission:
         from nls.cli.scan_mission import selection_of
 
@@ -110,7 +109,7 @@ def _read(job: Job) -> None:
     options = job.options
     with collected() as job.stages:
         job.as_read, job.values, job.report = formats.read(options)
-        job.judge_contacts = not believes_all(options, job.report)
+        believes_all(options, job.report)
         if job.form and job.form != job.report.format:
             refuse_loss("-o", options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
@@ -148,8 +147,8 @@ def _take(job: Job, choice: Robustified, name: str) -> None:
     job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.values = outliers.without_left(job.values, choice.result.values)
-    if job.form:
-        job.report.notes += outliers.left_out(choice, job.options.output)
+    if job.form and (count := len(choice.rejected)):
+        job.report.notes.append(f"{job.options.output} holds the graph without the {count} rejected measurements")
     job.starts = {job.init: choice.result.chi2_final}
 
 
@@ -186,7 +185,8 @@ def _optimize(job: Job) -> None:
     from nls.cli.outliers import choice_of
 
     _find_optimum(job)
-    judges = job.judge_contacts and job.options.robust is None and job.options.sigmas == "stated"
+    options = job.options
+    judges = not options.all_contacts and options.robust is None and options.sigmas == "stated"
     if judges and (choice := choice_of(job.graph, job.values, job.result, job.report)) is not None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)

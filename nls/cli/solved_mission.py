@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SolvedMission", "drift_record"]
 
+CALIBRATION = ("name", "value", "sigma", "sigma_before", "sigmas_away", "share", "determined")  # of the report
 x, l = kinds("x", "l")
 
 
@@ -159,13 +160,7 @@ class SolvedMission(Solution):
             out["at_limit"] = int(self.elevations.pushed.sum())
             out["mirrored"] = int(self.elevations.mirrored.sum())
         if self.report.calibrations:
-            out["calibrations"] = [
-                {
-                    **{"name": c.name, "value": c.value, "sigma": c.sigma, "sigma_before": c.sigma_before},
-                    **{"sigmas_away": c.sigmas_away, "share": c.share, "determined": c.determined},
-                }
-                for c in self.calibrations
-            ]
+            out["calibrations"] = [{name: getattr(c, name) for name in CALIBRATION} for c in self.calibrations]
         return out
 
     def lines(self, record: dict[str, Any]) -> list[str]:

@@ -18,9 +18,8 @@ from nls.metrics.absolute import displacements
 from nls.optimizers import Result
 from nls.robust import gnc
 from nls.sonar.scans import candidates
-from nls.sonar.scans.matches import Matches
+from nls.sonar.scans.matches import Matches, sequential_matches
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.sequential import sequential_matches
 from nls.values import Values
 
 __all__ = ["SELECTIONS", "Closing", "Round", "close"]
