@@ -88,11 +88,9 @@ class Answer:
         """Quantities of tables that nothing checks, such as ``depth of depth.csv``, up to which size."""
         said = next((line for line in self.lines if line.startswith("unchecked ")), "").partition(" the ")[2]
         tables = [table.partition(":")[0].rpartition(" of ")[::2] for table in said.split("; ")]
-        named = [(name.partition(" ("), file) for names, file in tables for name in names.split(", the ")]
-        return {
-            f"{name} of {file}": float((re.findall(r"below (\S+)", size) or ["inf"])[0])
-            for (name, _, size), file in named
-        }
+        named = [(name.removeprefix("the "), file) for names, file in tables for name in names.split(", the ")]
+        sizes = {name: (re.findall(r"below (\S+)", name) or ["inf"])[0] for name, _ in named}
+        return {f"{name.partition(' (')[0]} of {file}": float(sizes[name]) for name, file in named}
 
     def misses(self, mistake: Mistake) -> bool:
         """Whether it says that nothing checks what is wrong, or nothing as small as that."""
@@ -210,19 +208,22 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     run = solved(survey, folder)
     first, before, followed = run.answer, run.error, list[str]()
     for _ in range(CURES):
-        cure = next((cure for line in run.answer.statements for cure in chosen(line, mistake)), None)
-        if cure is None or cure.text in followed:
+        chosen = next(iter(choices(run.answer.statements, mistake, followed)), None)
+        if chosen is None:
             break
-        followed.append(cure.text.replace("`", ""))
+        followed.append("; ".join(plain(cure) for cure in chosen))
         try:
-            run.follow(cure)
+            for cure in chosen:
+                run.follow(cure)
             run.solve()
         except Unfollowable as error:
             followed[-1] += f": cannot be followed, {error}"
             break
     said = first.statements
     right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
-    within = run.error <= WORSE * max(clean.error, clean.sigma, run.sigma)
+    arms = [float(word) for line in first.statements for word in re.findall(r"\+- (\S+) m too", line)]
+    stated = float(np.hypot(run.sigma, max(arms, default=0.0)))  # an arm is known as well as it was said to be
+    within = run.error <= WORSE * max(clean.error, clean.sigma, stated)
     wrong = UNMEASURED if run.answer.misses(mistake) else SILENT
     kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
     numbers = (clean.error, before, run.error)
@@ -230,11 +231,20 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     return Verdict(survey.mission, mistake.name, seed, kind, first.alarm, right, *numbers, run.answer.status, *words)
 
 
-def chosen(line: str, mistake: Mistake) -> list[Cure]:
-    """The cures of a line; of several causes those of the one that was made, if it is there."""
-    parts = line.split("; or ")
-    made = [part for part in parts if any(re.search(pattern, part, re.I) for pattern in mistake.right)]
-    return cures_of(made[0] if len(parts) > 1 and made else line)
+def choices(statements: Iterable[str], mistake: Mistake, followed: Sequence[str]) -> Iterator[list[Cure]]:
+    """Cures that were not followed yet: of several causes that of the one that was made first, if it is there."""
+    parts = [(line, part) for line in statements for part in line.split("; or ")]
+    made = [any(re.search(pattern, part, re.I) for pattern in mistake.right) for _, part in parts]
+    several = [len(line.split("; or ")) > 1 for line, _ in parts]
+    first = [part for (_, part), is_made, is_one in zip(parts, made, several, strict=True) if is_made and is_one]
+    for part in [*first, *(part for _, part in parts)]:
+        cures = cures_of(part.partition(", or ")[0]) or cures_of(part)[:1]
+        if cures and "; ".join(map(plain, cures)) not in followed:
+            yield cures
+
+
+def plain(cure: Cure) -> str:
+    return cure.text.replace("`", "")
 
 
 def controls(data: Path | None, seeds: int, folder: Path) -> Iterator[tuple[str, int, int, str]]:

@@ -93,7 +93,7 @@ def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, optio
 
     chi2, dof = result.believed
     mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
-    if (result.doubt or any(error.seen for error in mission.errors)) and worth_trying(mission.findings):
+    if (result.doubt or any(error.evident for error in mission.errors)) and worth_trying(mission.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
             tables = read_tables(mission.path)[0]
             explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")

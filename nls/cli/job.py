@@ -114,7 +114,7 @@ class Job:
             if finding.file not in robust or finding.check != "jumps"
         ]
         if not (left or self.result.doubt):
-            errors = sorted((error for error in mission.errors if error.seen), key=lambda error: -error.fall)
+            errors = sorted((error for error in mission.errors if error.evident), key=lambda error: -error.fall)
             left = [f"{error.quantity} ({error.file})" for error in errors[:1]]
         return [f"implausible: {', '.join(dict.fromkeys(left))}"] if left else []
 

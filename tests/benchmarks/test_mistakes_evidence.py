@@ -133,5 +133,8 @@ def test_of_causes_that_nothing_tells_apart_the_one_that_was_made_is_followed(sc
     evidence = script("mistakes")
     late = next(mistake for mistake in evidence.MISTAKES if mistake.name == "ahrs: 1 s late")
     arm, clock = "x_m of dvl_mount.csv: subtract 1.9 from x_m", "write `ahrs_clock_s,1,0.3` in calibration.csv"
-    assert [cure.form for cure in evidence.chosen(f"{arm}; or {clock}", late)] == ["calibration"]
-    assert [cure.form for cure in evidence.chosen(arm, late)] == ["numbers"]
+    forms = [[cure.form for cure in cures] for cures in evidence.choices([f"{arm}; or {clock}"], late, [])]
+    assert forms == [["calibration"], ["numbers"], ["calibration"]]
+    three = "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and write `earth_axes = 1` in [dvl]"
+    (cures,) = evidence.choices([f"{three} of the mapping, or give dvl.csv a column"], late, ["subtract 1.9 from x_m"])
+    assert [cure.form for cure in cures] == ["names", "numbers", "key"]

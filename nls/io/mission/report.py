@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.findings import Explained, Implausible
+from nls.io.mission.checks.findings import Explained, Implausible, TableError
 from nls.io.report import LoadReport
 from nls.values import Values
 
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
-    from nls.io.mission.checks.table_errors import TableError
     from nls.io.mission.table import Table
 
 __all__ = ["MissionReport"]

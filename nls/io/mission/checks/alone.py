@@ -78,7 +78,7 @@ def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
 def turns(log: Log) -> Iterator[Implausible]:
     """The heading of ahrs.csv, also one that never changes."""
     yield from turn_of("ahrs.csv", log.t_a, log.rpy[:, 2])
-    if log.rpy[:, 2].any():
+    if np.ptp(log.rpy[:, :2], axis=0).any():  # which stand still with it where a course is made up
         yield from stuck_of("ahrs.csv", "yaw_rad", log.rpy[:, 2])
 
 

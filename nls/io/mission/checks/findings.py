@@ -8,7 +8,7 @@ from typing import Any
 
 from models.finite import finite_or_none
 
-__all__ = ["Cause", "Implausible", "Reading"]
+__all__ = ["Cause", "Implausible", "Reading", "TableError"]
 
 
 class Cause(StrEnum):
@@ -19,7 +19,6 @@ class Cause(StrEnum):
     SWAPPED = "swapped"  # two columns are exchanged
     AXES = "axes"  # x ahead, y to port, z up
     EARTH = "earth"  # along north, east and down
-    TURNED = "turned"  # by `factor` degrees
     NORTH = "north"  # counted from east, counterclockwise
     CLOCK = "clock"  # late by `factor` seconds
     ZONE = "zone"  # so, and by as many as between two clocks that are right: hours, weeks, leap seconds
@@ -37,7 +36,6 @@ class Cause(StrEnum):
     STALE = "stale"  # repeated, of a vehicle that moves
     CALIBRATION = "calibration"  # the row of calibration.csv has `factor`
     KERNEL = "kernel"  # the part `factor` of the rows is to be ignored
-    WAYS = "ways"  # one way and both ways are mixed up
     UNKNOWN = "unknown"
 
 
@@ -125,3 +123,30 @@ class Explained(Numbered):
     chi2: float
     dof: int
     trials: tuple[Trial, ...]
+
+
+@dataclass(frozen=True)
+class TableError:
+    """An error of all rows of a table.
+
+    Attributes
+    ----------
+    file : of the table.
+    quantity : ``heading``, ``heading drift``, ``turn``, ``depth`` (its zero and its scale), ``zero of the depth``,
+        ``scale``, ``place``, ``clock``, ``drift`` or ``arm``.
+    below : the size that would be seen, rad, m or s; infinite where none is, or nearly so.
+    reading : the error as the measurements have it, also one that may be chance; None where they say nothing.
+    sigma : of its factor.
+    fall : of chi2 without it.
+    evident : whether it is beyond chance and moves the track by more than its standard deviation.
+    hidden : whether one that matters, and moves the track so, would not be evident.
+    """
+
+    file: str
+    quantity: str
+    below: float
+    reading: Reading | None = None
+    sigma: float = 0.0
+    fall: float = 0.0
+    evident: bool = False
+    hidden: bool = False

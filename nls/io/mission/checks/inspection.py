@@ -8,20 +8,18 @@ import numpy as np
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.acoustics import of_ranges, sound_speeds
-from nls.io.mission.checks.agreement import WRONG, compared, doubtful, explained
+from nls.io.mission.checks.acoustics import sound_speeds
+from nls.io.mission.checks.agreement import of_way_down
 from nls.io.mission.checks.alone import ALONE
 from nls.io.mission.checks.clocks import of_clocks
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.fixes import jumping, of_fixes
 from nls.io.mission.checks.log import Log, read_fixes, read_log
-from nls.io.mission.checks.readings import alternatives
 from nls.io.mission.checks.special import repeated, special_values, stale, without
 from nls.io.mission.checks.track import of_heading, of_ship, of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]
-ALIKE = 3  # readings that are named
 
 
 def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Implausible]:
@@ -53,9 +51,6 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
         out = of_track(tables, fixes) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
     else:
         out = of_log(log)
-    if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):
-        thin = log.thinned()
-        out = of_ranges(tables, thin, _start(tables, thin))
     out += sound_speeds(tables.get("sound-speed"))
     out += of_ship(tables["ship"]) if "ship" in tables else ()
     return special + [_placed(entry, tables) for entry in out]
@@ -71,14 +66,6 @@ def _way(tables: dict[str, Table], log: Log | None) -> tuple[Array, Array] | Non
     return None
 
 
-def _start(tables: dict[str, Table], log: Log) -> Array:
-    """Where dead reckoning begins (2,): by the fixes, else where the anchor or the truth holds its first pose."""
-    if log.fixes is not None:
-        way = np.column_stack([np.interp(log.fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
-        return np.asarray(np.median(log.fixes.p - way, axis=0))
-    return np.asarray(tables["anchor" if "anchor" in tables else "truth"].floats("x_m", "y_m")[0])
-
-
 def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
     """With the line of its row, and the name of the file as it is."""
     table = tables[entry.file.removesuffix(".csv")]
@@ -92,15 +79,14 @@ def of_log(log: Log) -> list[Implausible]:
     thin = log.thinned()
     if any(map(_breaks, alone)) or len(thin.t_v) < 2:
         return alone
-    wild = jumping(thin)
-    together = _agreement(replace(thin, fixes=thin.fixes and thin.fixes.part(~wild)))
+    together = of_way_down(thin)
     explained_units = {r.file for entry in together for r in entry.readings if r.cause is Cause.UNIT}
     alone = [entry for entry in alone if entry.check != "scatter" or entry.file not in explained_units]
     readings = together[0].readings if together else ()
     named = {(r.cause, r.file) for r in readings}
     if any(_names(entry, named) for entry in alone):  # one sensor alone shows it, and the others say which unit it is
         return [_narrowed(entry, readings) if _names(entry, named) else entry for entry in alone]
-    return alone + (of_heading(thin) or together or of_fixes(thin.fixes, wild))
+    return alone + (of_heading(thin) or together or of_fixes(thin.fixes, jumping(thin)))
 
 
 def _names(entry: Implausible, causes: set[tuple[Cause, str]]) -> bool:
@@ -118,19 +104,3 @@ def _breaks(entry: Implausible) -> bool:
     """Whether no other sensor can be compared after this."""
     upside_down = entry.check == "tilt" and entry.readings[0].cause is Cause.AXES
     return upside_down or entry.check in ("time step", "bottom lock")
-
-
-def _agreement(log: Log) -> list[Implausible]:
-    """What is wrong when DVL, attitude, depth and fixes do not fit each other."""
-    windows = compared(log)
-    m, readings = explained(log, windows, alternatives(log))
-    worst, limit = doubtful(m, windows)
-    if not readings:
-        if not m[worst] > WRONG:
-            return []
-        limit = WRONG
-        readings = (Reading(Cause.UNKNOWN, ("depth.csv", "fixes.csv")[worst], ("z_m", "x_m, y_m")[worst]),)
-    first = readings[0]
-    columns = first.column.split(", ")
-    check = ("way down", "way between fixes")[worst]
-    return [Implausible(check, first.file, 0, columns[0], float(m[worst]), limit, "of the way", readings[:ALIKE])]

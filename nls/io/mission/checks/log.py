@@ -43,11 +43,6 @@ class Fixes:
     rows: Index
     others: tuple[tuple[Reading, Array], ...] = ()
 
-    def part(self, which: Mask) -> Fixes:
-        """Some of the fixes (n,)."""
-        others = tuple((reading, p[which]) for reading, p in self.others)
-        return Fixes(self.t[which], self.p[which], self.sigma[which], self.columns, self.rows[which], others)
-
 
 @dataclass(frozen=True)
 class Log:

@@ -33,7 +33,6 @@ LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the co
     "dvl.csv": ("v", "t_v", VELOCITY),
     "ahrs.csv": ("rpy", "t_a", ANGLES),
     "depth.csv": ("z", "t_z", ("z_m",)),
-    "fixes.csv": ("p", "t", LEVEL),
 }
 OF_TABLES: dict[str, tuple[tuple[tuple[str, ...], Iterable[float]], ...]] = {  # vectors of one unit; what that may be
     "fixes": ((LEVEL, PLACE_UNITS),),
@@ -74,15 +73,12 @@ class Alternative:
         if self.reading.cause is Cause.EARTH:
             return replace(log, v=apply(log.axes().mT, log.v))
         numbers, times, names = LOGGED[self.reading.file]
-        held: Any = log.fixes if self.reading.file == "fixes.csv" else log
         if self.columns == ["time_s"]:
-            held = replace(held, **{times: getattr(held, times) + self.c[0]})
-        else:
-            read, k = getattr(held, numbers), [names.index(name) for name in self.columns]
-            y = np.array(read).reshape(len(read), -1)
-            y[:, k] = self._meant(y[:, k])
-            held = replace(held, **{numbers: y.reshape(read.shape)})
-        return replace(log, fixes=held) if self.reading.file == "fixes.csv" else held
+            return replace(log, **{times: getattr(log, times) + self.c[0]})
+        read, k = getattr(log, numbers), [names.index(name) for name in self.columns]
+        y: Any = np.array(read).reshape(len(read), -1)
+        y[:, k] = self._meant(y[:, k])
+        return replace(log, **{numbers: y.reshape(read.shape)})
 
     def on_tables(self, tables: dict[str, Table]) -> dict[str, Table]:
         """The tables that were meant; those of latitudes and longitudes in all of them. Empty without the file."""
@@ -101,19 +97,20 @@ class Alternative:
         return np.asarray(y @ self.A.T + self.c)
 
 
-def alternatives(log: Log) -> list[Alternative]:
+def alternatives() -> list[Alternative]:
     """All that are tried for a log."""
-    fixes = _of_table("fixes") if log.fixes else ()
-    return [*_of_velocities(), *_of_angles(), *_of_depths(), *_of_clocks(log), *fixes]
+    lags = (sign * lag for lag in LAGS for sign in (1, -1))
+    return [*_of_a_log(), *(_late(file, lag) for lag in lags for file in LOGGED)]
 
 
 def readings() -> list[Alternative]:
     """All that are tried for tables: not the clocks and turns that are calibrations."""
-    steady = [a for a in (*_of_velocities(), *_of_angles(), *_of_depths()) if a.reading.cause is not Cause.TURNED]
+    pitch, yaw = ANGLES[1:]
+    north = [_north("ahrs.csv"), _read(Cause.NORTH, "ahrs.csv", (pitch, yaw), -np.eye(2), 90.0, (0.0, np.pi / 2))]
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
     geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
     ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
-    return [*steady, *of_tables, *geodetic, *ship]
+    return [*_of_a_log(), *north, *of_tables, *geodetic, *ship]
 
 
 def corrected(reading: Reading) -> Alternative:
@@ -144,9 +141,9 @@ def _exchanged(file: str, *pairs: tuple[str, str]) -> list[Alternative]:
     return [_read(Cause.SWAPPED, file, pair, [[0, 1], [1, 0]]) for pair in pairs]
 
 
-def _of_velocities() -> list[Alternative]:
-    file, (x, y, z) = "dvl.csv", VELOCITY
-    turns = ((turn, np.radians(turn)) for turn in (90.0, -90.0, 180.0, 45.0, -45.0, 135.0, -135.0))
+def _of_a_log() -> list[Alternative]:
+    """Columns of dvl.csv, ahrs.csv and depth.csv."""
+    file, (x, y, z), ahrs, (roll, pitch, yaw) = "dvl.csv", VELOCITY, "ahrs.csv", ANGLES
     return [
         *(a for names in (VELOCITY, (x,), (y,), (z,)) for a in _units(file, names, SPEED_UNITS)),
         *_signs(file, VELOCITY),
@@ -154,38 +151,16 @@ def _of_velocities() -> list[Alternative]:
         *_exchanged(file, (x, y), (x, z), (y, z)),
         _read(Cause.EARTH, file, VELOCITY, np.eye(3)),
         _read(Cause.AXES, file, VELOCITY, np.diag([1.0, -1.0, -1.0])),
-        *(
-            _read(Cause.TURNED, file, (x, y), [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]], turn)
-            for turn, a in turns
-        ),
+        *_signs(ahrs, ANGLES),
+        *_exchanged(ahrs, (roll, pitch)),
+        *(a for names in ((yaw,), (pitch,), (roll,), (roll, pitch)) for a in _units(ahrs, names, TURN_UNITS)),
+        *_signs("depth.csv", ["z_m"]),
+        *_units("depth.csv", ("z_m",), LENGTH_UNITS),
     ]
 
 
 def _north(file: str) -> Alternative:
     return _read(Cause.NORTH, file, ["yaw_rad"], -1, 90.0, np.pi / 2)
-
-
-def _of_angles() -> list[Alternative]:
-    file, (roll, pitch, yaw) = "ahrs.csv", ANGLES
-    return [
-        *_signs(file, ANGLES),
-        *_exchanged(file, (roll, pitch)),
-        _north(file),
-        _read(Cause.NORTH, file, (pitch, yaw), np.diag([-1, -1]), 90.0, (0.0, np.pi / 2)),
-        *(_read(Cause.TURNED, file, [yaw], 1, turn, -np.radians(turn)) for turn in (90.0, -90.0, 180.0)),
-        *(a for names in ((yaw,), (pitch,), (roll,), (roll, pitch)) for a in _units(file, names, TURN_UNITS)),
-    ]
-
-
-def _of_depths() -> list[Alternative]:
-    return [*_signs("depth.csv", ["z_m"]), *_units("depth.csv", ("z_m",), LENGTH_UNITS)]
-
-
-def _of_clocks(log: Log) -> list[Alternative]:
-    """Each sensor late by up to ten seconds, or early."""
-    files = ["ahrs.csv", "depth.csv", "dvl.csv", *["fixes.csv"] * (log.fixes is not None)]
-    lags = (*LAGS, *(-lag for lag in LAGS))
-    return [_late(file, lag) for lag in lags for file in files]
 
 
 def _late(file: str, lag: float) -> Alternative:

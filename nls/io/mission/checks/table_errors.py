@@ -1,17 +1,17 @@
-r"""Errors of whole tables: a clock that is late or fast, an arm, a scale, a turn. Which are seen, which stay hidden?
+r"""Errors of whole tables: a clock that is late or fast, an arm, a scale, a turn. Which are evident, which hidden?
 
 An error nabla of all rows of a table is C nabla in their whitened residuals b. The optimum takes up a part of it. By
 the rest chi2 grows by nabla'M nabla. Without a number that was measured so,
 
     nabla = C'b / M,    fall of chi2 = (C'b)^2 / M,    M = C'(I - A (A'A)^-1 A') C
 
-The fall is the square of Baarda's w. Where it is more than `SEEN` times what is left per degree of freedom, and the
-track moves by more than its own standard deviation, the error is seen. A smaller one is hidden,
+The fall is the square of Baarda's w. Where it is more than `EVIDENT` times what is left per degree of freedom, and the
+track moves by more than its own standard deviation, the error is evident. A smaller one is hidden,
 
-    |nabla| < sqrt(SEEN / lambda_min(M))
+    |nabla| < sqrt(EVIDENT / lambda_min(M))
 
 A row measured c before its time has z(t - c), so C = -W dz/dt. Of a clock that runs fast by r since the first pose,
-c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count, and nothing is seen.
+c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count, and nothing is evident.
 
 Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968: w-test, internal and external reliability.
 """
@@ -19,7 +19,6 @@ Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968: w-t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,7 @@ from models.manifolds.so3 import rotation3
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.io.mission.calibration import NAMES
-from nls.io.mission.checks.findings import Cause, Reading
+from nls.io.mission.checks.findings import Cause, Reading, TableError
 from nls.io.mission.clocks import CLOCKED, rates_by_time, total, twists
 from nls.io.mission.report import MissionReport
 from nls.linear import factorize
@@ -44,8 +43,8 @@ from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["TableError", "table_errors"]
-SEEN = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
+__all__ = ["table_errors"]
+EVIDENT = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
 ROUNDING = 1e-9  # part of an error that rounding shows
 WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
 SAMPLES = 20  # poses, whose positions are compared
@@ -58,40 +57,14 @@ HIDDEN = {
     "arm": 5.0,
 }  # that matter
 MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
+LARGEST = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # of a reading: beyond, another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
 (s,) = kinds("s")
 
 
-@dataclass(frozen=True)
-class TableError:
-    """An error of all rows of a table.
-
-    Attributes
-    ----------
-    file : of the table.
-    quantity : ``heading``, ``turn``, ``depth`` (its zero and its scale), ``zero of the depth``, ``scale``, ``place``,
-        ``clock``, ``drift`` or ``arm``.
-    below : the size that would be seen, rad, m or s; infinite where none is, or nearly so.
-    reading : the error as the measurements have it, also one that may be chance; None where they say nothing.
-    sigma : of its factor.
-    fall : of chi2 without it.
-    seen : whether it is beyond chance and moves the track by more than its standard deviation.
-    hidden : whether one that matters, and moves the track so, would not be seen.
-    """
-
-    file: str
-    quantity: str
-    below: float
-    reading: Reading | None = None
-    sigma: float = 0.0
-    fall: float = 0.0
-    seen: bool = False
-    hidden: bool = False
-
-
 @single_thread()
 def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, report: MissionReport) -> list[TableError]:
-    """The errors of whole tables that are seen, and those that would be hidden; none where something is free.
+    """The errors of whole tables that are evident, and those that would be hidden; none where something is free.
 
     Parameters
     ----------
@@ -140,7 +113,7 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         fall = size**2 * np.diag(M)
         j = int(np.argmax(fall))
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
-        below = float(np.sqrt(SEEN * ratio / shown))
+        below = float(np.sqrt(EVIDENT * ratio / shown))
         far = np.sqrt(np.sum(taken[places, k] ** 2, axis=0) / (variance * max(len(places) / 3, 1)))  # by one unit
         reading = None if walks else _reading(file, quantity, j, float(size[j]), float(times.min()))
         out.append(
@@ -151,7 +124,7 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
                 reading,
                 float(M[j, j] ** -0.5),
                 float(fall[j]),
-                seen=reading is not None and bool(fall[j] > SEEN * ratio and abs(size[j]) * far[j] > 1),
+                evident=reading is not None and bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1),
                 hidden=bool(below > least and below * far.max() > 1),
             )
         )
@@ -162,6 +135,10 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
     """What an error of this size is; a clock runs fast since a time."""
     table = file.removesuffix(".csv")
+    if not abs(size) < LARGEST.get(quantity, np.inf):
+        return None
+    if quantity == "heading drift":
+        return Reading(Cause.DRIFT, file, "yaw_rad", size)
     if quantity == "clock" and f"{table}_clock_s" not in NAMES:
         return Reading(Cause.CLOCK, file, "time_s", size)
     if quantity == "drift":
@@ -202,6 +179,8 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
             yield from _late(file, -w[:, :, 0] * np.gradient(z[:, 0], t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Heading):
         yield file, "heading", W[:, :, :1]
+        if t is not None:
+            yield file, "heading drift", W[:, :, :1] * (t[at] - t[0])[:, None, None]
         if t is not None and "motion.csv" not in report.tags and not known:
             yield from _late(file, -W[:, :, 0] * np.gradient(np.unwrap(factor.z[:, 0]), t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Position):

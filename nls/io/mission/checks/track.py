@@ -30,7 +30,7 @@ from nls.io.mission.checks.alone import (
 )
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Fixes, Log
-from nls.io.mission.columns import ANGLES, GEODETIC, VELOCITY
+from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.table import Table
 
 __all__ = ["of_heading", "of_ship", "of_track"]
@@ -75,13 +75,12 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
 
 
 def of_ship(ship: Table) -> Iterator[Implausible]:
-    """Attitude of a ship: roll and pitch, turns, and a heading that is one while the ship moves."""
+    """Attitude of a ship: roll and pitch, turns, and a heading that never changes."""
     file, t, (roll, pitch, yaw) = "ship.csv", ship.rising("time_s"), ship.floats(*ANGLES).T
     yield from tilt_of(file, "roll_rad", roll)
     yield from tilt_of(file, "pitch_rad", pitch)
     yield from turn_of(file, t, yaw)
-    places = next((p for p in (("x_m", "y_m"), GEODETIC) if ship.has(*p)), ())
-    if places and np.ptp(ship.floats(*places), axis=0).any():
+    if np.ptp([roll, pitch], axis=1).any():
         yield from stuck_of(file, "yaw_rad", yaw)
 
 

@@ -14,7 +14,7 @@ ignores few of them and noise explains all others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,9 +29,8 @@ from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.mission.calibration import NAMES
-from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
+from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
 from nls.io.mission.checks.readings import Alternative, corrected, readings
-from nls.io.mission.checks.table_errors import TableError
 from nls.io.mission.columns import COLUMNS, GEODETIC
 from nls.io.mission.determination import LEFT
 from nls.io.mission.folder import report_of
@@ -53,11 +52,12 @@ BEGINS = {  # of a constant by the end of its name: where it begins, sigma of it
     "_s": ((0.0, 4.0, -4.0, 12.0, -12.0, 30.0, -30.0), 10.0),
     "_scale": ((0.0,), 0.3),
 }
-LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.TURNED, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
+LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
 BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
+NORMAL = 1.4826  # standard deviation of normal numbers, over the median of their sizes
 IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
 
 
@@ -70,7 +70,7 @@ def explained(
     ----------
     tables : of the mission, as `nls.io.mission.folder.read_tables` has them.
     chi2, dof : of its optimum.
-    errors : of whole tables, of which one is seen where chi2 alone is plausible. No other constants are tried then.
+    errors : of whole tables, of which one is evident where chi2 alone is plausible. No other constants are tried then.
     elevation : as of `nls.io.mission.read.read_mission`.
 
     Raises
@@ -88,8 +88,9 @@ def explained(
     trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings())]
     if thinned:
         trials = [trial for earlier in _best(mission, trials) for trial in _again(whole, earlier)]
-    near = [t.reading for t in linear if t.reading.cause is not Cause.CALIBRATION and explains(t, chi2, dof)]
-    trials += _tried(whole, map(corrected, near))
+    for near in (t for t in linear if t.reading.cause is not Cause.CALIBRATION and explains(t, chi2, dof)):
+        drifts = near.reading.column == "yaw_rad"  # by the time, and not by its number
+        trials += [near] if drifts else _tried(whole, [corrected(near.reading)], near.sigma)
     return Explained(chi2, dof, tuple(_best(whole, trials) or [*_kernels(whole)] or _sigmas(whole)))
 
 
@@ -198,13 +199,13 @@ def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
     return Table("calibration.csv", COLUMNS["calibration"], data=data)
 
 
-def _tried(mission: Mission, alternatives: Iterable[Alternative]) -> Iterator[Trial]:
-    """Other readings of its tables."""
+def _tried(mission: Mission, alternatives: Sequence[Alternative], sigma: float = 0.0) -> Iterator[Trial]:
+    """Other readings of its tables, whose factor has a standard deviation."""
     for alternative in alternatives:
         if other := alternative.on_tables(mission.tables):
             announce(f"trying {alternative.reading.cause} of {alternative.reading.column}")
             if (fit := mission.optimum(other)) is not None and explains(fit, mission.chi2, mission.dof):
-                yield Trial(alternative.reading, 0.0, fit.chi2, fit.dof)
+                yield Trial(alternative.reading, sigma, fit.chi2, fit.dof)
 
 
 def _kernels(mission: Mission) -> Iterator[Trial]:
@@ -245,7 +246,7 @@ def _sigmas(mission: Mission) -> list[Trial]:
         scaled = variance_components(mission.graph, mission.start)
     except REFUSED:
         return []
-    large = [c for c in scaled.components if c.known and c.scale > ROUGH]
+    large = [c for c in scaled.components if c.known and c.scale - 2 * c.sigma > ROUGH]
     files = _files(mission)
     if len(large) != 1 or large[0].name not in files:
         return []
@@ -254,7 +255,8 @@ def _sigmas(mission: Mission) -> list[Trial]:
     pattern = scaled.graph.pattern(scaled.result.values)
     b = LinearSystem.at(pattern, scaled.result.values).b
     e = np.concatenate([b[k.rows].reshape(len(k), -1) for k in pattern.batches if k.model.factor.name == name])
-    if not columns or np.abs(np.sum(e[1:] * e[:-1])) > WHITE * np.sum(e**2):
+    white = np.abs(np.sum(e[1:] * e[:-1])) < WHITE * np.sum(e**2)
+    if not (columns and white and NORMAL * np.median(np.abs(e)) > 1 / ROUGH):
         return []
     reading = Reading(Cause.SIGMA, file, ", ".join(columns), scale)
     return [Trial(reading, large[0].sigma, scaled.result.chi2_final, scaled.result.dof)]

@@ -13,7 +13,7 @@ from nls.io.mission.checks.findings import Cause, Explained, Implausible, Readin
 from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
-COARSE = 0.1  # rad, and ten times that in s: sigma of a turn or a lag that is one of a list
+COARSE = 1.0  # s: sigma of a lag that is one of a list
 CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
 LISTED = 100  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
@@ -51,9 +51,7 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "sound speed": "it is {measured}; water has 1400 to 1600 m/s",
     "far away": "the middle fix is {measured} from x = y = 0; expected below {limit}",
     "jumps": "{percent} of the fixes jump away from those before and after; expected below {limit_percent}",
-    "range": "the middle range is {measured} times the distance by dead reckoning; expected 0.8 to 1.25",
     "way down": "depth and DVL disagree about the way down by {percent} of it; expected below {limit_percent}",
-    "way between fixes": "fixes and DVL disagree about the way by {percent} of it; expected below {limit_percent}",
 }
 CAUSES = {
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
@@ -63,7 +61,6 @@ CAUSES = {
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small (or a variance): multiply {column} by {ratio}",
     Cause.SCALE: "{column} of {file} looks {factor:.4g} times too large: divide {column} by {factor:.4g}",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
-    Cause.WAYS: "{column} of {file} is of both ways and taken as one, or the other way around: give the column ways",
     Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
 }
 
@@ -186,13 +183,6 @@ def _axes(r: Reading) -> str:
     return f"{r.column} of {r.file} look like axes ahead, port and up: {act}{_frame(r, 'FLU')}"
 
 
-def _turned(r: Reading) -> str:
-    angle = r.factor * math.pi / 180
-    if r.file == "dvl.csv":
-        return f"the axes of the DVL look turned by {r.factor:.3g} deg: {_row('dvl_yaw_rad', angle, COARSE)}"
-    return f"{r.column} of {r.file} looks {r.factor:.3g} deg too large: {_row('declination_rad', -angle, COARSE)}"
-
-
 def _north(r: Reading) -> str:
     looks = "looks" if r.column == "yaw_rad" else "look"
     east = f"{r.column} of {r.file} {looks} counted from east, counterclockwise"
@@ -228,12 +218,16 @@ def _clock(r: Reading) -> str:
     late, act = ("late", "subtract") if r.factor > 0 else ("early", "add")
     looks = f"times of {r.file} look about {abs(r.factor):.3g} s {late}"
     if (file := r.file.removesuffix(".csv")) in CLOCKS:
-        return f"{looks}: {_row(f'{file}_clock_s', r.factor, 10 * COARSE)}"
+        return f"{looks}: {_row(f'{file}_clock_s', r.factor, COARSE)}"
     prefix = "to" if act == "add" else "from"
     return f"{looks}: {act} {abs(r.factor):.3g} s {prefix} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
 
 
 def _fast(r: Reading) -> str:
+    if r.column == "yaw_rad":
+        return (
+            f"yaw_rad of {r.file} drifts by {math.degrees(60 * r.factor):.2g} deg a minute: log it by another compass"
+        )
     act = f"divide time_s by {1 + r.factor:.12g}, then add {r.offset:.6f} s to it"
     return f"the clock of {r.file} looks {100 * r.factor:.2g} % fast: {act}"
 
@@ -278,7 +272,7 @@ def _tried(trial: Trial) -> str:
     if r.cause is Cause.KERNEL:
         return f"look at these rows, or solve with --robust {r.column}=cauchy:1"
     if r.cause is not Cause.CALIBRATION:
-        return cause(r)
+        return cause(r).replace(" m too", f" +- {trial.sigma:.2g} m too")
     digits = max(0, 1 - math.floor(math.log10(trial.sigma)))
     value = f"{r.column} {r.factor:.{digits}f} +- {trial.sigma:.{digits}f}"
     return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
@@ -299,7 +293,6 @@ DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,
-    Cause.TURNED: _turned,
     Cause.NORTH: _north,
     Cause.CLOCK: _clock,
     Cause.PRESSURE: _pressure,

@@ -28,10 +28,6 @@ def depths(factor: float) -> Change:
     return lambda log: replace(log, z=factor * log.z)
 
 
-def positions(A: object) -> Change:
-    return lambda log: replace(log, fixes=replace(fixes(log), p=fixes(log).p @ np.array(A, dtype=float).T))
-
-
 def fixes(log: Log) -> Fixes:
     assert log.fixes is not None
     return log.fixes
@@ -41,22 +37,12 @@ def late(name: str, lag: float) -> Change:
     return lambda log: replace(log, **{name: getattr(log, name) + lag})
 
 
-def fixes_late(lag: float) -> Change:
-    return lambda log: replace(log, fixes=replace(fixes(log), t=fixes(log).t + lag))
-
-
 def times(factor: float) -> Change:
     def scale(log: Log) -> Log:
         positions = replace(fixes(log), t=factor * fixes(log).t)
         return replace(log, t_v=factor * log.t_v, t_a=factor * log.t_a, t_z=factor * log.t_z, fixes=positions)
 
     return scale
-
-
-def turned(degrees: float) -> Change:
-    """Velocities along axes that are turned to starboard by so much from those of the vehicle."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return velocities([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
 def wild(name: str, size: float) -> Change:
@@ -94,25 +80,10 @@ SPOILS: dict[str, tuple[Change, Reading]] = {
     "velocity in knots": (velocities(1.9438 * np.eye(3)), of(Cause.UNIT, "dvl", V, 1.9438)),
     "velocity in feet/s": (velocities(3.2808 * np.eye(3)), of(Cause.UNIT, "dvl", V, 3.2808)),
     "vx astern": (velocities(np.diag([-1, 1, 1])), of(Cause.SIGN, "dvl", "vx_m_s", -1.0)),
-    "vy to port": (velocities(np.diag([1, -1, 1])), of(Cause.SIGN, "dvl", "vy_m_s", -1.0)),
     "vz up": (velocities(np.diag([1, 1, -1])), of(Cause.SIGN, "dvl", "vz_m_s", -1.0)),
     "vx and vy swapped": (velocities([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), of(Cause.SWAPPED, "dvl", "vx_m_s, vy_m_s")),
     "vx and vz swapped": (velocities([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), of(Cause.SWAPPED, "dvl", "vx_m_s, vz_m_s")),
     "FLU": (velocities(np.diag([1, -1, -1])), of(Cause.AXES, "dvl", V)),
-    "DVL turned by 90 deg": (turned(90), of(Cause.TURNED, "dvl", "vx_m_s, vy_m_s", 90.0)),
-    "DVL turned by -90 deg": (turned(-90), of(Cause.TURNED, "dvl", "vx_m_s, vy_m_s", -90.0)),
-    "DVL turned by 45 deg": (turned(45), of(Cause.TURNED, "dvl", "vx_m_s, vy_m_s", 45.0)),
-    "DVL turned by 180 deg": (turned(180), of(Cause.TURNED, "dvl", "vx_m_s, vy_m_s", 180.0)),
-    "yaw to port": (angles(lambda a: a * [1, 1, -1]), of(Cause.SIGN, "ahrs", "yaw_rad", -1.0)),
-    "yaw from east": (angles(lambda a: [0, 0, np.pi / 2] + a * [1, 1, -1]), of(Cause.NORTH, "ahrs", "yaw_rad", 90.0)),
-    "yaw 90 deg too large": (
-        angles(lambda a: a + np.array([0, 0, np.pi / 2])),
-        of(Cause.TURNED, "ahrs", "yaw_rad", 90.0),
-    ),
-    "yaw 180 deg too large": (
-        angles(lambda a: a + np.array([0, 0, np.pi])),
-        of(Cause.TURNED, "ahrs", "yaw_rad", 180.0),
-    ),
     "yaw in degrees": (lambda log: replace(log, rpy=log.rpy * [1, 1, DEG]), of(Cause.UNIT, "ahrs", "yaw_rad", DEG)),
     "roll and pitch swapped": (angles(lambda a: a[:, [1, 0, 2]]), of(Cause.SWAPPED, "ahrs", "roll_rad, pitch_rad")),
     "pitch with the bow down": (angles(lambda a: a * [1, -1, 1]), of(Cause.SIGN, "ahrs", "pitch_rad", -1.0)),
@@ -127,17 +98,12 @@ SPOILS: dict[str, tuple[Change, Reading]] = {
     "AHRS early by 6 s": (late("t_a", -6.0), of(Cause.CLOCK, "ahrs", "time_s", -6.0)),
     "AHRS late by 5 s": (late("t_a", 5.0), of(Cause.CLOCK, "ahrs", "time_s", 5.0)),
     "depth late by 5 s": (late("t_z", 5.0), of(Cause.CLOCK, "depth", "time_s", 5.0)),
-    "fixes late by 5 s": (fixes_late(5.0), of(Cause.CLOCK, "fixes", "time_s", 5.0)),
     "times in ms": (times(1e3), of(Cause.UNIT, "dvl", "time_s", 1e3)),
     "times in ns": (times(1e9), of(Cause.UNIT, "dvl", "time_s", 1e9)),
     "valid inverted": (lambda log: replace(log, valid=~log.valid), of(Cause.INVERTED, "dvl", "valid")),
     "outliers of the DVL": (wild("v", 3.0), of(Cause.OUTLIERS, "dvl", V)),
     "outliers of the depth": (wild("z", 20.0), of(Cause.OUTLIERS, "depth", "z_m")),
     "outliers of the fixes": (wild_fixes, of(Cause.OUTLIERS, "fixes", "x_m, y_m")),
-    "fixes swapped": (positions([[0, 1], [1, 0]]), of(Cause.SWAPPED, "fixes", "x_m, y_m")),
-    "fixes west": (positions(np.diag([1, -1])), of(Cause.SIGN, "fixes", "y_m", -1.0)),
-    "fixes in km": (positions(0.001 * np.eye(2)), of(Cause.UNIT, "fixes", "x_m, y_m", 0.001)),
-    "fixes in feet": (positions(3.2808 * np.eye(2)), of(Cause.UNIT, "fixes", "x_m, y_m", 3.2808)),
     "sigma of the yaw a variance": (sigma("sigma_yaw_rad", 0.01), of(Cause.SIGMA, "noise", "sigma_yaw_rad")),
     "sigma of the velocity too small": (sigma("sigma_v_m_s", 0.05), of(Cause.SIGMA, "noise", "sigma_v_m_s")),
     "sigma of the depth too small": (sigma("sigma_z_m", 0.05), of(Cause.SIGMA, "noise", "sigma_z_m")),

@@ -31,8 +31,9 @@ def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
     spoil, reading = SPOILS[name]
     findings = of_log(spoil(clean(seed)))
     assert findings, name
-    first = [entry.readings[0] for entry in findings]
-    assert any(same(entry, reading) for entry in first), (name, first)
+    named = [reading for entry in findings for reading in entry.readings]
+    assert any(same(entry, reading) for entry in named), (name, named)
+    assert len(named) <= 4, (name, named)
 
 
 @for_all(seed=list(range(20)))
@@ -82,14 +83,6 @@ def test_a_velocity_without_another_sensor_that_tells_has_several_units() -> Non
     assert [reading.factor for reading in finding.readings] == [1000.0, 100.0]
     assert "mm/s" in sentence(finding)
     assert "cm/s" in sentence(finding)
-
-
-def test_a_misfit_that_no_reading_explains_says_so() -> None:
-    log = clean(2)
-    assert log.fixes is not None
-    p = np.random.default_rng(0).normal(0, 300.0, log.fixes.p.shape)
-    (finding,) = of_log(replace(log, fixes=replace(log.fixes, p=p)))
-    assert finding.readings == (Reading(Cause.UNKNOWN, "fixes.csv", "x_m, y_m"),)
 
 
 def test_fixes_that_jump_are_no_disagreement_of_sensors() -> None:

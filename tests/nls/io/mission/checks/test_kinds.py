@@ -220,16 +220,14 @@ def test_a_log_that_is_no_log_in_seconds_is_refused_before_its_poses_are_made(fa
     assert cure in str(e.value)
 
 
-@for_all(turn=[0.7, -1.6, 3.1], seed=[1, 2])
-def test_a_number_of_calibration_csv_is_no_second_doubt(turn: float, seed: int, tmp_path: Path) -> None:
-    """The DVL is turned: its cure is a line, and with that line nothing is left to say."""
-    c, s = np.cos(turn), np.sin(turn)
+@for_all(late=[6.0, -7.0, 8.0], seed=[1, 2])
+def test_a_number_of_calibration_csv_is_no_second_doubt(late: float, seed: int, tmp_path: Path) -> None:
+    """The attitude is late: its cure is a line, and with that line nothing is left to say."""
     log = clean(seed)
-    log = replace(log, v=log.v @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    files = with_fixes(log)
-    assert findings(tmp_path / f"{turn}{seed}", files)
-    line = {"calibration": f"name,value,sigma\ndvl_yaw_rad,{turn},0.1\n"}
-    assert findings(tmp_path / f"{turn}{seed}cured", files | line) == []
+    files = with_fixes(replace(log, t_a=log.t_a + late))
+    assert findings(tmp_path / f"{late}{seed}", files)
+    line = {"calibration": f"name,value,sigma\nahrs_clock_s,{late},0.1\n"}
+    assert findings(tmp_path / f"{late}{seed}cured", files | line) == []
 
 
 @for_all(table=["dvl", "ahrs", "depth"], late=[18.0, -18.0, 25.0], seed=[1, 2])

@@ -11,7 +11,7 @@ import nls
 from models.algebra import Array
 from nls.io.mission import MissionReport, read_mission
 from nls.io.mission.checks import Cause, table_errors
-from nls.io.mission.checks.table_errors import TableError
+from nls.io.mission.checks.findings import TableError
 from tests.nls.io.mission.mission_files import folder
 from tests.nls.io.mission.positioned import Positioned, csv
 from tests.nls.io.mission.test_motion import ARM, T, fixes, logs, state
@@ -86,11 +86,11 @@ def test_an_error_of_a_table_is_seen_with_its_size(name: str, tmp_path: Path) ->
     n = len(T_ALL)
     right = csv(FIXES, T_ALL, places, np.full((n, 2), 0.1), np.tile([0.5, 0.0, 0.0], (n, 1)))
     files = true.files | {"fixes": right}
-    assert not [error for error in _errors(folder(tmp_path / "right", files)) if error.seen], "the clean control"
+    assert not [error for error in _errors(folder(tmp_path / "right", files)) if error.evident], "the clean control"
     added = -size if constant == "declination_rad" else size
     errors = _errors(folder(tmp_path / "wrong", files | {table: _spoiled(files[table], column, added)}))
-    seen = {(e.reading.cause, e.reading.column): e for e in errors if e.reading and e.seen}
-    found = seen[cause, constant]
+    evident = {(e.reading.cause, e.reading.column): e for e in errors if e.reading and e.evident}
+    found = evident[cause, constant]
     assert found.fall > 0.9 * max(error.fall for error in errors), "a clock is like an arm where the vehicle goes ahead"
     assert found.reading is not None
     assert found.reading.factor == pytest.approx(size, abs=max(4 * found.sigma, 0.1 * abs(size)))
@@ -113,4 +113,4 @@ def test_chi2_grows_by_what_is_seen_from_the_size_on(quantity: str, tmp_path: Pa
         return float(_solved(folder(tmp_path / f"{size}", true.files | spoiled))[1].chi2_final)
 
     growth = [chi2(part * below) for part in (0.8, 1.2)]
-    assert growth[0] < table_errors.SEEN < growth[1]
+    assert growth[0] < table_errors.EVIDENT < growth[1]

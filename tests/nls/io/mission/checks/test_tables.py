@@ -11,7 +11,6 @@ import pytest
 import nls
 import sim
 from nls.cli import main
-from nls.io.mission.checks import Log
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import write_mission
@@ -21,56 +20,10 @@ from tests.nls.io.mission.checks.spoils import SPOILS
 from tests.nls.io.mission.checks.vehicle import clean
 from tests.nls.io.mission.mission_files import TINY, folder
 
-BEACONS = np.array([[200.0, -150.0, 60.0], [-300.0, 100.0, 55.0]])
-
-
-def ranges(log: Log, factor: float, column: str = "range_m") -> dict[str, str]:
-    """Ranges to two beacons along the track by dead reckoning, which begins at 0."""
-    thin = log.thinned()
-    t = thin.t_v[5::20]
-    p = np.column_stack([np.interp(t, thin.t_v, column) for column in thin.way().T])
-    p[:, 2] = np.interp(t, log.t_z, log.z)
-    k = np.arange(len(t)) % 2
-    r = np.linalg.norm(p - BEACONS[k], axis=1)
-    z = factor * r if column == "range_m" else factor * 2 * r / 1500.0
-    sigma = f"sigma_{column}"
-    rows = csv_text(["time_s", "beacon", column, sigma], t, k, z, np.full(len(t), 0.5))
-    beacons = csv_text(
-        ["beacon", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"],
-        np.arange(2),
-        BEACONS,
-        np.full((2, 3), 0.1),
-    )
-    return {"ranges": rows.decode(), "beacons": beacons.decode()}
-
 
 def findings_of(path: Path) -> list[str]:
     """Sentences about a folder."""
     return [sentence(entry) for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
-
-
-@for_all(
-    case=[
-        (1.0, "range_m", ""),
-        (1.02, "range_m", ""),  # a speed of sound that is 2 % wrong is for calibration.csv
-        (3.2808, "range_m", "looks like ft"),
-        (0.001, "range_m", "looks like km"),
-        (0.5, "range_m", "both ways"),
-        (1.0, "travel_time_s", ""),
-        (1e3, "travel_time_s", "looks like ms"),
-        (0.5, "travel_time_s", "both ways"),
-    ]
-)
-@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
-def test_ranges_in_another_unit(case: tuple[float, str, str], tmp_path: Path) -> None:
-    factor, column, cause = case
-    log = clean(1, minutes=6.0, drop_outs=False)
-    start = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0.0,0,0,1,1\n"  # where the ranges are from
-    files = files_of(log) | ranges(log, factor, column)
-    path = folder(tmp_path / f"{factor}{column}", files | {"fixes": start})
-    findings = findings_of(path)
-    assert len(findings) == (1 if cause else 0)
-    assert not cause or cause in findings[0]
 
 
 @for_all(

@@ -67,6 +67,23 @@ CASES: dict[str, tuple[str, Spoil, str]] = {  # what measures the place, the mis
         changed("dvl", **dict.fromkeys(("vx_m_s", "vy_m_s", "vz_m_s"), lambda v: 1.05 * v)),
         "dvl_scale,0.05",
     ),
+    "yaw to port": ("fixes", changed("ahrs", yaw_rad=lambda yaw: -yaw), "multiply yaw_rad by -1"),
+    "fixes in feet": (
+        "fixes",
+        changed("fixes", **dict.fromkeys(("x_m", "y_m"), lambda p: 3.2808 * p)),
+        "divide x_m, y_m by 3.2808",
+    ),
+    "fixes west": ("fixes", changed("fixes", y_m=lambda y: -y), "multiply y_m by -1"),
+    "ranges in feet": ("ranges", changed("ranges", range_m=lambda r: 3.2808 * r), "divide range_m by 3.2808"),
+    "ranges both ways": ("ranges", changed("ranges", range_m=lambda r: 2 * r), "divide range_m by 2"),
+    "USBL sigmas": (
+        "usbl",
+        changed(
+            "usbl",
+            **dict.fromkeys(("sigma_range_m", "sigma_bearing_rad", "sigma_elevation_rad"), lambda s: s / 10),
+        ),
+        "multiply sigma_range_m, sigma_bearing_rad, sigma_elevation_rad by",
+    ),
     "declination 130 deg": ("fixes", heading(-130.0), "declination_rad,2.26"),
     "fixes exchanged": (
         "fixes",
@@ -96,6 +113,13 @@ def follow(cure: str, folder: Path) -> str:
     """Do what a sentence says, to the letter; returns the kernel to solve with."""
     if row := re.search(r"write `(\w+,[-\d.]+,[-\d.]+)` in calibration\.csv", cure):
         (folder / "calibration.csv").write_text(f"name,value,sigma\n{row[1]}\n")
+    elif act := re.search(r"of (\w+\.csv) look.*?: (multiply|divide) ([\w, ]+?) by (-?[\d.]+)(?!, then)", cure):
+        head, *lines = (folder / act[1]).read_text().split()
+        rows = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+        k = [head.split(",").index(name) for name in act[3].split(", ")]
+        rows[:, k] *= float(act[4]) if act[2] == "multiply" else 1 / float(act[4])
+        cells = ([repr(int(x)) if x == int(x) else repr(x) for x in row] for row in rows.tolist())
+        (folder / act[1]).write_text("\n".join([head, *map(",".join, cells)]) + "\n")
     elif names := re.search(r"of (\w+\.csv) look exchanged: exchange the names of (\w+), (\w+)", cure):
         head, _, rest = (folder / names[1]).read_text().partition("\n")
         other = {names[2]: names[3], names[3]: names[2]}
@@ -182,5 +206,5 @@ def test_two_mistakes_are_no_constant_and_units_come_first(tmp_path: Path) -> No
     assert sentence(explanation).startswith("no single constant and no single table explains chi2 (")
     reading = Reading(Cause.UNIT, "dvl.csv", "vx_m_s", 1000.0)
     unit = Implausible("speed", "dvl.csv", 2, "vx_m_s", 900.0, 10.0, "m/s", (reading,))
-    turn = replace(unit, readings=(replace(reading, cause=Cause.TURNED),))
+    turn = replace(unit, readings=(replace(reading, cause=Cause.CLOCK),))
     assert [worth_trying(findings) for findings in ([], [turn], [unit], [turn, unit])] == [True, True, False, False]
