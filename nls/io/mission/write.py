@@ -17,14 +17,16 @@ from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
 from nls.io.mission.columns import COLUMNS, COMPASS, CONTACT, LEVEL, PLACE, POSE, TILT, TRACK
-from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
-from nls.io.mission.write_positions import (
+from nls.io.mission.statements import (
     Columns,
     columns_of,
     joined,
     measured,
+    measured_numbers,
+    no_file,
     positioned,
     positioned_rows,
+    standard_deviations,
     stated,
     table_text,
 )

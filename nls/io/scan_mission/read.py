@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,10 +12,10 @@ from models.errors import GraphFileError
 from models.listing import some
 from nls.graph import FactorGraph
 from nls.io.mission.columns import ALONE, LOG, TRACK
+from nls.io.mission.folder import names_in
 from nls.io.mission.table import TURNS, Table
 from nls.io.report import LoadReport, Source
 from nls.io.scan_mission.settings import Settings, read_settings
-from nls.io.unreadable import unreadable
 from nls.io.unused_lines import note_comments
 from nls.metrics import TrajectoryError, ate
 from nls.sonar.scans import Drift, Scans, dead_reckoning
@@ -154,10 +153,7 @@ def read_scan_mission(folder: str | Path) -> tuple[FactorGraph, Values, Scans, S
 
 def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanReport]:
     """The tables by name, the settings, and a report that counts rows and names what was not read."""
-    try:
-        names = sorted(os.listdir(folder))
-    except OSError as error:
-        raise unreadable(folder, error) from error
+    names = names_in(folder)
     for name in NEEDED:
         if file_of(folder, name) is None:
             message = f"has no {name}.csv; a scan mission is keyframes.csv and scans.csv"
