@@ -23,7 +23,7 @@ from script import arguments, at_least_one, page_head, write_page
 import nls
 import sim
 from nls.analysis.exchanged_contacts import exchanged_contacts
-from nls.cli.wrong_contacts import choice_of
+from nls.cli.outliers import choice_of
 from nls.io import LoadReport
 
 STEPS = 20  # of the solution with all contacts

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.mission import Solved, drift_record
-from nls.cli.mission_files import MissionFiles
-from nls.io.mission import MissionReport
+from nls.cli.job import Content
+from nls.cli.solved_mission import SolvedMission, drift_record
 from nls.io.mission.dives import SHARED, Dive, DivesReport
 from nls.values import Values
 
 if TYPE_CHECKING:
-    from nls.cli.job import Job
     from nls.covariance import Marginals
 
-__all__ = ["SolvedDive", "SolvedDives", "outputs_of", "solution_of"]
+__all__ = ["SolvedDive", "SolvedDives"]
 
 OF_ALL = ("map.csv", "beacons.csv", "map.ply", "landmarks.png")  # files of the map, which the dives share
 OF_EACH = (
@@ -27,7 +23,7 @@ OF_EACH = (
 )
 
 
-class SolvedDive(Solved):
+class SolvedDive(SolvedMission):
     """One dive in the solution of all: its own variables, with the numbers and covariances they have there.
 
     Parameters
@@ -37,13 +33,10 @@ class SolvedDive(Solved):
     """
 
     def __init__(self, whole: SolvedDives, dive: Dive) -> None:
-        truth = _own(whole.report.truth, dive)
-        report = replace(dive.report, truth=truth)
-        super().__init__(
-            whole.graph, _own(whole.dead, dive), whole.result, report, whole.solver, whole.gauge, whole.projection
-        )
-        self.whole, self.dive, self.values, self.contacts = whole, dive, _own(whole.values, dive), []
-        self.doubts = whole.doubts
+        super().__init__(whole.job)
+        self.whole, self.dive, self.contacts = whole, dive, []
+        self.dead, self.values = _own(whole.dead, dive), _own(whole.values, dive)
+        self.report = replace(dive.report, truth=_own(whole.report.truth, dive))
 
     @property
     def checks(self) -> int:
@@ -51,13 +44,13 @@ class SolvedDive(Solved):
         return self.whole.checks
 
     @property
-    def marginals(self) -> Marginals | None:
+    def covariances(self) -> tuple[Marginals | None, str]:
         """Covariances of all dives."""
-        return self.whole.marginals
+        return self.whole.covariances
 
 
-class SolvedDives(Solved):
-    """Several dives, solved as one; parameters as for `Solved`."""
+class SolvedDives(SolvedMission):
+    """Several dives, solved as one."""
 
     report: DivesReport
 
@@ -83,25 +76,13 @@ class SolvedDives(Solved):
         ]
         return out
 
-
-def solution_of(job: Job) -> Solved:
-    """The solution of a mission, or of several dives in one graph."""
-    report = job.report
-    assert isinstance(report, MissionReport)
-    kind = SolvedDives if isinstance(report, DivesReport) else Solved
-    return kind(job.graph, job.values, job.result, report, job.solver, job.options.gauge, job.projection)
-
-
-def outputs_of(solved: Solved, folder: str) -> list[tuple[Callable[[str], None], str]]:
-    """Files and folders: of several dives the map in the folder, each track in a folder with the name of its dive."""
-    files = MissionFiles(solved).outputs(folder)
-    if not isinstance(solved, SolvedDives):
-        return files
-    out = [(write, path) for write, path in files if Path(path).name in OF_ALL]
-    for part in solved.dives:
-        outputs = MissionFiles(part).outputs(str(Path(folder, part.dive.name)))
-        out += [(_within(write), path) for write, path in outputs if Path(path).name in OF_EACH]
-    return out
+    def files(self) -> dict[str, Content]:
+        """Those of the map in the folder, those of each track in a folder with the name of its dive."""
+        out = {name: make for name, make in super().files().items() if name in OF_ALL}
+        for part in self.dives:
+            own = part.files()
+            out |= {f"{part.dive.name}/{name}": own[name] for name in own if name in OF_EACH}
+        return out
 
 
 def _own(values: Values, dive: Dive) -> Values:
@@ -112,13 +93,3 @@ def _own(values: Values, dive: Dive) -> Values:
         if len(numbers := stack.numbers[mine]):
             stacks[kind] = stack.manifold, stack.X[mine], numbers
     return Values(stacks)
-
-
-def _within(write: Callable[[str], None]) -> Callable[[str], None]:
-    """Write a file in a folder that is made where it is missing."""
-
-    def written(path: str) -> None:
-        Path(path).parent.mkdir(exist_ok=True)
-        write(path)
-
-    return written

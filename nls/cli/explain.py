@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nls.cli.formats import mission_of, read
 from nls.cli.outputs import refuse_unwritable, write_json
 
 if TYPE_CHECKING:
@@ -25,12 +26,10 @@ def explain(options: argparse.Namespace) -> int:
     import nls
     from nls.cli import outliers
     from nls.cli.choices import GNC, ROBUST
-    from nls.cli.formats import read
     from nls.cli.preparation import believes_all, prepare
     from nls.cli.progress import Progress
 
-    for file in (options.file, *options.dives):
-        refuse_unwritable({"--json": options.json}, file)
+    refuse_unwritable({"--json": options.json}, options.file, *options.dives)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     for file in (options.file, *options.dives):
@@ -57,30 +56,19 @@ def explain(options: argparse.Namespace) -> int:
     return 0
 
 
-def _dives(report: LoadReport) -> list[str] | None:
-    """The dive that each factor is of; None where there is one mission, or none."""
-    if report.format != "mission":
-        return None
-    from nls.io.mission import DivesReport
-
-    return report.dive_of if isinstance(report, DivesReport) else None
-
-
 def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     """With what is implausible in the tables of a mission first, no kernel for all, no sigmas of what is unmeasured."""
-    if report.format != "mission":
+    if (mission := mission_of(report)) is None:
         return explanation
     from nls.explanation.findings import Finding, FindingKind
-    from nls.io.mission import MissionReport
 
-    assert isinstance(report, MissionReport)
-    first = [*report.findings, *([report.explained] if report.explained else ())]
+    first = [*mission.findings, *([mission.explained] if mission.explained else ())]
     findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
     rest = [
         replace(finding, advice=tuple(a for a in finding.advice if a.action != "robust"))
         for finding in explanation.findings
     ]
-    weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in report.unmeasured)
+    weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in mission.unmeasured)
     return replace(explanation, findings=(*findings, *rest), weakest=weakest)
 
 
@@ -88,7 +76,9 @@ def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Ex
     """The explanation of a graph that was read, with the lines of the measurements where its file has them."""
     import nls
 
-    explanation = nls.explain(graph, values, _dives(report), report.assumed)
+    mission = mission_of(report)
+    dives = mission.dive_of if mission else []
+    explanation = nls.explain(graph, values, dives or None, report.assumed)
     return explanation.placed(report.place) if report.has_lines else explanation
 
 
@@ -123,7 +113,7 @@ def _explained(
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
     from models.listing import several
     from nls.cli.hint import explain_misfit
-    from nls.cli.wrong_contacts import choice_of
+    from nls.cli.outliers import choice_of
     from nls.explanation.applicability import graduates
     from nls.explanation.findings import FindingKind
     from nls.optimizers import default_optimizer

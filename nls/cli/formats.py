@@ -15,9 +15,10 @@ from nls.cli.outputs import input_name
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.io.mission import MissionReport
     from nls.values import Values
 
-__all__ = ["refuse_unwritable_graph", "rendered"]
+__all__ = ["mission_of", "refuse_unwritable_graph", "rendered"]
 
 
 def output_format(option: str, path: str, named: str | None) -> str:
@@ -61,6 +62,16 @@ def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]
     if options.repair_information:
         raise no_information(options.file, form)
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
+
+
+def mission_of(report: LoadReport) -> MissionReport | None:
+    """The report of a mission, or of several dives; None of other inputs."""
+    if report.format != "mission":
+        return None
+    from nls.io.mission import MissionReport
+
+    assert isinstance(report, MissionReport)
+    return report
 
 
 def rendered(

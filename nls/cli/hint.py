@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from models.advice import Advice, listed
 from nls.cli import outliers
+from nls.cli.formats import mission_of
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -49,7 +50,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
 
 def _asking_of_scans(folder: str, written: Sequence[str]) -> str:
     """The command that explains the graph with the closures of a scan mission, or writes it; empty for another one."""
-    from nls.cli.solved_scans import GRAPH
+    from nls.cli.scan_mission import GRAPH
     from nls.io.scan_mission import is_scan_mission
 
     if not is_scan_mission(folder):
@@ -81,24 +82,23 @@ def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, optio
 
     Nothing is tried where special values or units of its tables are wrong: those come first.
     """
-    if report.format != "mission" or getattr(options, "dives", []):
+    mission = mission_of(report)
+    if mission is None or getattr(options, "dives", []):
         return
     from nls.cli.progress import Progress
-    from nls.io.mission import MissionReport
     from nls.io.mission.checks.table_errors import table_errors
     from nls.io.mission.checks.trials import explained, worth_trying
     from nls.io.mission.folder import read_tables
     from nls.stages import listened
 
-    assert isinstance(report, MissionReport)
     chi2, dof = result.believed
-    report.errors = table_errors(graph, result.values, chi2, dof, report) if result.converged else []
-    if (result.doubt or any(error.evident for error in report.errors)) and worth_trying(report.findings):
+    mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
+    if (result.doubt or any(error.evident for error in mission.errors)) and worth_trying(mission.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
-            tables = read_tables(report.path)[0]
-            explanation = explained(tables, result.chi2_final, result.dof, report.errors, options.elevation or "hinge")
-        if explanation.trials or "contacts.csv" not in report.tags:  # the mounting of a sonar is not tried
-            report.explained = explanation
+            tables = read_tables(mission.path)[0]
+            explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")
+        if explanation.trials or "contacts.csv" not in mission.tags:  # the mounting of a sonar is not tried
+            mission.explained = explanation
 
 
 def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace) -> list[str]:

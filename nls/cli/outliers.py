@@ -1,4 +1,4 @@
-"""``nls solve --robust gnc-tls``: the graph without wrong measurements, and what table and report say of them."""
+"""Wrong loop closures and contacts: which are left out of a graph, and what ``nls solve`` says of them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from factors import RangeAzimuth
+from nls.cli.formats import mission_of
+
 if TYPE_CHECKING:
+    from factors.base import Factor
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.optimizers import Result
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["record", "without_rejected"]
+__all__ = ["choice_of", "record", "without_rejected"]
 
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 NUMBERS = ("count", "total", "number", "meters", "radians", "sigmas")  # of a doubt
+OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that nothing verifies
 
 
 def is_gnc(robust: str | None) -> bool:
@@ -37,7 +43,6 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     import nls
     from models.options import did_you_mean
     from nls.cli.choices import GNC, PROBABILITIES
-    from nls.cli.wrong_contacts import contacts_of
     from nls.posegraph import closures
     from nls.robust.kernels import LOSSES
 
@@ -57,6 +62,48 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     return nls.gnc(graph, values, loss, probability, [*contacts, *(factor for factor, mask in masks if mask.all())])
 
 
+def contacts_of(graph: FactorGraph) -> list[Factor]:
+    """The contacts of a mission."""
+    return [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+
+
+def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
+    """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
+
+    All are believed where `nls.robust.misfit` finds nothing. They are believed with a note where a calibration explains
+    most of the misfit. The same holds where the choice is doubtful or cannot be made.
+
+    Parameters
+    ----------
+    graph, values, report : of the mission, its start by dead reckoning.
+    result : with all contacts, without robust kernels.
+    """
+    contacts = contacts_of(graph)
+    if report.format != "mission" or not contacts:
+        return None
+    import nls
+    from models.errors import UnderconstrainedError
+    from nls.analysis.calibrations import calibrations
+    from nls.explanation.causes import calibrated
+    from nls.robust.misfit import misfit
+
+    if not misfit(result, contacts):
+        return None
+    kept = "all contacts are kept, though some do not fit"
+    if result.converged and (wrong := calibrated(calibrations(graph, result.values))):
+        report.notes.append(f"{kept}: {wrong[0].says}")
+        return None
+    try:
+        choice = nls.gnc(graph, values, doubted=contacts)
+    except UnderconstrainedError as error:
+        report.notes.append(f"{kept}: without contacts, which are judged along dead reckoning, {error.message}")
+        return None
+    if choice.doubts:
+        report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")
+        return None
+    return choice
+
+
 def record(choice: Robustified) -> dict[str, Any]:
     """For programs."""
     return {
@@ -73,13 +120,7 @@ def record(choice: Robustified) -> dict[str, Any]:
             for d in choice.doubts
         ],
         "unverified": [
-            {
-                "factors": list(group.names),
-                "redundancy": group.redundancy,
-                "meters": group.meters,
-                "rms": group.rms,
-                "sigmas": group.sigmas,
-            }
+            {"factors": list(group.names)} | {name: getattr(group, name) for name in OF_GROUP}
             for group in choice.unverified
         ],
     }
@@ -107,13 +148,11 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
 
     The given report stays that of the whole graph; both have one list of notes.
     """
-    from nls.io.mission import DivesReport
-
     masks = [weight > 0 for weight in choice.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
-    if isinstance(report, DivesReport):
-        of_dive = zip(report.dive_of, masks, strict=True)
-        report = replace(report, dive_of=[name for name, mask in of_dive if mask.any()])
+    if (mission := mission_of(report)) and mission.dive_of:
+        of_dive = zip(mission.dive_of, masks, strict=True)
+        report = replace(mission, dive_of=[name for name, mask in of_dive if mask.any()])
     known = {id(statement.noise): statement for statement in report.statements}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
     factor_times = [
@@ -141,9 +180,3 @@ def without_left(values: Values, kept: Values) -> Values:
         there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
         stacks.append(stack if there.all() else Stack(stack.kind, stack.manifold, stack.X[there], stack.numbers[there]))
     return Values.of(stacks)
-
-
-def left_out(choice: Robustified, output: str | None) -> list[str]:
-    """The note on what the output does not hold."""
-    count = len(choice.rejected)
-    return [f"{output} holds the graph without the {count} rejected measurements"] if output and count else []

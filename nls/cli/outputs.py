@@ -28,14 +28,14 @@ def complain(problem: object) -> None:
     print("\n".join([f"nls: {' '.join(message.split())}", *advice]), file=sys.stderr)
 
 
-def refuse_unwritable(names: Mapping[str, str | None], read: str = "") -> None:
+def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
     """Find out before the work, not after it, that an output cannot be written.
 
     Parameters
     ----------
     names : of files by option; None for one that is not asked for. That of ``--json`` may be ``-``: standard output.
         That of ``-o`` comes first; it alone may replace what is read.
-    read : the input, a file, the folder of a mission or ``-``.
+    read : the inputs, each a file, the folder of a mission or ``-``.
 
     Raises
     ------
@@ -45,9 +45,10 @@ def refuse_unwritable(names: Mapping[str, str | None], read: str = "") -> None:
     from nls.io.files import descriptor, names_folder
 
     identities: set[object] = set()
+    inputs = set().union(*map(_inputs, read))
     for option, name in names.items():
-        if option != "-o" and read:
-            identities |= _inputs(read)
+        if option != "-o":
+            identities |= inputs
         if name is None or (option == "--json" and name == "-"):
             continue
         if name == "-":
@@ -61,7 +62,7 @@ def refuse_unwritable(names: Mapping[str, str | None], read: str = "") -> None:
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError(option, name, "a file in a folder that exists, and that you may look into")
         if _identity(name) in identities:
-            same = "this is the input" if read and _identity(name) in _inputs(read) else "another output has this one"
+            same = "this is the input" if _identity(name) in inputs else "another output has this one"
             raise OptionError(option, name, f"another name: {same}")
         special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
         if number is not None:
@@ -120,7 +121,7 @@ def _inputs(read: str) -> set[object]:
     if not os.path.isdir(read):
         return {_identity(read)}
     from nls.io.mission.columns import COLUMNS
-    from nls.io.scan_mission.columns import COLUMNS as OF_SCANS
+    from nls.io.scan_mission import COLUMNS as OF_SCANS
 
     tables = (os.path.join(read, name + end) for name in {*COLUMNS, *OF_SCANS} for end in (".csv", ".csv.gz"))
     return {_identity(read), *(_identity(table) for table in tables if os.path.exists(table))}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from typing import Any, NoReturn
 
 from nls.cli.choices import (
@@ -29,6 +30,7 @@ FILE = (
 )
 OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
 RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
+ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
 ALONE = "turns off thresholds that are not given"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
@@ -132,21 +134,19 @@ def parser() -> Parser:
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(
-        name: str, summary: str, run: Callable[[argparse.Namespace], int], reads_graph: bool = True
-    ) -> argparse.ArgumentParser:
+    def command(name: str, summary: str, module: str = "", reads_graph: bool = True) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
-        added.set_defaults(run=run)
+        added.set_defaults(run=partial(_run, module or name), default_of=added.get_default)
         if reads_graph:
             _input(added)
         else:
             added.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return added
 
-    solve = command("solve", "find the optimum", _solve)
+    solve = command("solve", "find the optimum")
     _dives(solve)
     solve.add_argument(
         "-o",
@@ -156,11 +156,7 @@ def parser() -> Parser:
     )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
-    solve.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
+    solve.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
     solve.add_argument(
         "--crs",
         metavar="CRS",
@@ -215,26 +211,22 @@ def parser() -> Parser:
     how.add_argument("--quiet", action="store_true", help="print nothing but errors")
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
 
-    explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
+    explain = command("explain", "say in plain words what is free, what does not fit, and what helps")
     _dives(explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    explain.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
+    explain.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
     _problem(explain)
     _json(explain)
 
-    _json(command("info", "what is in a file", _info))
+    _json(command("info", "what is in a file"))
 
-    convert = command("convert", "write a graph in another format", _convert)
+    convert = command("convert", "write a graph in another format")
     convert.add_argument("output", metavar="OUT", help="the file to write")
     convert.add_argument("--to", choices=FORMATS, help="format of OUT (default: by its suffix)")
     convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     convert.add_argument("--renumber", action="store_true", help=RENUMBER)
 
-    stream = command("stream", "the optimum at every step, while lines arrive", _stream)
+    stream = command("stream", "the optimum at every step, while lines arrive")
     stream.add_argument(
         "--tol",
         type=float,
@@ -259,7 +251,7 @@ def parser() -> Parser:
         help="file of the state, written every 100 steps; the next run goes on from it (a pickle: load only your own)",
     )
 
-    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, reads_graph=False)
+    evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)
     evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
     evaluate.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
     evaluate.add_argument(
@@ -282,17 +274,17 @@ def parser() -> Parser:
     )
     _json(evaluate)
 
-    plot = command("plot", "draw the graph as it was read", _plot)
+    plot = command("plot", "draw the graph as it was read")
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
 
-    imports = command("import", "make a mission folder of logs", _import, reads_graph=False)
+    imports = command("import", "make a mission folder of logs", "import_logs", reads_graph=False)
     imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
     imports.add_argument(
         "--map", action=Once, metavar="MAPPING.toml", help="meaning of the columns; without it a draft is printed"
     )
     imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
 
-    new = command("new", "write templates of a mission", _new, reads_graph=False)
+    new = command("new", "write templates of a mission", reads_graph=False)
     new.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
     new.add_argument("--map", action="store_true", help="write mapping.toml alone")
     return top
@@ -334,58 +326,6 @@ def _json(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="REPORT.json", help="write the report for programs ('-': standard output)")
 
 
-# Each command is imported when it runs, so that none pays for the others at start-up.
-
-
-def _solve(options: argparse.Namespace) -> int:
-    from nls.cli.solve import solve
-
-    return solve(options)
-
-
-def _explain(options: argparse.Namespace) -> int:
-    from nls.cli.explain import explain
-
-    return explain(options)
-
-
-def _info(options: argparse.Namespace) -> int:
-    from nls.cli.info import info
-
-    return info(options)
-
-
-def _convert(options: argparse.Namespace) -> int:
-    from nls.cli.convert import convert
-
-    return convert(options)
-
-
-def _stream(options: argparse.Namespace) -> int:
-    from nls.cli.stream import stream
-
-    return stream(options)
-
-
-def _evaluate(options: argparse.Namespace) -> int:
-    from nls.cli.evaluate import evaluate
-
-    return evaluate(options)
-
-
-def _plot(options: argparse.Namespace) -> int:
-    from nls.cli.plot import plot
-
-    return plot(options)
-
-
-def _import(options: argparse.Namespace) -> int:
-    from nls.cli.import_ import import_logs
-
-    return import_logs(options)
-
-
-def _new(options: argparse.Namespace) -> int:
-    from nls.cli.new import new
-
-    return new(options)
+def _run(name: str, options: argparse.Namespace) -> int:
+    """Run a command, which is imported only now: none pays for the others at start-up."""
+    return int(getattr(import_module(f"nls.cli.{name}"), name)(options))

@@ -5,15 +5,13 @@ from __future__ import annotations
 import shlex
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nls.cli.timing import rows
 
 if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
-    from nls.cli.mission import Solved
-    from nls.cli.solved_scans import SolvedScans
     from nls.optimizers import Result
 
 
@@ -27,7 +25,6 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
     path : of the page.
     """
     import nls
-    from nls.cli.doubtful import reasons
     from nls.cli.explain import explanation_of, with_tables
     from nls.io.files import write_bytes
     from nls.optimizers import Result
@@ -51,11 +48,11 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
         marginals=None if solved is None else solved.marginals,
         certificate=job.certificate,
         rejected=() if choice is None else choice.rejected,
-        doubts=reasons(job) if isinstance(result, Result) else (),
+        doubts=job.doubts if isinstance(result, Result) else (),
         facts=_facts(job, result),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
-        pictures={} if solved is None else _pictures(solved),
-        figures={} if solved is None else _error(solved),
+        pictures={} if solved is None else solved.pictures(),
+        figures={} if solved is None else solved.figures(),
         shell=True,
     )
     write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
@@ -64,10 +61,8 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
 def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
     """Where the solution comes from, by name."""
     import nls
-    from nls.cli.mission import Solved, of_tables
 
     options, report = job.options, job.report
-    unchecked = of_tables(job.solved.unchecked) if isinstance(job.solved, Solved) else ""
     facts = {
         "file": report.path,
         "format": f"{report.format}, {report.dimension}",
@@ -78,32 +73,8 @@ def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
         "linear solver": getattr(result, "linear_solver", ""),
         "robust kernel": options.robust or "",
         "held": ", ".join(f"all {kind}" for kind in options.hold),
-        "unchecked": unchecked,
+        **({} if job.solved is None else job.solved.facts()),
         "notes": "; ".join(report.notes),
         "version": f"leadline {nls.__version__}",
     }
     return {name: fact for name, fact in facts.items() if fact}
-
-
-def _error(solved: Solved | SolvedScans) -> dict[str, str]:
-    """Of positions against the truth of a map from scans, rmse, before and after."""
-    from nls.cli.mission import Solved
-
-    if isinstance(solved, Solved) or not solved.errors:
-        return {}
-    return {"ATE": f"{solved.errors['dead_reckoning'].rmse:.3g} → {solved.errors['solution'].rmse:.3g} m"}
-
-
-def _pictures(solved: Solved | SolvedScans) -> dict[str, Any]:
-    """The track of a mission, and its landmarks; of scans the map."""
-    from nls.cli.mission import Solved
-    from nls.plot.mission import landmark_map, track
-
-    if not isinstance(solved, Solved):
-        return {"The map": solved.picture()}
-    truth = solved.report.truth
-    shown = {"The track": track(solved.values, solved.dead, truth, solved.marginals, solved.tracks)}
-    if solved.contacts and solved.report.sonar is not None:
-        aperture = solved.report.sonar.aperture
-        shown["The landmarks"] = landmark_map(solved.values, solved.elevations, truth, aperture)
-    return shown

@@ -7,6 +7,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from nls.cli.formats import mission_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ def solve(options: argparse.Namespace) -> int:
     if job.select is None:
         _optimize(job)
     else:
-        _close(job)
+        from nls.cli.scan_mission import close_loops
+
+        close_loops(job)
     if options.improve:
         _improve(job)
     _write(job)
@@ -52,8 +55,7 @@ def _checked(options: argparse.Namespace) -> Job:
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}
     output_files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
-    for file in (options.file, *options.dives):
-        refuse_unwritable(output_files, file)
+    refuse_unwritable(output_files, options.file, *options.dives)
     if mission:
         from nls.cli.scan_mission import selection_of
 
@@ -107,7 +109,7 @@ def _read(job: Job) -> None:
     options = job.options
     with collected() as job.stages:
         job.as_read, job.values, job.report = formats.read(options)
-        job.judge_contacts = not believes_all(options, job.report)
+        believes_all(options, job.report)
         if job.form and job.form != job.report.format:
             refuse_loss("-o", options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
@@ -145,8 +147,8 @@ def _take(job: Job, choice: Robustified, name: str) -> None:
     job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.values = outliers.without_left(job.values, choice.result.values)
-    if job.form:
-        job.report.notes += outliers.left_out(choice, job.options.output)
+    if job.form and (count := len(choice.rejected)):
+        job.report.notes.append(f"{job.options.output} holds the graph without the {count} rejected measurements")
     job.starts = {job.init: choice.result.chi2_final}
 
 
@@ -180,10 +182,11 @@ def _check_graph(job: Job) -> None:
 def _optimize(job: Job) -> None:
     """The optimum, of a mission without wrong contacts where that of all says that some are wrong."""
     from nls.cli.hint import explain_misfit
-    from nls.cli.wrong_contacts import choice_of
+    from nls.cli.outliers import choice_of
 
     _find_optimum(job)
-    judges = job.judge_contacts and job.options.robust is None and job.options.sigmas == "stated"
+    options = job.options
+    judges = not options.all_contacts and options.robust is None and options.sigmas == "stated"
     if judges and (choice := choice_of(job.graph, job.values, job.result, job.report)) is not None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
@@ -196,7 +199,6 @@ def _optimize(job: Job) -> None:
 def _find_optimum(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
-    from nls.cli.doubtful import by_file
     from nls.cli.progress import Progress
     from nls.cli.solve_outputs import write_free
 
@@ -208,17 +210,20 @@ def _find_optimum(job: Job) -> None:
                 _estimate(job, _optimizer(job, progress))
             else:
                 job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
-            job.result = by_file(job, job.result)
+            _name_tables(job)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
 
 
-def _close(job: Job) -> None:
-    """The map from scans."""
-    from nls.cli.scan_mission import close_loops
+def _name_tables(job: Job) -> None:
+    """Of a mission under a kernel, say what is ignored by the file of every table."""
+    from nls.optimizers.fit import shares
 
-    close_loops(job)
+    if job.result.shares and (mission := mission_of(job.report)):
+        factors = job.graph.factors
+        names = [f"{factor.name} ({table})" for factor, table in zip(factors, mission.tables, strict=True)]
+        job.result.shares = shares(factors, job.result.values, names)
 
 
 def _estimate(job: Job, optimizer: Optimizer) -> None:
@@ -259,15 +264,13 @@ def _improve(job: Job) -> None:
 
 def _write(job: Job) -> None:
     """Every output but the reports."""
-    from nls.cli.doubtful import marks
     from nls.cli.solve_outputs import write_outputs
 
     if job.report.format == "mission":
-        from nls.cli.dives import solution_of
+        from nls.cli.dives import SolvedDives
+        from nls.cli.solved_mission import SolvedMission
 
-        job.solved = solution_of(job)
-    if job.solved is not None:
-        job.solved.doubts += marks(job)
+        job.solved = (SolvedDives if job.options.dives else SolvedMission)(job)
     write_outputs(job)
     job.clock.lap("write")
 
@@ -317,6 +320,7 @@ def _report(job: Job) -> None:
         rows = [] if job.choice is None else outliers.rows(job.choice, options.robust is not None)
         rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
         rows += [] if job.certificate is None else certificate.rows(job.certificate, job.refuted)
+        rows += [] if job.solved is None else job.solved.lines(record[job.solved.name])
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 
@@ -324,7 +328,6 @@ def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
     from nls.cli import certificate
-    from nls.cli.doubtful import reasons
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -335,7 +338,7 @@ def _status(job: Job) -> int:
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
         print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
-    doubts = [] if options.allow_doubtful or refuted else reasons(job)
+    doubts = [] if options.allow_doubtful or refuted else job.doubts
     if doubts and (result.converged or allowed):
         print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
     for failure in job.failed:

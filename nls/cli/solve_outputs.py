@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from nls.cli.formats import mission_of
 from nls.cli.outputs import complain, write_json
 
 if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
-    from nls.cli.job import Job
+    from nls.cli.job import Content, Job
 
 
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
@@ -30,23 +32,38 @@ def write_outputs(job: Job) -> None:
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
     from models.errors import GraphFileError
-    from nls.cli.dives import outputs_of
-    from nls.cli.mission import Solved
-    from nls.io.files import new_folder, write_bytes
+    from nls.io.files import new_folder
 
     try:
         with new_folder(options.output):
-            solved, folder = job.solved, options.output
-            files = outputs_of(solved, folder) if isinstance(solved, Solved) else solved.outputs(folder)
-            mark, text = Path(folder, MARK), "".join(f"{reason}\n" for reason in solved.doubts).encode()
+            files, text = job.solved.files(), "".join(f"{reason}\n" for reason in job.solved.doubts).encode()
             if text:
-                files.append((lambda path: write_bytes(path, text), str(mark)))
+                files[MARK] = lambda: text
             else:
-                mark.unlink(missing_ok=True)  # of another solution
-            attempt(job, files)
+                Path(options.output, MARK).unlink(missing_ok=True)  # of another solution
+            folder = options.output
+            attempt(job, [(partial(_write_file, job, make), str(Path(folder, name))) for name, make in files.items()])
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)
+
+
+def _write_file(job: Job, make: Content, path: str) -> None:
+    """Write a file of a solution, in a folder that is made where it is missing."""
+    from nls.io.files import write_bytes
+
+    content = make()
+    Path(path).parent.mkdir(exist_ok=True)
+    if isinstance(content, bytes):
+        write_bytes(path, content)
+    else:
+        _write_picture(job, content, path)
+
+
+def _write_picture(job: Job, figure: Any, path: str) -> None:
+    from nls.plot.picture import write_picture
+
+    write_picture(path, figure, job.marks)
 
 
 def _optimum(job: Job, path: str) -> None:
@@ -60,29 +77,22 @@ def _optimum(job: Job, path: str) -> None:
 
 def _covariance(job: Job, path: str) -> None:
     from nls import Marginals
-    from nls.io.mission import MissionReport
     from nls.io.table import write_covariances
 
     marginals = None if job.solved is None else job.solved.marginals
     if marginals is None:
         marginals = Marginals(job.graph, job.result.values, job.solver, job.options.gauge)
-    unmeasured = job.report.unmeasured if isinstance(job.report, MissionReport) else ()
-    write_covariances(path, marginals, unmeasured=unmeasured)
+    mission = mission_of(job.report)
+    write_covariances(path, marginals, unmeasured=mission.unmeasured if mission else ())
 
 
 def _plot(job: Job, path: str) -> None:
-    from nls.cli.doubtful import marks
-    from nls.cli.plot import drawings
-    from nls.cli.solved_scans import SolvedScans
     from nls.io.files import title_of
-    from nls.plot.picture import write_picture
+    from nls.plot import before_after
 
-    if isinstance(job.solved, SolvedScans):
-        job.solved.draw(path)
-        return
-    _, before_after = drawings(job.report)
-    figure = before_after(job.graph, job.before, job.result, title=title_of(job.report.path))
-    write_picture(path, figure, marks(job))
+    title = title_of(job.report.path)
+    figure = job.solved.picture() if job.solved else before_after(job.graph, job.before, job.result, title)
+    _write_picture(job, figure, path)
 
 
 def attempt(job: Job, outputs: Sequence[Output]) -> None:

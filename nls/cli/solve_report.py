@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from nls.cli.formats import mission_of
+
 if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.io import LoadReport
@@ -19,7 +21,6 @@ FAR = 5.0  # sigmas of a calibration before the measurements
 def record_of(job: Job) -> dict[str, Any]:
     """The report for programs, without the names of the files that are written."""
     import nls
-    from nls.cli.doubtful import reasons
     from nls.cli.hint import doubts, gnc_applies, separate_parts
     from nls.cli.timing import peak_rss_mb
 
@@ -51,7 +52,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "ratio": result.ratio,
         "doubt": result.doubt,
         "ignored": [{"table": s.name, "ignored": s.ignored, "total": s.total} for s in result.shares],
-        "doubtful": reasons(job),
+        "doubtful": job.doubts,
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
@@ -74,14 +75,12 @@ def record_of(job: Job) -> dict[str, Any]:
 
 def _findings(report: LoadReport) -> dict[str, Any]:
     """What is implausible in the tables of a mission."""
-    if report.format != "mission":
+    if (mission := mission_of(report)) is None:
         return {}
-    from nls.io.mission import MissionReport
     from nls.io.mission.checks.words import record
 
-    assert isinstance(report, MissionReport)
-    explained = report.explained and record(report.explained)
-    return {"findings": [record(finding) for finding in report.findings], "explained": explained}
+    explained = mission.explained and record(mission.explained)
+    return {"findings": [record(finding) for finding in mission.findings], "explained": explained}
 
 
 def _doubt(report: dict[str, Any]) -> str:
@@ -114,7 +113,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     Parameters
     ----------
     report, result : of the run.
-    findings : rows of a choice and of a certificate.
+    findings : rows of a choice, of a certificate and of a solved mission.
     warned : notes that were printed already.
     verbose : whether iterations and seconds follow.
     """
@@ -142,14 +141,6 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         *(f"method      {remark}" for remark in result.remarks),
         *findings,
     ]
-    if "mission" in report:
-        from nls.cli.mission import lines as worth
-
-        lines += worth(report["mission"])
-    if "scans" in report:
-        from nls.cli.scan_mission import lines as mapped
-
-        lines += mapped(report["scans"])
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from models.geodesy import LocalPlane
 from nls.covariance import Marginals
 from nls.covariance.ellipse import outlines
 from nls.io.mission.report import MissionReport
-from nls.io.mission.results import determined, landmark_covariances
+from nls.io.mission.results import covariances, landmark_covariances
 from nls.io.mission.solution import Elevations
 from nls.values import Values
 
@@ -86,6 +87,14 @@ class Chart:
         at = np.searchsorted(way, np.linspace(0, way[-1], ELLIPSES))
         return np.unique(np.append(at, len(way) - 1))
 
+    @property
+    def ellipses(self) -> Iterator[tuple[str, int, Array]]:
+        """The 95 % ellipses: what each is of, its number and its outline (48, 2), m; of the track at its intervals."""
+        for points, rows in ((self.track, self.intervals), *((p, np.arange(len(p.p))) for p in self.points)):
+            rows, outlines_of_rows = points.ellipses(rows)
+            for number, outline in zip(points.numbers[rows].tolist(), outlines_of_rows, strict=True):
+                yield points.name, number, outline
+
 
 def chart_of(
     values: Values, marginals: Marginals | None, report: MissionReport, elevations: Elevations | None = None
@@ -129,14 +138,8 @@ def _bottom(p: Array, times: Array | None, soundings: Array | None) -> Array:
 
 def _covariances(values: Values, marginals: Marginals | None, kind: str, elevations: Elevations | None) -> Array:
     """Covariances (n, 3, 3) of positions, nan where there are none."""
-    stack = values.stack(kind)
-    Sigma = np.full((len(stack), 3, 3), np.nan)
-    if marginals is None:
-        return Sigma
-    known = determined(marginals, Kind(kind), stack.numbers)
-    if known.any():
-        Sigma[known] = marginals.covariance(Keys(kind, stack.numbers[known]), view="position")
-    if kind == "l" and elevations is not None:
-        rows = stack.index(Keys(kind, elevations.landmarks))
+    Sigma = covariances(values, marginals, Kind(kind), "position")
+    if marginals is not None and kind == "l" and elevations is not None:
+        rows = values.stack(kind).index(Keys(kind, elevations.landmarks))
         Sigma[rows] = landmark_covariances(marginals, elevations)
     return Sigma

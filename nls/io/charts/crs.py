@@ -16,7 +16,6 @@ import numpy as np
 from models.algebra import Array
 from models.errors import OptionError
 from models.geodesy import LocalPlane
-from nls.io.mission.results import Extra
 
 if TYPE_CHECKING:
     from pyproj import Transformer
@@ -102,7 +101,7 @@ def projection(name: str, plane: LocalPlane | None) -> Projection:
 
 def extra(
     p: Array, plane: LocalPlane | None, projection: Projection | None = None, times: Array | None = None
-) -> Extra:
+) -> dict[str, Array]:
     """Columns of a table for positions (n, 3) in the local frame.
 
     Parameters
@@ -117,7 +116,7 @@ def extra(
         columns["lat_deg"], columns["lon_deg"] = (np.round(c, DECIMALS) for c in near(plane, p))
     if projection is not None and projection.plane is not None:
         columns["easting_m"], columns["northing_m"] = np.round(projection.east_north(p), MILLIMETERS).T
-    return Extra(tuple(columns), np.column_stack(list(columns.values()))) if columns else Extra()
+    return columns
 
 
 def near(plane: LocalPlane, p: Array) -> tuple[Array, Array]:

@@ -44,11 +44,9 @@ def geojson_text(chart: Chart) -> bytes:
         for place, (number, sigma) in zip(positions(plane, points.p), _rows(points), strict=True):
             about = {"kind": points.name, "number": number, "depth_m": -place[2], **_named(sigma)}
             features.append(_feature("Point", place, about))
-    for points, rows in ((track, chart.intervals), *((p, np.arange(len(p.p))) for p in chart.points)):
-        rows, outline = points.ellipses(rows)
-        for number, ring in zip(points.numbers[rows].tolist(), outline, strict=True):
-            about = {"kind": "ellipse", "of": points.name, "number": number, "probability": 0.95}
-            features.append(_feature("Polygon", [positions(plane, _counterclockwise(ring))], about))
+    for name, number, ring in chart.ellipses:
+        about = {"kind": "ellipse", "of": name, "number": number, "probability": 0.95}
+        features.append(_feature("Polygon", [positions(plane, _counterclockwise(ring))], about))
     return (json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False) + "\n").encode()
 
 

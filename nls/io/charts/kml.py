@@ -66,13 +66,11 @@ def _lines(chart: Chart) -> Iterator[str]:
             yield "</Point></Placemark>"
         yield "</Folder>"
     yield "<Folder><name>95 % ellipses</name>"
-    for points, rows in ((chart.track, chart.intervals), *((p, np.arange(len(p.p))) for p in chart.points)):
-        rows, outline = points.ellipses(rows)
-        for number, ring in zip(points.numbers[rows], outline, strict=True):
-            yield f"<Placemark><name>{escape(points.name)} {number}</name><styleUrl>#ellipse</styleUrl>"
-            yield "<Polygon><altitudeMode>clampToGround</altitudeMode><outerBoundaryIs><LinearRing>"
-            yield _coordinates(positions(plane, ring))
-            yield "</LinearRing></outerBoundaryIs></Polygon></Placemark>"
+    for name, number, ring in chart.ellipses:
+        yield f"<Placemark><name>{escape(name)} {number}</name><styleUrl>#ellipse</styleUrl>"
+        yield "<Polygon><altitudeMode>clampToGround</altitudeMode><outerBoundaryIs><LinearRing>"
+        yield _coordinates(positions(plane, ring))
+        yield "</LinearRing></outerBoundaryIs></Polygon></Placemark>"
     yield "</Folder></Document></kml>"
 
 

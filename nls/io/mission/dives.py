@@ -61,16 +61,14 @@ class Dive:
 
 @dataclass
 class DivesReport(MissionReport):
-    """The report of several missions as one.
+    """The report of several missions as one; a closure between dives is of the one that saw it.
 
     Attributes
     ----------
     dives : in the order they were given.
-    dive_of : the name of the dive that each factor is of; a closure between dives is of the one that saw it.
     """
 
     dives: list[Dive] = field(default_factory=list)
-    dive_of: list[str] = field(default_factory=list, repr=False)
 
 
 def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple[FactorGraph, Values, DivesReport]:

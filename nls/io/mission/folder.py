@@ -40,11 +40,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     GraphFileError
         No mission, or not all of one; a file that is not the table its name says.
     """
-    path = Path(folder)
-    try:
-        names = sorted(os.listdir(path))
-    except OSError as error:
-        raise unreadable(folder, error) from error
+    path, names = Path(folder), names_in(folder)
     files: dict[str, Path] = {}
     other_files = []
     for name in names:
@@ -65,6 +61,20 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     if ignored_files := [name for name in other_files if name not in tabular and name not in NOT_MISSED]:
         report.notes.append(f"not read: {_listed(ignored_files)}")
     return tables, report
+
+
+def names_in(folder: str | Path) -> list[str]:
+    """The names of the files in a folder, sorted.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read.
+    """
+    try:
+        return sorted(os.listdir(folder))
+    except OSError as error:
+        raise unreadable(folder, error) from error
 
 
 def report_of(folder: str | Path, tables: dict[str, Table]) -> MissionReport:

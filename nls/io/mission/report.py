@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.algebra import Array
@@ -36,6 +37,7 @@ class MissionReport(LoadReport):
     explained : what explains chi2 where it was implausible; None where it was not asked.
     errors : of whole tables at the optimum, as `nls.io.mission.checks.table_errors` has them.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
+    dive_of : the name of the dive that each factor is of; empty for one mission.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
 
@@ -52,6 +54,13 @@ class MissionReport(LoadReport):
     findings: list[Implausible] = field(default_factory=list)
     explained: Explained | None = None
     errors: list[TableError] = field(default_factory=list)
+    dive_of: list[str] = field(default_factory=list, repr=False)
+
+    @property
+    def tables(self) -> list[str]:
+        """The file that each factor is from, such as ``fixes.csv``; of several dives with the name of the dive."""
+        files = [Path(source.path).name for source in self.sources]
+        return [f"{dive}/{file}" for dive, file in zip(self.dive_of, files, strict=True)] if self.dive_of else files
 
     @property
     def anchored(self) -> bool:

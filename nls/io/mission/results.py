@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from nls.io.mission.table import csv_text
 from nls.io.table import EMPTY
 from nls.values import Values
 
-__all__ = ["MAP", "TRAJECTORY", "Extra", "beacons_text", "calibration_text", "map_text", "trajectory_text"]
+__all__ = ["MAP", "TRAJECTORY", "beacons_text", "calibration_text", "map_text", "trajectory_text"]
 
 x, l, b = kinds("x", "l", "b")
 TRAJECTORY = (*POSE, *suffixed(POSE[1:]))
@@ -30,32 +29,12 @@ MAP = (
 )
 
 
-@dataclass(frozen=True)
-class Extra:
-    """Columns that a mission adds to the files: times, and coordinates on the Earth.
-
-    Attributes
-    ----------
-    names : of the columns.
-    numbers : (n, k) in the order of the rows.
-    """
-
-    names: tuple[str, ...] = ()
-    numbers: Array | None = None
-
-    def columns(self) -> tuple[Array, ...]:
-        return () if self.numbers is None else (self.numbers,)
-
-
-NOTHING = Extra()
-
-
 def trajectory_text(
-    values: Values, marginals: Marginals | None, extra: Extra = NOTHING, unmeasured: Collection[str] = ()
+    values: Values, marginals: Marginals | None, extra: Mapping[str, Array] = {}, unmeasured: Collection[str] = ()
 ) -> bytes:
     """trajectory.csv: the Euler 6-vector of every pose and its standard deviations, empty where a pose has none.
 
-    Both are empty in the columns that nothing measures.
+    Both are empty in the columns that nothing measures. Extra columns are times and coordinates on the Earth.
 
     Raises
     ------
@@ -63,36 +42,39 @@ def trajectory_text(
         A pose at gimbal lock.
     """
     stack = values.stack("x")
-    sigmas = np.full((len(stack), 6), np.nan)
-    if marginals is not None and (known := determined(marginals, x, stack.numbers)).any():
-        Sigma = marginals.covariance(x[stack.numbers[known]], view="euler")
-        sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
-    state = np.hstack([euler.from_se3(stack.X), sigmas])
+    state = np.hstack([euler.from_se3(stack.X), _sigmas(covariances(values, marginals, x, "euler"))])
     state[:, [name.split("_")[0] in unmeasured for name in POSE[1:]] * 2] = np.nan
-    return csv_text((*TRAJECTORY, *extra.names), stack.numbers, _or_empty(state), *extra.columns())
+    return csv_text((*TRAJECTORY, *extra), stack.numbers, or_empty(state), *extra.values())
 
 
-def beacons_text(values: Values, marginals: Marginals | None, extra: Extra = NOTHING) -> bytes:
+def beacons_text(values: Values, marginals: Marginals | None, extra: Mapping[str, Array] = {}) -> bytes:
     """beacons.csv: the estimated beacons ``b``, with the columns of the file of a mission."""
-    stack = values.stack("b")
-    sigmas = np.full((len(stack), 3), np.nan)
-    if marginals is not None and (known := determined(marginals, b, stack.numbers)).any():
-        Sigma = marginals.covariance(b[stack.numbers[known]])
-        sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
-    names = ("beacon", *PLACE, *suffixed(PLACE), *extra.names)
-    return csv_text(names, stack.numbers, np.asarray(stack.X), _or_empty(sigmas), *extra.columns())
+    stack, sigmas = values.stack("b"), _sigmas(covariances(values, marginals, b))
+    names = ("beacon", *PLACE, *suffixed(PLACE), *extra)
+    return csv_text(names, stack.numbers, np.asarray(stack.X), or_empty(sigmas), *extra.values())
 
 
 def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
     """calibration.csv: the estimated calibrations and their standard deviations, as in the file of a mission."""
     names = [name for name in values.stacks if name in NAMES]
-    sigmas = np.full((len(names), 1), np.nan)
-    for row, kind in enumerate(map(Kind, names)):
-        first = values.stack(kind).numbers[:1]
-        if marginals is not None and determined(marginals, kind, first).all():
-            sigmas[row] = np.sqrt(marginals.covariance(kind[int(first[0])])[0, 0])
     numbers = np.array([[float(values.stack(name).X[0, 0])] for name in names])
-    return csv_text(COLUMNS["calibration"], names, numbers, _or_empty(sigmas))
+    sigmas = np.array([_sigmas(covariances(values, marginals, Kind(name)))[0] for name in names])
+    return csv_text(COLUMNS["calibration"], names, numbers, or_empty(sigmas))
+
+
+def covariances(values: Values, marginals: Marginals | None, kind: Kind, view: str | None = None) -> Array:
+    """Covariances (n, k, k) of the variables of a kind, nan where there are none; view as for `nls.Marginals`."""
+    stack = values.stack(kind)
+    size = 3 if view == "position" else stack.manifold.dim
+    Sigma = np.full((len(stack), size, size), np.nan)
+    if marginals is not None and (known := determined(marginals, kind, stack.numbers)).any():
+        Sigma[known] = marginals.covariance(kind[stack.numbers[known]], view=view)
+    return Sigma
+
+
+def _sigmas(Sigma: Array) -> Array:
+    """Standard deviations (n, k), nan where there are none."""
+    return np.asarray(np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2)))
 
 
 def determined(marginals: Marginals, kind: Kind, numbers: Numbers) -> Mask:
@@ -107,7 +89,9 @@ def undetermined(marginals: Marginals, kind: Kind) -> Keys:
     return kind[numbers[~determined(marginals, kind, numbers)]]
 
 
-def map_text(values: Values, marginals: Marginals | None, elevations: Elevations, extra: Extra = NOTHING) -> bytes:
+def map_text(
+    values: Values, marginals: Marginals | None, elevations: Elevations, extra: Mapping[str, Array] = {}
+) -> bytes:
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
     The elevation is the one in the frame of the sonar at the first view; at_limit is 1 where a hinge pushes it back
@@ -118,14 +102,14 @@ def map_text(values: Values, marginals: Marginals | None, elevations: Elevations
     if marginals is not None:
         Sigma = landmark_covariances(marginals, elevations)[:, *UPPER]
     return csv_text(
-        (*MAP, *extra.names),
-        *(elevations.landmarks, values[l[elevations.landmarks]], _or_empty(Sigma), elevations.views, elevations.poses),
-        *(elevations.elevation[:, None], _or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
+        (*MAP, *extra),
+        *(elevations.landmarks, values[l[elevations.landmarks]], or_empty(Sigma), elevations.views, elevations.poses),
+        *(elevations.elevation[:, None], or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
         [
             "" if np.isnan(sigma) else str(int(m))
             for sigma, m in zip(elevations.sigma, elevations.mirrored, strict=True)
         ],
-        *extra.columns(),
+        *extra.values(),
     )
 
 
@@ -139,6 +123,6 @@ def landmark_covariances(marginals: Marginals, elevations: Elevations) -> Array:
     return Sigma
 
 
-def _or_empty(rows: Array) -> list[list[str]]:
+def or_empty(rows: Array) -> list[list[str]]:
     """Cells, empty where a number is not known."""
     return [["" if np.isnan(number) else repr(number) for number in row] for row in rows.tolist()]

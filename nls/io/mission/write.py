@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,20 @@ from models.algebra import Array, Numbers
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
-from nls.io.mission.columns import COLUMNS, COMPASS, TRACK
-from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
-from nls.io.mission.table import csv_text
-from nls.io.mission.write_positions import positioned, positioned_files, positioned_poses
+from nls.io.mission.columns import COLUMNS, COMPASS, CONTACT, LEVEL, PLACE, POSE, TILT, TRACK
+from nls.io.mission.statements import (
+    Columns,
+    columns_of,
+    joined,
+    measured,
+    measured_numbers,
+    no_file,
+    positioned,
+    positioned_rows,
+    standard_deviations,
+    stated,
+    table_text,
+)
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -27,8 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["mission_files", "refuse_mixed", "write_mission"]
 
-Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
-MEASURED = {"odometry": ("x", "y", "yaw"), "zpr": ("z", "pitch", "roll"), "contacts": ("range", "azimuth")}
+MEASURED = {"odometry": (("i", "j"), LEVEL), "zpr": (("i",), TILT), "contacts": (("i", "landmark"), CONTACT)}
 
 
 def write_mission(
@@ -113,7 +122,7 @@ def mission_files(
 ) -> dict[str, bytes]:
     """The files `write_mission` writes, by name; parameters and errors as there."""
     mount = SE3.identity()[0] if offset is None else SE3.stack(offset)[0]
-    rows: dict[str, list[Rows]] = {}
+    rows: dict[str, list[Columns]] = {}
     factors = [factor for factor in graph.factors if len(factor)]  # what measures nothing needs no file
     if held := [keys for keys in graph.fixed if len(keys)]:
         first = next(iter(held[0]))
@@ -122,44 +131,35 @@ def mission_files(
             "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
             [first],
         )
-    tables = positioned_files(factors)
-    positioned_at, of_tables = positioned_poses(factors), positioned(factors)
+    of_tables = positioned(factors)
+    tables = positioned_rows(factors, of_tables)
     factors = [factor for k, factor in enumerate(factors) if k not in of_tables]
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
-            numbers = [keys.numbers for keys in factor.keys]
-            rows.setdefault(name, []).append(
-                (*numbers, measured_numbers(factor), standard_deviations(factor, MEASURED[name]))
-            )
+            rows.setdefault(name, []).append(measured(factor, *MEASURED[name]))
     anchors, compass = _anchors(factors)
     if anchors:
         rows["anchor"] = anchors
     if sonar is not None:
         rows["sonar"] = [_sonar(sonar, mount)]
-    for name, kind in (("truth", "x"), ("landmarks", "l")):
+    for name, kind, number, names in (("truth", "x", "i", POSE[1:]), ("landmarks", "l", "landmark", PLACE)):
         if truth is not None and kind in truth.stacks:
             X = np.asarray(truth.stack(kind).X)
-            rows[name] = [(truth.stack(kind).numbers, euler.from_se3(X) if kind == "x" else X)]
+            places = columns_of(names, euler.from_se3(X) if kind == "x" else X)
+            rows[name] = [{number: truth.stack(kind).numbers} | places]
     if missing := [name for name in TRACK if name not in rows]:
         raise GraphError(f"write_mission: the graph has no factors for {missing[0]}.csv; a mission needs XYH and ZPR")
     if "contacts" in rows and sonar is None:
         raise GraphError("write_mission: the graph has contacts; give the sonar that saw them")
     if "contacts" not in rows and sonar is not None:
         raise GraphError("write_mission: the graph has no contacts; leave the sonar out")
-    poses = _refuse_stray(rows, positioned_at)
+    poses = _refuse_stray(rows, tables)
     if compass:
-        rows["zpr"] = _with_headings(rows["zpr"], compass)
+        rows["zpr"] = [_with_headings(joined(rows["zpr"]), compass)]
     if times is not None:
         rows["poses"] = [_times(poses, times)]
-    not_written = {"poses": (), "zpr": () if compass else COMPASS}  # columns; the time of all other tables
-    return {
-        f"{name}.csv": csv_text(
-            [column for column in names if column not in not_written.get(name, ("time_s",))],
-            *(np.concatenate(column) for column in zip(*rows[name], strict=True)),
-        )
-        for name, names in COLUMNS.items()
-        if name in rows
-    } | tables
+    ordered = {name: rows[name] for name in COLUMNS if name in rows}
+    return {f"{name}.csv": table_text(name, parts) for name, parts in (ordered | tables).items()}
 
 
 def _file_of(factor: Factor, mount: Array) -> str:
@@ -192,7 +192,7 @@ def _file_of(factor: Factor, mount: Array) -> str:
     )
 
 
-def _refuse_stray(rows: dict[str, list[Rows]], more: dict[str, Numbers]) -> Numbers:
+def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns]]) -> Numbers:
     """Numbers of the poses of the track, rising; refuses what `read_mission` would.
 
     Raises
@@ -200,23 +200,25 @@ def _refuse_stray(rows: dict[str, list[Rows]], more: dict[str, Numbers]) -> Numb
     GraphError
         A pose that is not in the track; two rows for a pose that has one.
     """
-    poses = np.unique(np.concatenate([np.concatenate(row[:2]) for row in rows["odometry"]]))
-    for name in ("zpr", "anchor", "contacts"):
-        ids = np.concatenate([np.asarray(row[0]) for row in rows.get(name, [])] or [poses[:0]])
-        unique_ids, count = np.unique(ids, return_counts=True)
+    poses = np.unique(_poses(rows["odometry"]))
+    for name, parts in ({name: rows.get(name, []) for name in ("zpr", "anchor", "contacts")} | tables).items():
+        unique_ids, count = np.unique(_poses(parts), return_counts=True)
         if len(stray := np.setdiff1d(unique_ids, poses)):
             raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
-        if name != "contacts" and (count > 1).any():
+        if name in ("zpr", "anchor") and (count > 1).any():
             raise GraphError(
                 f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
             )
-    for name, numbers in more.items():
-        if len(stray := np.setdiff1d(numbers, poses)):
-            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
     return poses
 
 
-def _times(poses: Numbers, times: npt.ArrayLike) -> Rows:
+def _poses(rows: list[Columns]) -> Numbers:
+    """Numbers of the poses in the rows of a table."""
+    numbers = [np.asarray(row[column]) for row in rows for column in ("i", "j") if column in row]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
+
+
+def _times(poses: Numbers, times: npt.ArrayLike) -> Columns:
     """The rows of poses.csv, in the order of time."""
     t = np.asarray(times, dtype=float)
     if t.shape != poses.shape or len(np.unique(t)) < len(t):
@@ -224,21 +226,22 @@ def _times(poses: Numbers, times: npt.ArrayLike) -> Rows:
             f"write_mission: times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
         )
     order = np.argsort(t)
-    return poses[order], t[order]
+    return {"i": poses[order], "time_s": t[order]}
 
 
-def _anchors(factors: list[Factor]) -> tuple[list[Rows], list[Heading]]:
+def _anchors(factors: list[Factor]) -> tuple[list[Columns], list[Heading]]:
     """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading; and headings without a position.
 
     Of two headings of the same poses the later one is of the anchor, as `read_mission` adds them.
     """
-    rows: list[Rows] = []
+    rows: list[Columns] = []
     for factor in factors:
         if isinstance(factor, Prior):
             if factor.components != ("x", "y", "yaw") or factor.offset is not None:
                 raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
             z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
-            rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], standard_deviations(factor, ("x", "y", "yaw"))))
+            sigmas = standard_deviations(factor, ("x", "y", "yaw"))
+            rows.append(stated({"i": factor.keys[0].numbers}, LEVEL, z[:, [3, 4, 2]], sigmas))
     headings = [factor for factor in factors if isinstance(factor, Heading)]
     for p in (factor for factor in factors if isinstance(factor, Position)):
         own = [k for k, h in enumerate(headings) if h.keys == p.keys]
@@ -246,11 +249,12 @@ def _anchors(factors: list[Factor]) -> tuple[list[Rows], list[Heading]]:
             raise no_file(p, "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose")
         h = headings.pop(own[-1])
         sigmas = np.hstack([standard_deviations(p, ("x", "y")), standard_deviations(h, ("yaw",))])
-        rows.append((p.keys[0].numbers, np.hstack([measured_numbers(p), measured_numbers(h)]), sigmas))
+        z = np.hstack([measured_numbers(p), measured_numbers(h)])
+        rows.append(stated({"i": p.keys[0].numbers}, LEVEL, z, sigmas))
     return rows, headings
 
 
-def _with_headings(rows: list[Rows], compass: list[Heading]) -> list[Rows]:
+def _with_headings(zpr: dict[str, Any], compass: list[Heading]) -> Columns:
     """The rows of zpr.csv with the headings of a compass.
 
     Raises
@@ -258,10 +262,9 @@ def _with_headings(rows: list[Rows], compass: list[Heading]) -> list[Rows]:
     GraphError
         A pose with a depth has no heading, or several, or one with a heading has no depth.
     """
-    poses, measured = (np.concatenate(column) for column in zip(*((r[0], np.hstack(r[1:])) for r in rows), strict=True))
     numbers = np.concatenate([h.keys[0].numbers for h in compass])
     unique, count = np.unique(numbers, return_counts=True)
-    wrong = [*unique[count > 1], *np.setxor1d(unique, poses)]
+    wrong = [*unique[count > 1], *np.setxor1d(unique, zpr["i"])]
     if wrong:
         h = next((h for h in compass if wrong[0] in h.keys[0].numbers), compass[0])
         raise no_file(
@@ -270,13 +273,14 @@ def _with_headings(rows: list[Rows], compass: list[Heading]) -> list[Rows]:
             "nothing",
         )
     yaw = np.vstack([np.hstack([measured_numbers(h), standard_deviations(h, ("yaw",))]) for h in compass])
-    return [(poses, measured, yaw[np.argsort(numbers)[np.searchsorted(unique, poses)]])]
+    return zpr | columns_of(COMPASS, yaw[np.argsort(numbers)[np.searchsorted(unique, zpr["i"])]])
 
 
-def _sonar(sonar: ImagingSonar, mount: Array) -> Rows:
+def _sonar(sonar: ImagingSonar, mount: Array) -> Columns:
     """The row of sonar.csv."""
     if "\n" in sonar.name:
         raise GraphError(f"write_mission: the name of the sonar, {sonar.name!r}, has more than one line")
     quoted = '"' + sonar.name.replace('"', '""') + '"'
-    numbers = [[sonar.fan, sonar.aperture, *sonar.window, *mount[:3], *euler.from_se3(mount)[:3]]]
-    return [quoted], [sonar.beams], [sonar.bins], np.array(numbers)
+    numbers = [sonar.fan, sonar.aperture, *sonar.window, *mount[:3], *euler.from_se3(mount)[:3]]
+    cells: list[Any] = [quoted, sonar.beams, sonar.bins, *map(float, numbers)]
+    return {column: [cell] for column, cell in zip(COLUMNS["sonar"], cells, strict=True)}

@@ -1,33 +1,107 @@
-"""A folder of keyframes and scans as the graph of its dead reckoning, its points and a report."""
+"""A folder of keyframes and scans: its files, and what is read of them: a graph of dead reckoning, points, a report."""
 
 from __future__ import annotations
 
-import os
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from models.algebra import Array, Numbers
+from models.algebra import Array, Index, Numbers
 from models.errors import GraphFileError
 from models.listing import some
 from nls.graph import FactorGraph
-from nls.io.files import unreadable
-from nls.io.mission.columns import TURNS
+from nls.io.mission.columns import ALONE, LOG, TRACK, TURNS
+from nls.io.mission.folder import names_in
 from nls.io.mission.table import Table
-from nls.io.report import Source
-from nls.io.scan_mission.columns import COLUMNS, NEEDED, OPTIONAL, SETTINGS, file_of
-from nls.io.scan_mission.report import ScanReport, Truth
+from nls.io.report import LoadReport, Source
 from nls.io.scan_mission.settings import Settings, read_settings
 from nls.io.unused_lines import note_comments
-from nls.sonar.scans import Scans, dead_reckoning
+from nls.metrics import TrajectoryError, ate
+from nls.sonar.scans import Drift, Scans, dead_reckoning
 from nls.values import Values
 
-__all__ = ["read_scan_mission"]
+__all__ = ["COLUMNS", "ScanReport", "Truth", "is_scan_mission", "read_scan_mission"]
 
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "keyframes": ("keyframe", "time", "x", "y", "yaw"),
+    "scans": ("keyframe", "range", "azimuth", "intensity"),
+    "truth": ("time", "x", "y", "yaw"),
+}
+OPTIONAL: dict[str, tuple[str, ...]] = {"scans": ("intensity",), "truth": ("yaw",)}
+NEEDED = ("keyframes", "scans")
+SETTINGS = "mission.toml"
+OTHER_MISSIONS = {*TRACK, *LOG, *ALONE} - {"odometry"}  # names of tables that a scan mission does not have
 FAR = 1e9  # m
 RANGE = 1e3  # m: no sonar that makes images of things sees farther
 LEAST = 2  # keyframes: of a track, and within the truth
 NOT_MISSED = (SETTINGS, "graph.npz", "truth.npz")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True poses at the times of keyframes.
+
+    Attributes
+    ----------
+    rows : (m,) of the keyframes that lie within the times of the truth.
+    poses : (m, 3) x, y, m, and yaw, rad; yaw 0 where the file has none.
+    """
+
+    rows: Index
+    poses: Array = field(repr=False)
+
+    def ate(self, poses: Array) -> TrajectoryError:
+        """Absolute trajectory error of keyframes (count, 3) after one rigid motion without scale.
+
+        Raises
+        ------
+        SingularGeometryError
+            All keyframes on one spot.
+        """
+        return ate(poses[self.rows], self.poses, align="rigid")
+
+
+@dataclass
+class ScanReport(LoadReport):
+    """The report of a scan mission; `vertex_times` has the times of its keyframes.
+
+    Attributes
+    ----------
+    numbers : (count,) of the keyframes as in the file; keyframe k of graph and scans is its row, from 0.
+    scans : the points in the frame of the vehicle.
+    intensity : (n,) of the points, in their order; None where the file has none.
+    drift : how wrong dead reckoning is taken to be.
+    truth : None without a file of it.
+    """
+
+    numbers: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64), compare=False, repr=False)
+    scans: Scans = field(default_factory=lambda: Scans(np.zeros((0, 2)), np.zeros(0, dtype=np.intp), 0), compare=False)
+    intensity: Array | None = field(default=None, compare=False, repr=False)
+    drift: Drift = field(default_factory=Drift)
+    truth: Truth | None = field(default=None, compare=False)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Keyframes, scans with points in them, points, and keyframes within the truth."""
+        return {
+            "keyframes": len(self.numbers),
+            "scans": int(self.scans.with_points.sum()),
+            "points": len(self.scans.points),
+            "keyframes_with_truth": 0 if self.truth is None else len(self.truth.rows),
+        }
+
+
+def file_of(folder: str | Path, table: str) -> Path | None:
+    """The file of a table, plain or gzip-compressed; None without one."""
+    names = (Path(folder, f"{table}.csv"), Path(folder, f"{table}.csv.gz"))
+    return next((name for name in names if name.exists()), None)
+
+
+def is_scan_mission(folder: str | Path) -> bool:
+    """Whether a folder holds keyframes and scans, or one of the two and no table of another mission."""
+    present = [file_of(folder, table) is not None for table in NEEDED]
+    return all(present) or (any(present) and not any(file_of(folder, table) for table in OTHER_MISSIONS))
 
 
 def read_scan_mission(folder: str | Path) -> tuple[FactorGraph, Values, Scans, ScanReport]:
@@ -79,10 +153,7 @@ def read_scan_mission(folder: str | Path) -> tuple[FactorGraph, Values, Scans, S
 
 def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanReport]:
     """The tables by name, the settings, and a report that counts rows and names what was not read."""
-    try:
-        names = sorted(os.listdir(folder))
-    except OSError as error:
-        raise unreadable(folder, error) from error
+    names = names_in(folder)
     for name in NEEDED:
         if file_of(folder, name) is None:
             message = f"has no {name}.csv; a scan mission is keyframes.csv and scans.csv"

@@ -6,8 +6,9 @@ import numpy as np
 
 from models.algebra import Array, Numbers
 from nls.io.charts.ply import ply_text
+from nls.io.mission.results import or_empty
 from nls.io.mission.table import csv_text
-from nls.io.scan_mission.report import ScanReport
+from nls.io.scan_mission.read import ScanReport
 from nls.sonar.scans import Matches, Verdict
 from nls.sonar.scans.scans import in_world
 
@@ -39,13 +40,13 @@ def trajectory_text(poses: Array, report: ScanReport, covariance: Array | None) 
     report : with numbers and times of the keyframes.
     covariance : (count, 3, 3) of x, y and yaw along the axes of the world; None without one.
     """
-    cells: list[list[str]] = [[""] * 6] * len(poses)
+    known = np.full((len(poses), 6), np.nan)
     if covariance is not None:
         sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         one = np.where(sigma > 0, sigma, 1.0)
         correlation = (covariance / (one[:, :, None] * one[:, None, :]))[:, [0, 0, 1], [1, 2, 2]]
-        cells = [[repr(number) for number in row] for row in np.column_stack([sigma, correlation]).tolist()]
-    return csv_text(TRAJECTORY, report.numbers, report.vertex_times["x"], poses, cells)
+        known = np.column_stack([sigma, correlation])
+    return csv_text(TRAJECTORY, report.numbers, report.vertex_times["x"], poses, or_empty(known))
 
 
 def map_text(poses: Array, report: ScanReport) -> bytes:

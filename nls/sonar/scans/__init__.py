@@ -3,13 +3,12 @@
 from nls.sonar.scans.closing import Closing, Round, close
 from nls.sonar.scans.dead_reckoning import Drift, dead_reckoning
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matches import Matches
+from nls.sonar.scans.matches import Matches, Verdict
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.online import OnlineClosing
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.setup import Mounting, SetupFinding, SetupKind, check_setup, mounting
 from nls.sonar.scans.submaps import submap
-from nls.sonar.scans.verdicts import Verdict
 
 __all__ = [
     "Closing",

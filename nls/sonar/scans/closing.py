@@ -18,10 +18,8 @@ from nls.metrics.absolute import displacements
 from nls.optimizers import Result
 from nls.robust import gnc
 from nls.sonar.scans import candidates
-from nls.sonar.scans.matches import Matches
+from nls.sonar.scans.matches import Matches, sequential_matches
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.sequential import sequential_matches
-from nls.sonar.scans.windows import windows
 from nls.values import Values
 
 __all__ = ["SELECTIONS", "Closing", "Round", "close"]
@@ -171,8 +169,8 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
     middle = candidates.centers(scans)
     a, b = candidates.pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
-    window = windows(graph, values, i, j) if len(i) else np.zeros((0, 2))
-    return Matches.of(values[x], scans, i, j, window)
+    window = candidates.windows(graph, values, i, j) if len(i) else np.zeros((0, 2))
+    return Matches.around(values[x], scans, i, j, window)
 
 
 def shares(i: Index, j: Index) -> Array:

@@ -29,7 +29,6 @@ from nls.sonar.scans.closing import chosen
 from nls.sonar.scans.dead_reckoning import Drift, Reckoning
 from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.windows import half_widths
 from nls.values import Values
 
 __all__ = ["OnlineClosing"]
@@ -225,7 +224,7 @@ class OnlineClosing:
         j, k = np.full(len(i), newest), np.arange(len(i))
         motion = SE2.between(poses[i], poses[j])
         relative = of_motions(SE2, motion, C[k, k], C[k, -1], C[[-1] * len(i), -1])
-        return Matches.of(poses, scans, i, j, half_widths(relative))
+        return Matches.around(poses, scans, i, j, candidates.half_widths(relative))
 
 
 def _closes(factor: Factor) -> bool:

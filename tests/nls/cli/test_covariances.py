@@ -7,7 +7,7 @@ import numpy as np
 from factors import Between, Isotropic, Range
 from factors.keys import kinds
 from models import SE2
-from nls.cli.covariances import covariances
+from nls.cli.job import covariances
 from nls.graph import FactorGraph
 from nls.linear import QR
 from nls.optimizers import GaussNewton, Stop

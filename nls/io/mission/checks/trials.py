@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,8 @@ BEGINS = {  # of a constant by the end of its name: where it begins, sigma of it
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
-BRIEF = 15  # iterations of one solution, from a dead reckoning that is near where the reading is right
+SOLVED = 12  # of the other readings, those whose dead reckoning fits best
+BRIEF = 10  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
 NORMAL = 1.4826  # standard deviation of normal numbers, over the median of their sizes
@@ -112,17 +114,23 @@ class Mission:
     chi2: float
     dof: int
 
-    def optimum(self, tables: Tables, anywhere: bool = False) -> Fit | None:
-        """The optimum of other tables; None where dead reckoning fits worse than here, or fewer rows count.
+    def optima(self, others: Sequence[Tables], most: int, anywhere: bool = False) -> Iterator[tuple[int, Fit]]:
+        """The optima of other tables, by number; only of those, so many, whose dead reckoning fits best.
 
-        Begun anywhere, dead reckoning may fit worse.
+        As many rows count as here. Begun anywhere, dead reckoning may fit worse than here.
         """
-        try:
-            graph, start, _ = _read(tables, self.elevation)
-        except GraphFileError:  # tables that the reader refuses are no answer
-            return None
-        fit = solved(graph, start, start=False, iterations=BRIEF, limit=np.inf if anywhere else self.limit)
-        return fit if fit is not None and fit.dof >= self.dof else None
+        begun = []
+        for number, tables in enumerate(others):
+            try:
+                graph, start, _ = _read(tables, self.elevation)
+                begun.append((graph.chi2(start), number, graph, start))
+            except (GraphFileError, EvaluationError, SingularGeometryError):  # which are refused are no answer
+                continue
+        for chi2, number, graph, start in sorted(begun, key=itemgetter(0))[:most]:
+            if chi2 <= self.limit or anywhere:
+                fit = solved(graph, start, start=False, iterations=BRIEF)
+                if fit is not None and fit.dof >= self.dof:
+                    yield number, fit
 
 
 def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) -> Mission:
@@ -168,19 +176,19 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
     announce(f"trying {name}")
     usual, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
 
-    def at(value: float, anywhere: bool = False) -> Fit | None:
-        tables = mission.tables | {"calibration": _with_row(mission.tables, name, value, wide)}
-        return mission.optimum(tables, anywhere)
+    def at(*values: float, anywhere: bool = False) -> list[tuple[Fit, float]]:
+        tables = [mission.tables | {"calibration": _with_row(mission.tables, name, c, wide)} for c in values]
+        return [(fit, values[k]) for k, fit in mission.optima(tables, len(tables), anywhere)]
 
-    fits = [(fit, value) for value in begins or usual if (fit := at(value)) is not None]
-    fit, value = min(fits, key=lambda pair: pair[0].chi2, default=(None, 0.0))
+    fit, value = min(at(*(begins or usual)), key=lambda pair: pair[0].chi2, default=(None, 0.0))
     if fit is None or fit.chi2 > HALF * mission.chi2:
         return
     for _ in range(ROUNDS):
         before, value = value, float(fit.values[Kind(name)[0]][0])
-        if abs(value - before) < SETTLED * wide or (fit := at(value, anywhere=True)) is None:
+        if abs(value - before) < SETTLED * wide or not (again := at(value, anywhere=True)):
             break
-    if fit is None or not explains(fit, mission.chi2, mission.dof):
+        fit = again[0][0]
+    if not explains(fit, mission.chi2, mission.dof):
         return
     marginals = Marginals(fit.graph, fit.values)
     if marginals.status(Kind(name))[0] != "estimated":
@@ -201,11 +209,11 @@ def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
 
 def _tried(mission: Mission, alternatives: Sequence[Alternative], sigma: float = 0.0) -> Iterator[Trial]:
     """Other readings of its tables, whose factor has a standard deviation."""
-    for alternative in alternatives:
-        if other := alternative.on_tables(mission.tables):
-            announce(f"trying {alternative.reading.cause} of {alternative.reading.column}")
-            if (fit := mission.optimum(other)) is not None and explains(fit, mission.chi2, mission.dof):
-                yield Trial(alternative.reading, sigma, fit.chi2, fit.dof)
+    others = [(a, tables) for a in alternatives if (tables := a.on_tables(mission.tables))]
+    announce("trying other readings")
+    for number, fit in mission.optima([tables for _, tables in others], SOLVED):
+        if explains(fit, mission.chi2, mission.dof):
+            yield Trial(others[number][0].reading, sigma, fit.chi2, fit.dof)
 
 
 def _kernels(mission: Mission) -> Iterator[Trial]:

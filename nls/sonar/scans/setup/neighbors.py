@@ -9,10 +9,9 @@ import numpy as np
 from models import SE2
 from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.fits import Fits
+from nls.sonar.scans.matches import ACCEPTED, Fits, verdicts
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["Neighbors", "match_steps", "neighbors", "steps"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import kinds
+from nls.sonar.scans.matches import WINDOW, comparable, field_before
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.sequential import WINDOW, comparable, field_before
 from nls.values import Values
 
 __all__ = ["Repetition", "repetition"]

@@ -7,7 +7,7 @@ from math import degrees, isnan
 from typing import Any
 
 from models.finite import finite_or_none
-from nls.sonar.scans.setup.findings import SetupFinding, SetupKind
+from nls.sonar.scans.setup.checks import SetupFinding, SetupKind
 from nls.sonar.scans.setup.mounting import COMPONENTS, Mounting
 
 __all__ = ["observable", "record", "sentence"]

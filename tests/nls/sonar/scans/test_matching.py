@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls.sonar.scans import Field, Match, Verdict, match
+from nls.sonar.scans.matches import verdicts
 from nls.sonar.scans.matching import FLOOR, YAW_STEP, scores
-from nls.sonar.scans.verdicts import verdicts
 from tests.factors.evaluated import Array, refused, same
 
 WINDOW = (3.0, np.radians(8.0))

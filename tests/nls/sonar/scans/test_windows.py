@@ -6,7 +6,7 @@ import numpy as np
 
 from nls import FactorGraph, Marginals, kinds
 from nls.sonar.scans import Drift, dead_reckoning
-from nls.sonar.scans.windows import LIMITS, windows
+from nls.sonar.scans.candidates import LIMITS, windows
 from tests.factors.evaluated import same
 from tests.nls.sonar.scans.rooms import drive, laps
 

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from nls.sonar.scans.fits import Fits
+from nls.sonar.scans.matches import Fits
 from nls.sonar.scans.matching import Match
 
 
