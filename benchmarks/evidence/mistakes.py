@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import itertools
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -274,14 +276,20 @@ def judged(name: str, answer: Answer) -> tuple[str, int, int, str]:
 
 def verdicts(options: argparse.Namespace) -> list[Verdict]:
     """Of all mistakes in all missions and seeds that are asked for."""
+    pairs = itertools.product([options.mission] if options.mission else MISSIONS, range(options.seeds), [options.only])
+    with ProcessPoolExecutor(options.jobs) as pool:
+        return [verdict for given in pool.map(verdicts_of, *zip(*pairs, strict=True)) for verdict in given]
+
+
+def verdicts_of(mission: str, seed: int, only: str) -> list[Verdict]:
+    """Of all mistakes in one mission."""
+    signal.signal(signal.SIGPROF, signal.default_int_handler)
     out: list[Verdict] = []
     with TemporaryDirectory() as name:
-        for mission in [options.mission] if options.mission else MISSIONS:
-            for seed in range(options.seeds):
-                clean = solved(MISSIONS[mission](seed), Path(name, "clean"))
-                for mistake in [m for m in possible(clean.survey) if re.search(options.only, m.name)]:
-                    out.append(tried(mistake, clean, seed, Path(name, "spoiled")))
-                    print(f"{mission} {seed}: {' | '.join(out[-1].cells)}", flush=True)
+        clean = solved(MISSIONS[mission](seed), Path(name, "clean"))
+        for mistake in [m for m in possible(clean.survey) if re.search(only, m.name)]:
+            out.append(tried(mistake, clean, seed, Path(name, "spoiled")))
+            print(f"{mission} {seed}: {' | '.join(out[-1].cells)}", flush=True)
     return out
 
 
@@ -338,15 +346,19 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="PATTERN", help="mistakes whose name has this regular expression")
     parser.add_argument("--seeds", type=at_least_one, default=SEEDS)
     parser.add_argument("--controls", type=at_least_one, default=CONTROLS, help="clean missions of each kind")
+    parser.add_argument("--jobs", type=at_least_one, default=2, help="processes")
     options = parser.parse_args()
     signal.signal(signal.SIGPROF, signal.default_int_handler)
     head = page_head("Mistakes in logs")
-    began = time.process_time()
+    began = time.monotonic()
     given = verdicts(options)
     data = Path(folder) if (folder := os.environ.get("LEADLINE_DATA")) else None
     with TemporaryDirectory() as name:
         clean = list(controls(data, options.controls, Path(name)))
-    head += [f"- `python {' '.join(sys.argv)}`, {(time.process_time() - began) / 60:.0f} min of processor time", ""]
+    head += [
+        f"- `python {' '.join(sys.argv)}`, {(time.monotonic() - began) / 60:.0f} min in {options.jobs} processes",
+        "",
+    ]
     write_page([*head, *page(given, clean)], options.out / "mistakes.md")
 
 

@@ -50,13 +50,13 @@ Tables = dict[str, Table]
 QUARTER = np.pi / 2
 BEGINS = {  # of a constant by the end of its name: where it begins, sigma of its prior
     "_rad": ((0.0, QUARTER, -QUARTER, np.pi), 1.0),
-    "_s": ((0.0, 4.0, -4.0, 12.0, -12.0, 30.0, -30.0), 10.0),
+    "_s": ((0.0, 6.0, -6.0, 20.0, -20.0), 10.0),
     "_scale": ((0.0,), 0.3),
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
 SOLVED = 12  # of the other readings, those whose dead reckoning fits best
-BRIEF = 10  # iterations of one solution, from a dead reckoning that is near where the reading is right
+BRIEF = 8  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
 NORMAL = 1.4826  # standard deviation of normal numbers, over the median of their sizes
@@ -168,7 +168,8 @@ def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
 def _calibrations(mission: Mission) -> Iterator[Trial]:
     table = mission.tables.get("calibration")
     for name in NAMES:
-        if table is None or name not in table.text_of("name"):
+        of = "ranges" if name == "sound_speed_scale" else name.partition("_")[0]
+        if (table is None or name not in table.text_of("name")) and (of == "declination" or of in mission.tables):
             yield from _calibration(mission, name)
 
 
