@@ -82,8 +82,9 @@ class Answer:
 
     @property
     def statements(self) -> list[str]:
-        """Lines that say what is wrong, or what to do: all but the rows of the table."""
-        return [line for line in self.lines if line.strip() and not (ROW.match(line) and not cures_of(line))]
+        """Lines that say what is wrong, or what to do: of the rows of the table those with a cure or a cause."""
+        said = [line for line in self.lines if line.strip()]
+        return [line for line in said if not ROW.match(line) or cures_of(line) or "explains chi2" in line]
 
     @property
     def unchecked(self) -> dict[str, float]:

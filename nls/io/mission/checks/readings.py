@@ -27,6 +27,7 @@ TIME_UNITS = (1e3, 1e6, 2.0, 0.5)  # ms and us in a second; both ways, and one o
 DEGREES = 180 / np.pi
 TURN_UNITS = (DEGREES, 1 / DEGREES)  # degrees in a column of radians, radians that were taken for degrees
 LAGS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)  # s
+DRIFTS = (0.003, 0.01)  # of a clock that is compared with motion, which is not linear in it
 SHIP_LAGS = (4.0, 8.0, 12.0, 18.0, 30.0)  # s; beside them chi2 is linear enough
 LEVEL = ("x_m", "y_m")
 LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the columns of the numbers
@@ -103,14 +104,15 @@ def alternatives() -> list[Alternative]:
     return [*_of_a_log(), *(_late(file, lag) for lag in lags for file in LOGGED)]
 
 
-def readings() -> list[Alternative]:
+def readings(tables: dict[str, Table]) -> list[Alternative]:
     """All that are tried for tables: not the clocks and turns that are calibrations."""
     pitch, yaw = ANGLES[1:]
     north = [_north("ahrs.csv"), _read(Cause.NORTH, "ahrs.csv", (pitch, yaw), -np.eye(2), 90.0, (0.0, np.pi / 2))]
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
     geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
     ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
-    return [*_of_a_log(), *north, *of_tables, *geodetic, *ship]
+    drifts = [drift for name in ("ahrs", "dvl") if name in tables for drift in _drifts(f"{name}.csv", tables[name])]
+    return [*drifts, *_of_a_log(), *north, *of_tables, *geodetic, *ship]
 
 
 def corrected(reading: Reading) -> Alternative:
@@ -161,6 +163,13 @@ def _of_a_log() -> list[Alternative]:
 
 def _north(file: str) -> Alternative:
     return _read(Cause.NORTH, file, ["yaw_rad"], -1, 90.0, np.pi / 2)
+
+
+def _drifts(file: str, table: Table) -> Iterator[Alternative]:
+    """A clock that runs fast or slow since the first row."""
+    for r in (sign * drift for drift in DRIFTS for sign in (1, -1)):
+        begin = float(table.floats("time_s")[0, 0])
+        yield corrected(Reading(Cause.DRIFT, file, "time_s", r, r / (1 + r) * begin))
 
 
 def _late(file: str, lag: float) -> Alternative:

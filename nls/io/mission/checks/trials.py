@@ -50,12 +50,12 @@ Tables = dict[str, Table]
 QUARTER = np.pi / 2
 BEGINS = {  # of a constant by the end of its name: where it begins, sigma of its prior
     "_rad": ((0.0, QUARTER, -QUARTER, np.pi), 1.0),
-    "_s": ((0.0, 6.0, -6.0, 20.0, -20.0), 10.0),
+    "_s": ((0.0, 12.0, -12.0), 10.0),
     "_scale": ((0.0,), 0.3),
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
-SOLVED = 12  # of the other readings, those whose dead reckoning fits best
+SOLVED = 6  # of the other readings, those whose dead reckoning fits best
 BRIEF = 8  # iterations of one solution, from a dead reckoning that is near where the reading is right
 ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
 ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
@@ -87,7 +87,7 @@ def explained(
     few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
     mission = _mission(few, elevation) if thinned else whole
-    trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings())]
+    trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings(mission.tables))]
     if thinned:
         trials = [trial for earlier in _best(mission, trials) for trial in _again(whole, earlier)]
     for near in (t for t in linear if t.reading.cause is not Cause.CALIBRATION and explains(t, chi2, dof)):
@@ -162,7 +162,7 @@ def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
     if trial.reading.cause is Cause.CALIBRATION:
         yield from _calibration(mission, trial.reading.column, (trial.reading.factor,))
     else:
-        yield from _tried(mission, [a for a in readings() if a.reading == trial.reading])
+        yield from _tried(mission, [a for a in readings(mission.tables) if a.reading == trial.reading])
 
 
 def _calibrations(mission: Mission) -> Iterator[Trial]:
