@@ -37,7 +37,8 @@ TABLES = ("dvl", "ahrs", "gyro", "depth", "pressure", "fixes", "path", "zpr", "o
 LARGEST = 1e12
 POSITIVE = ("range_m", "travel_time_s")
 OFTEN = 3  # rows with the largest range of all, or of one fix
-SLOW, CLEAR = 0.05, 10.0  # m/s of a vehicle that moves; sigmas that it has gone
+SLOW, CLEAR = 0.05, 5.0  # m/s of a vehicle that moves; sigmas that it has gone
+QUIET = 10.0  # part of the stated scatter that a sensor has at least
 MANY, LONG = 15, 5.0  # rows, and s, of one number
 
 
@@ -218,5 +219,5 @@ def _stuck(t: Array, y: Array, sigma: float) -> Mask:
     many = (last - first >= MANY) & (t[last] - t[first] >= LONG)
     stuck = _repeats(first[many], last[many], len(y))
     others = y[~stuck, 0]
-    rough = len(others) > MANY and 1.4826 * np.median(np.abs(np.diff(others, 3))) / np.sqrt(20.0) > sigma / CLEAR
+    rough = len(others) > MANY and 1.4826 * np.median(np.abs(np.diff(others, 3))) / np.sqrt(20.0) > sigma / QUIET
     return stuck & bool(rough and len(np.unique(others)) > len(others) / 2)

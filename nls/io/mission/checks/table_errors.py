@@ -18,7 +18,8 @@ Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968: w-t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ from nls.io.mission.clocks import CLOCKED, rates_by_time, total, twists
 from nls.io.mission.report import MissionReport
 from nls.linear import factorize
 from nls.linear.singular import SingularSystemError
-from nls.sparse.pattern import Batch
+from nls.sparse.pattern import Batch, Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 from nls.values import Values
@@ -47,7 +48,7 @@ __all__ = ["table_errors"]
 EVIDENT = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
 ROUNDING = 1e-9  # part of an error that rounding shows
 WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
-SAMPLES = 20  # poses, whose positions are compared
+SAMPLES = 6  # poses, whose positions are compared
 HIDDEN = {
     "heading": 0.2,
     "depth": 1.0,
@@ -75,15 +76,11 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
     fixed = fixed_variables(graph.fixed, values) | ~touched_variables(whole)
     pattern = whole.holding(choose_gauge("first", whole, values, fixed).held)
     linear = LinearSystem.at(pattern, values)
-    blocks, errors, walks = list(linear.blocks), dict[tuple[str, str], Array](), False
-    for number, (batch, source) in enumerate(zip(pattern.batches, report.sources, strict=False)):
-        if Path(source.path).name == "motion.csv":
-            blocks[number], walks = tuple(WALK * A for A in blocks[number]), True
-        elif source.lines.any() and not batch.model.factor.limit_only and len(batch) > 1:
-            weights = np.sqrt(batch.model.factor.weights(values))[:, None, None]
-            for name, quantity, C in _errors(batch, values, report, Path(source.path).name):
-                rows = errors.setdefault((name, quantity), np.zeros((pattern.m, C.shape[2])))
-                rows[batch.rows] += (weights * C).reshape(-1, C.shape[2])
+    files = [Path(source.path).name for source in report.sources]
+    blocks, walks = list(linear.blocks), "motion.csv" in files
+    for number in (k for k, file in enumerate(files) if file == "motion.csv"):
+        blocks[number] = tuple(WALK * A for A in blocks[number])
+    errors = _columns(pattern, values, report, files)
     if not errors:
         return []
     system, all_C = LinearSystem(pattern, blocks, linear.b), np.concatenate(list(errors.values()), axis=1)
@@ -96,40 +93,45 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         taken = factorize(system).solve(np.hstack([system.A.T @ all_C, unit]))
     except SingularSystemError:
         return []
-    left = all_C - system.A @ taken[:, : all_C.shape[1]]
-    variance = np.trace(taken[places, all_C.shape[1] :]) / max(len(places) / 3, 1)
-    times = report.vertex_times.get("x", np.zeros(1))
-    out, first = [], 0
+    left, moved = all_C - system.A @ taken[:, : all_C.shape[1]], taken[places]  # by one unit of an error
+    variance = float(np.trace(moved[:, all_C.shape[1] :]))
+    times, first, out = report.vertex_times.get("x", np.zeros(1)), 0, []
     for (file, quantity), C in errors.items():
         k = slice(first, first + C.shape[1])
         first += C.shape[1]
         M, largest = left[:, k].T @ left[:, k], float(np.linalg.eigvalsh(C.T @ C).max())
-        shown = float(np.linalg.eigvalsh(M).min())
-        least = HIDDEN.get(quantity, np.inf)
+        shown, least = float(np.linalg.eigvalsh(M).min()), HIDDEN.get(quantity, np.inf)
         if not shown > ROUNDING * largest:
             out.append(TableError(file, quantity, np.inf, hidden=least < np.inf))
             continue
-        size = left[:, k].T @ linear.b / np.diag(M)
+        size, far = left[:, k].T @ linear.b / np.diag(M), np.sqrt(np.sum(moved[:, k] ** 2, axis=0) / variance)
         fall = size**2 * np.diag(M)
         j = int(np.argmax(fall))
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
         below = float(np.sqrt(EVIDENT * ratio / shown))
-        far = np.sqrt(np.sum(taken[places, k] ** 2, axis=0) / (variance * max(len(places) / 3, 1)))  # by one unit
-        reading = None if walks else _reading(file, quantity, j, float(size[j]), float(times.min()))
-        out.append(
-            TableError(
-                file,
-                quantity,
-                below if below < MOST.get(quantity, np.inf) else np.inf,
-                reading,
-                float(M[j, j] ** -0.5),
-                float(fall[j]),
-                evident=reading is not None and bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1),
-                hidden=bool(below > least and below * far.max() > 1),
-            )
-        )
+        hidden = bool(below > least and below * far.max() > 1)
+        entry = TableError(file, quantity, below if below < MOST.get(quantity, np.inf) else np.inf, hidden=hidden)
+        if not walks and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
+            evident = bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1)
+            entry = replace(entry, reading=reading, sigma=float(M[j, j] ** -0.5), fall=float(fall[j]), evident=evident)
+        out.append(entry)
     wholly = {error.file for error in out if error.quantity == "depth" and error.hidden}
     return [error for error in out if error.quantity != "zero of the depth" or error.file not in wholly]
+
+
+def _columns(
+    pattern: Pattern, values: Values, report: MissionReport, files: Sequence[str]
+) -> dict[tuple[str, str], Array]:
+    """C (m, k) of what may be wrong with a table, by its file and quantity; factors are from files."""
+    errors: dict[tuple[str, str], Array] = {}
+    for batch, source, file in zip(pattern.batches, report.sources, files, strict=False):
+        if file == "motion.csv" or batch.model.factor.limit_only or len(batch) == 1 or not source.lines.any():
+            continue
+        weights = np.sqrt(batch.model.factor.weights(values))[:, None, None]
+        for name, quantity, C in _errors(batch, values, report, file):
+            rows = errors.setdefault((name, quantity), np.zeros((pattern.m, C.shape[2])))
+            rows[batch.rows] += (weights * C).reshape(-1, C.shape[2])
+    return errors
 
 
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
