@@ -25,8 +25,8 @@ def contacts_of(graph: FactorGraph) -> list[Factor]:
 def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
     """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
 
-    All are believed where `nls.robust.misfit` finds nothing. They are believed with a note where a calibration explains
-    most of the misfit. The same holds where the choice is doubtful or cannot be made.
+    All are believed where `nls.robust.contacts.misfit` is False. They are believed with a note where a calibration
+    explains most of the misfit. The same holds where the choice is doubtful or cannot be made.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     from models.errors import UnderconstrainedError
     from nls.analysis.calibrations import calibrations
     from nls.explanation.causes import calibrated
-    from nls.robust.misfit import misfit
+    from nls.robust.contacts import misfit
 
     if not misfit(result, contacts):
         return None

@@ -23,7 +23,6 @@ from nls.explanation import causes, doubts
 from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.explanation.separate_parts import separate_parts
 from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
@@ -32,10 +31,10 @@ from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
+    from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
-
-__all__ = ["explain"]
+__all__ = ["explain", "separate_parts"]
 
 WORST = 10  # measurements that are named
 AT_OPTIMUM = 0.01, 1e-5  # fall of chi2 in a further step: in all, and as a part of chi2
@@ -243,6 +242,24 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
     keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
     pronoun = "it" if len(keys) == 1 else "them"
     return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (pronoun,))))]
+
+
+def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
+    """Parts that nothing joins, where not all of them have a place of their own; the largest first.
+
+    Parameters
+    ----------
+    pattern : the graph.
+    gauge : what is held; a part that the gauge holds has no place of its own.
+    """
+    moved = moving_variables(pattern)
+    names, first, sizes = np.unique(component_labels(pattern)[moved], return_index=True, return_counts=True)
+    if len(names) < 2 or not (gauge.held & ~gauge.fixed).any():
+        return []
+    order = np.argsort(-sizes, kind="stable")
+    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(moved)[first[order]])
+    numbers = {"variables": tuple(sizes[order].tolist())}
+    return [Finding(FindingKind.SEPARATE_PARTS, keys, numbers, (Advice("join"), Advice("split")))]
 
 
 def _parts(

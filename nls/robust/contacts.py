@@ -1,4 +1,6 @@
-r"""Which contacts of a sonar to begin with: of every landmark the largest set that agrees, judged by dead reckoning.
+r"""Whether contacts of a sonar are wrong, and which to begin with then: those that agree, judged by dead reckoning.
+
+Of every landmark the largest set that agrees is taken.
 
 A contact a (range, azimuth) of a landmark and an elevation e say where the landmark is, as seen from its own pose. Each
 other contact b of the landmark, from a pose at T_ab with the covariance P_ab along the track, is predicted from there:
@@ -15,6 +17,14 @@ linear in the contacts.
 One contact that nothing repeats decides nothing: where no second one agrees, the landmark has no set. Contacts of a
 landmark in parts of the track that nothing trusted joins are sets of their own.
 
+After a plain solution contacts are wrong where
+
+    chi2 > its 97.5 % quantile,     max s > v q,     v = max(1, median s / median of chi2)
+
+with s the squared whitened residuals of the n contacts, and q a quantile of chi2 of two numbers (`misfit`). One of n
+right contacts is beyond it by chance with 0.1 %. v is the variance of unit weight by the median. Sigmas that are all
+too small raise v and max s alike, wrong contacts raise the largest ones far more.
+
 Source: the largest set of measurements that agree, as in J. G. Mangelson et al., "Pairwise consistent measurement set
 maximization for robust multi-robot map merging", ICRA 2018; here all are compared with one of them, as in M. Fischler,
 R. Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981, since two contacts of an arc agree easily.
@@ -28,7 +38,7 @@ from math import ceil, radians
 
 import numpy as np
 
-from factors.base import Model
+from factors.base import Factor, Model
 from factors.elevation import ElevationHinge
 from factors.noise import square
 from factors.sighting import Sighting
@@ -38,17 +48,19 @@ from models.sensors import cartesian
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
+from nls.optimizers import Fit, Result
 from nls.robust.landmarks import Landmarks
 from nls.robust.track import Track, along
 from nls.starts.elevation import APERTURE
 from nls.values import Values
 
-__all__ = ["Agreement", "agreement", "doubted_contacts", "selected"]
+__all__ = ["Agreement", "agreement", "doubted_contacts", "misfit", "selected"]
 
 TRIED = 10  # contacts of a landmark that are tried; with every third one wrong all of them are with 2e-5
 STEP = radians(1.8)  # between elevations: 0.15 m at 5 m, and sigma_e is 0.045 m
 AGREED = 0.99  # probability with which a right contact agrees with a right one
 FEWEST = 2  # contacts of a set
+UNLIKELY = 1e-3  # with which all contacts are right and one is beyond the bound of `misfit`
 AT_ONCE = 20_000  # pairs of contacts that are compared at once
 
 
@@ -253,3 +265,27 @@ class Arcs:
 def _ranked(count: Index) -> Index:
     """0, 1 .. of every group, for groups of so many."""
     return np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+
+
+def misfit(result: Result, contacts: Sequence[Factor]) -> bool:
+    """Whether an optimum says that some of its contacts are wrong.
+
+    Parameters
+    ----------
+    result : of least squares, without robust kernels.
+    contacts : factors of two numbers a measurement.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> mission = sim.hauv_hull(np.random.default_rng(1), levels=2, per_level=13)
+    >>> spoiled = sim.exchange_contacts(mission, 0.05, np.random.default_rng(2))
+    >>> [misfit(m.graph.optimize(m.start), [m.contacts]) for m in (mission, spoiled)]
+    [False, True]
+    """
+    s = np.concatenate([factor.chi2(result.values) for factor in contacts] or [np.zeros(0)])
+    if not len(s) or result.fit is Fit.PLAUSIBLE:
+        return False
+    variance = max(1.0, float(np.median(s)) / chi2_gate(2, 0.5))
+    return bool(s.max() > variance * chi2_gate(2, 1 - UNLIKELY / len(s)))

@@ -9,11 +9,11 @@ from models.algebra import Array
 from nls import LinearSystem
 from nls.linear import SOLVERS, LinearSolver
 from nls.linear.cholesky import Cholmod
+from nls.linear.dense import Lapack
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
-from nls.linear.small import Dense
 
-DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Dense)
+DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Lapack)
 
 
 def make(name: str) -> LinearSolver:
