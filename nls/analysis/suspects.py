@@ -1,7 +1,7 @@
 """Wrong measurements: the worst is taken out, all others are judged anew, until none stands out.
 
 One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. A group of
-wrong closures that support each other is taken out as one, see `nls.analysis.group_tests`. The linear problem decides
+wrong closures that support each other is taken out as one (`nls.analysis.closure_groups`). The linear problem decides
 about both; then the rest is optimized, and closures that fit the rest after all come back, a group's one by one.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
-from nls.analysis.group_tests import GroupTests
+from nls.analysis.closure_groups import GroupTests
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph

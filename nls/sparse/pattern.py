@@ -15,10 +15,9 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask, components
-from nls.sparse.blocks import Blocks
+from nls.sparse.blocks import Blocks, Scatter
 from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Hessian
-from nls.sparse.scatter import Scatter
 from nls.values import Values, take
 
 __all__ = ["Batch", "Pattern", "measured_rows", "offsets"]

@@ -12,9 +12,8 @@ from models.errors import UnderconstrainedError
 from nls.analysis.inspection import inspect
 from nls.explanation.findings import FindingKind, number
 from nls.explanation.words import sentence, together
-from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
-from nls.plot.report.pictures import picture
+from nls.plot.report.pictures import across, bar, picture
 from nls.plot.style import REJECTED
 
 if TYPE_CHECKING:
