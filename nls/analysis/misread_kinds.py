@@ -15,10 +15,10 @@ import numpy as np
 from factors.base import Factor
 from models.algebra import Index
 from nls.analysis.alternatives import FIRST, expected, nearest, solved, supported
-from nls.analysis.leave_one_out import kinds_of, measuring, middle_variance
+from nls.analysis.leave_one_out import kinds_of, middle_variance
 from nls.analysis.readings import READINGS, Reading
 from nls.graph import FactorGraph
-from nls.sparse.pattern import Pattern
+from nls.sparse.pattern import Pattern, measuring
 from nls.values import Values
 
 __all__ = ["misread_kinds"]

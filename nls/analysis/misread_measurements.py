@@ -26,10 +26,9 @@ from models.algebra import Array
 from models.manifolds.units import unit
 from nls.analysis.alternatives import UNLIKELY
 from nls.analysis.chi_squared import chi2_tail
-from nls.analysis.leave_one_out import measuring
 from nls.analysis.linearization import Checked, Linearization
 from nls.analysis.readings import READINGS
-from nls.sparse.pattern import Batch, Pattern
+from nls.sparse.pattern import Batch, Pattern, measuring
 from nls.values import Values
 
 __all__ = ["misread_measurements"]

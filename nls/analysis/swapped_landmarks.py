@@ -30,9 +30,10 @@ from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, expected, solved, supported
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.exchanged_contacts import Exchanged
-from nls.analysis.leave_one_out import Tested, measuring
+from nls.analysis.leave_one_out import Tested
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
+from nls.sparse.pattern import measuring
 from nls.starts import locate_points
 from nls.values import Values
 

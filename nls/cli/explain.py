@@ -124,7 +124,7 @@ def _explained(
     from models.listing import several
     from nls.cli.hint import explain_misfit
     from nls.cli.wrong_contacts import choice_of
-    from nls.explanation.applicability import graduates
+    from nls.explanation.doubts import graduates
     from nls.explanation.findings import FindingKind
     from nls.optimizers import default_optimizer
 

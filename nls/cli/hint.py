@@ -101,7 +101,7 @@ def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace)
     """Graduated non-convexity, or another start, where chi2 is far off and closures may be wrong."""
     if options.robust is not None or Advice("start") not in result.advice:
         return []
-    from nls.explanation.applicability import graduates
+    from nls.explanation.doubts import graduates
 
     return listed([Advice("gnc"), Advice("start")] * graduates(graph, result.values), shell=True)
 

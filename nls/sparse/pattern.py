@@ -20,7 +20,7 @@ from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Hessian
 from nls.values import Values, take
 
-__all__ = ["Batch", "Pattern", "measured_rows", "offsets"]
+__all__ = ["Batch", "Pattern", "measured_rows", "measuring", "offsets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,16 +240,19 @@ class Pattern:
 
 def measured_rows(pattern: Pattern) -> int:
     """Rows of A that measure something."""
-    return sum(measured_numbers(batch.model) for batch in pattern.batches)
+    return sum(int(measuring(batch.model).sum()) for batch in pattern.batches)
 
 
-def measured_numbers(model: Model) -> int:
-    """Numbers that measure something: not limits, zeros of a semi-definite information, what a factor has spent."""
-    if model.factor.limit_only:
-        return 0
+def measuring(model: Model, columns: slice | Index = slice(None)) -> Index:
+    """(n,) numbers per measurement, all or some, that measure something: not limits, nor what a factor has spent.
+
+    Zeros of a semi-definite information are none either.
+    """
     n, W = len(model.z), model.W
-    zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
-    return n * (model.dim - model.factor.eliminated) - zero * (n if len(W) == 1 else 1)
+    if model.factor.limit_only:
+        return np.zeros(n, dtype=np.intp)
+    nonzero = (W != 0 if W.ndim == 2 else (W != 0).any(axis=2))[:, columns].sum(axis=1)
+    return np.broadcast_to(nonzero - model.factor.eliminated, n)
 
 
 def offsets(values: Values) -> dict[str, int]:
