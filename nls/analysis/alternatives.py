@@ -192,6 +192,11 @@ def scale(fit: Judged) -> float:
     return max(1.0, fit.chi2 / max(fit.dof, 1))
 
 
+def decisive(standing: Fit, other: Fit, tries: int) -> bool:
+    """Whether chi2 of another graph, as one of so many tries, is lower than chance makes it."""
+    return standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale(other)
+
+
 def supported(standing: Fit, other: Fit, tries: int) -> bool:
     """Whether the measurements support another graph instead of the one that stands, as one of so many tries.
 
@@ -200,5 +205,4 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
     Noise must explain chi2 of the other, or it must be at most half of the one that stands. Wrong closures and sigmas
     that are off remain under every reading.
     """
-    decisive = standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale(other)
-    return decisive and (expected(other) or other.chi2 <= HALF * standing.chi2)
+    return decisive(standing, other, tries) and (expected(other) or other.chi2 <= HALF * standing.chi2)

@@ -23,7 +23,6 @@ from nls.posegraph import closures, odometry
 from nls.sparse.pattern import measuring
 
 if TYPE_CHECKING:
-    from models.algebra import Index
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 

@@ -42,7 +42,6 @@ class MisreadKind:
     reading : a name of `nls.analysis.readings`.
     standing, chi2 : chi2 of the whole graph at the optimum as it stands, and as it was meant.
     dof : degrees of freedom of both.
-    tries : readings that were tried.
     values : the optimum as it was meant.
     """
 
@@ -52,7 +51,6 @@ class MisreadKind:
     standing: float
     chi2: float
     dof: int
-    tries: int
     values: Values
 
 
@@ -112,8 +110,7 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
         fit = solved(begun.graph, begun.values, start=False)
         if fit is None or not supported(standing, fit, len(alternatives)) or _middle(reread, fit.values) > MIDDLE:
             continue
-        tries = len(alternatives)
-        meant.append(MisreadKind(name, places, reading, standing.chi2, fit.chi2, fit.dof, tries, fit.values))
+        meant.append(MisreadKind(name, places, reading, standing.chi2, fit.chi2, fit.dof, fit.values))
     return nearest(meant)
 
 

@@ -8,6 +8,7 @@ about both; then the rest is optimized, and closures that fit the rest after all
 from __future__ import annotations
 
 from collections import ChainMap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -112,7 +113,7 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
         except NoOptimumError:
             break  # the linear problem has the last word
     places = list(chain(*removals))
-    tests, accepted = checks(checked, count), _accepted(pattern, places, count)
+    tests, accepted = checks(checked, count), weights_without(pattern, places, count)
     s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
     chi2 = sum(float(s_k[a > 0].sum()) for s_k, a in zip(s, accepted, strict=True))
     dof = round(sum(float(test.dof[a > 0].sum()) for test, a in zip(tests, accepted, strict=True)), 6) + 0.0
@@ -177,7 +178,8 @@ def _off(checked: Checked, tests: list[Tested], scale: list[Array]) -> list[Arra
     return out
 
 
-def _accepted(pattern: Pattern, places: list[Place], count: int) -> list[Array]:
+def weights_without(pattern: Pattern, places: Sequence[Place], count: int) -> list[Array]:
+    """By batch 1 for every measurement and 0 for some of them, (n,)."""
     accepted = [np.ones(len(batch)) for batch in pattern.batches[:count]]
     for k, i in places:
         accepted[k][i] = 0.0
@@ -192,7 +194,7 @@ def _without(graph: FactorGraph, pattern: Pattern, values: Values, places: list[
     NoOptimumError
         There is none, or none within `ITERATIONS`; or a factor is made from a function and has no parts.
     """
-    accepted = _accepted(pattern, places, len(graph.factors))
+    accepted = weights_without(pattern, places, len(graph.factors))
     damped = LevenbergMarquardt(Stop(max_iterations=ITERATIONS))
     try:
         subgraph = graph.only([a > 0 for a in accepted])

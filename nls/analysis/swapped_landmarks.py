@@ -27,7 +27,7 @@ from factors.keys import Keys
 from factors.replaced import replaced
 from models.algebra import Array, Index, Mask
 from models.errors import GraphWarning
-from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, expected, solved, supported
+from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, decisive, expected, solved, supported
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.exchanged_contacts import Exchanged
 from nls.analysis.leave_one_out import Tested
@@ -166,9 +166,7 @@ def _best(
         if exchange is None:
             continue
         fit, places, count = exchange
-        scale = max(1.0, fit.chi2 / max(fit.dof, 1))
-        decisive = now.chi2 - fit.chi2 > 2 * (math.log(count * tries) - math.log(UNLIKELY)) * scale
-        if decisive and (best is None or fit.chi2 < best[0].chi2):
+        if decisive(now, fit, count * tries) and (best is None or fit.chi2 < best[0].chi2):
             best = fit, pair, places, count
             if expected(fit):
                 break

@@ -33,7 +33,6 @@ from nls.linear.singular import SingularSystemError
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from models.algebra import Index
     from nls.graph import FactorGraph
     from nls.sparse.pattern import Pattern
     from nls.values import Values

@@ -134,12 +134,12 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
 
 def without_left(values: Values, kept: Values) -> Values:
     """The values of the variables that were kept."""
-    from nls.values import Stack, Values
+    from nls.values import Values
 
     stacks = []
     for stack in values.stacks.values():
         there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
-        stacks.append(stack if there.all() else Stack(stack.kind, stack.manifold, stack.X[there], stack.numbers[there]))
+        stacks.append(stack if there.all() else stack.only(there))
     return Values.of(stacks)
 
 

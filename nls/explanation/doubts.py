@@ -85,7 +85,7 @@ def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values)
     return Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": chi2}, advice)
 
 
-def taken_out(suspects: Suspects, graph: FactorGraph, pattern: Pattern, values: Values) -> tuple[Measurement, ...]:
+def taken_out(suspects: Suspects, graph: FactorGraph, values: Values) -> tuple[Measurement, ...]:
     """The suspects: chi2 where they are in, distance and chance where they are not."""
     n = sum(int((test.m > 0).sum()) for test in suspects.tests)
     out = []

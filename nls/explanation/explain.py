@@ -25,7 +25,6 @@ from nls.explanation.findings import Explanation, Finding, FindingKind, Measurem
 from nls.explanation.naming import named_directions
 from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
@@ -104,8 +103,9 @@ def explain(
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
-    chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
-    dof = measured_rows(pattern) - (pattern.n - free.count)
+    squares = [factor.chi2(values) for factor in graph.factors]
+    chi2 = sum(float(s.sum()) for s in squares)
+    dof = pattern.measured_rows - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
     tests: list[Tested] | None = None
     outliers: Suspects | None = None
@@ -119,7 +119,6 @@ def explain(
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
-        squares = [factor.chi2(values) for factor in graph.factors]
         parts = _parts(pattern, squares, tests)
         grouped = parts if groups is None else _parts(pattern, squares, tests, groups=groups)
         worst = _worst(pattern, values, tests)
@@ -141,7 +140,7 @@ def explain(
         variables=len(values),
         unknowns=pattern.n,
         measurements=len(graph),
-        rows=measured_rows(pattern),
+        rows=pattern.measured_rows,
         components=_sizes(pattern, moving_variables(pattern)),
         gauge=gauge.description,
         nullity=free.count,
@@ -155,7 +154,7 @@ def explain(
         findings=tuple(findings),
         parts=grouped,
         worst=worst,
-        suspects=() if outliers is None else doubts.taken_out(outliers, graph, whole, values),
+        suspects=() if outliers is None else doubts.taken_out(outliers, graph, values),
         chi2_without=None if outliers is None or not outliers.places else (outliers.chi2, outliers.dof),
         weakest=weakest,
     )

@@ -17,6 +17,11 @@ linear in the contacts.
 One contact that nothing repeats decides nothing: where no second one agrees, the landmark has no set. Contacts of a
 landmark in parts of the track that nothing trusted joins are sets of their own.
 
+The covariance of a step of the track, in the axes of its end, is that of the trusted graph (`nls.analysis.motions`).
+The steps are added as if they were independent (`nls.robust.consistency.Odometry`). They are where odometry measures
+them; a depth or an attitude that every pose measures by itself makes the sum too large, never too small. A track ends
+where nothing trusted joins a pose to the one before: dives that only have landmarks in common.
+
 After a plain solution contacts are wrong where
 
     chi2 > its 97.5 % quantile,     max s > v q,     v = max(1, median s / median of chi2)
@@ -39,22 +44,25 @@ from math import ceil, radians
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.elevation import ElevationHinge
+from factors.keys import Keys
 from factors.noise import square
 from factors.sighting import Sighting
-from models import SE3
-from models.algebra import Array, Index, Mask
+from models import SE3, LieGroup
+from models.algebra import Array, Index, Mask, Numbers
 from models.sensors import cartesian
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.motions import motion_covariances
 from nls.covariance.frames import turned
+from nls.gauge import component_labels
 from nls.graph import FactorGraph
 from nls.optimizers import Fit, Result
+from nls.posegraph import Edges
+from nls.robust.consistency import Odometry
 from nls.robust.landmarks import Landmarks
-from nls.robust.track import Track, along
-from nls.starts.elevation import APERTURE
+from nls.starts.elevation import aperture_of
 from nls.values import Values
 
-__all__ = ["Agreement", "agreement", "doubted_contacts", "misfit", "selected"]
+__all__ = ["Agreement", "Track", "agreement", "along", "doubted_contacts", "misfit", "selected"]
 
 TRIED = 10  # contacts of a landmark that are tried; with every third one wrong all of them are with 2e-5
 STEP = radians(1.8)  # between elevations: 0.15 m at 5 m, and sigma_e is 0.045 m
@@ -80,6 +88,68 @@ class Agreement:
     rows: Index
     points: Array
     size: Index
+
+
+@dataclass(frozen=True)
+class Track:
+    """Poses of one kind in the order of their numbers.
+
+    Attributes
+    ----------
+    numbers : (n,) of the poses, rising.
+    X : (n, size) poses.
+    part : (n,) number of the part of the track that each pose is in.
+    odometry : relative poses and covariances of poses in one part, by place.
+    """
+
+    numbers: Numbers
+    X: Array
+    part: Index
+    odometry: Odometry
+
+    def places(self, keys: Keys) -> Index:
+        """Places (k,) of poses on the track."""
+        return np.searchsorted(self.numbers, keys.numbers)
+
+
+def along(graph: FactorGraph, values: Values, kind: str) -> Track:
+    """The track of a kind of poses.
+
+    Parameters
+    ----------
+    graph, values : the trusted measurements, and their optimum.
+
+    Raises
+    ------
+    UnderconstrainedError
+        The trusted measurements leave a pose free within its part of the track.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.0], Isotropic(0.1))])
+    >>> track = along(graph, Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])}), "x")
+    >>> pose, covariance = track.odometry.between(np.array([0]), np.array([2]))
+    >>> pose, covariance[0].diagonal().round(3)
+    (array([[2., 0., 0.]]), array([0.02, 0.03, 0.02]))
+    """
+    stack = values.stack(kind)
+    group = stack.manifold
+    assert isinstance(group, LieGroup)
+    order = np.argsort(stack.numbers, kind="stable")
+    numbers, X = stack.numbers[order], np.asarray(stack.X[order])
+    pattern = graph.pattern(values)
+    label = component_labels(pattern)[pattern.offsets[kind] + order]
+    step = np.flatnonzero(label[1:] == label[:-1])
+    part = np.concatenate([[0], np.cumsum(label[1:] != label[:-1])])
+    i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
+    T = group.between(X[step], X[step + 1])
+    C = motion_covariances(graph, values, i, j) if len(step) else np.zeros((0, group.dim, group.dim))
+    return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
 
 
 def doubted_contacts(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> list[int]:
@@ -138,12 +208,6 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     return values, landmarks.kept(inliers, values)
 
 
-def aperture_of(graph: FactorGraph, kind: str) -> float:
-    """Half of the aperture, rad: the widest limit of the hinges of a kind of landmarks, 7 deg where there is none."""
-    limits = [f.limit for f in graph.factors if isinstance(f, ElevationHinge) and f.keys[1].kind == kind]
-    return max(limits, default=APERTURE / 2)
-
-
 def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> Agreement:
     """Of every landmark the contacts that agree, and where they put it.
 
@@ -163,7 +227,7 @@ def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> A
     >>> import numpy as np
     >>> import sim
     >>> from nls import FactorGraph, Values
-    >>> from nls.robust.track import along
+    >>> from nls.robust.contacts import along
     >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=12, outliers=0.1)
     >>> poses = Values.of([mission.start.stack("x")])
     >>> track = along(FactorGraph(mission.graph.factors[:4]), poses, "x")

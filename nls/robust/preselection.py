@@ -23,7 +23,6 @@ from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence
-from nls.sparse.pattern import measured_rows
 from nls.starts import chordal
 
 __all__ = ["Preselection", "exchanged"]
@@ -76,7 +75,7 @@ class Preselection:
         loops, graph = self.loops, self.loops.graph
         if loops.neighbors.passing < MOST or self._dearer(DEARER):
             return None
-        rows = measured_rows(graph.pattern(loops.values))
+        rows = graph.pattern(loops.values).measured_rows
 
         def hopeless(step: Iteration) -> bool:
             return step.number >= SETTLED and step.chi2 > HOPELESS * rows

@@ -20,7 +20,7 @@ from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Hessian
 from nls.values import Values, take
 
-__all__ = ["Batch", "Pattern", "measured_rows", "measuring", "offsets"]
+__all__ = ["Batch", "Pattern", "measuring", "offsets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +149,11 @@ class Pattern:
             sizes.append(float((weight * z.max(axis=1, initial=0.0)).max(initial=0.0)))
         return max(sizes)
 
+    @cached_property
+    def measured_rows(self) -> int:
+        """Rows of A that measure something."""
+        return sum(int(measuring(batch.model).sum()) for batch in self.batches)
+
     @property
     def numbers_in_A(self) -> int:
         """Numbers in all Jacobian blocks, those of held variables too."""
@@ -238,11 +243,6 @@ class Pattern:
         return variable, np.arange(self.n) - self.starts[variable]
 
 
-def measured_rows(pattern: Pattern) -> int:
-    """Rows of A that measure something."""
-    return sum(int(measuring(batch.model).sum()) for batch in pattern.batches)
-
-
 def measuring(model: Model, columns: slice | Index = slice(None)) -> Index:
     """(n,) numbers per measurement, all or some, that measure something: not limits, nor what a factor has spent.
 
@@ -252,7 +252,8 @@ def measuring(model: Model, columns: slice | Index = slice(None)) -> Index:
     if model.factor.limit_only:
         return np.zeros(n, dtype=np.intp)
     nonzero = (W != 0 if W.ndim == 2 else (W != 0).any(axis=2))[:, columns].sum(axis=1)
-    return np.broadcast_to(nonzero - model.factor.eliminated, n)
+    numbers: Index = nonzero - model.factor.eliminated
+    return numbers.repeat(n) if len(W) == 1 else numbers
 
 
 def offsets(values: Values) -> dict[str, int]:

@@ -12,21 +12,15 @@ import nls
 from factors import Between, Diagonal, Factor, Information, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
-from nls import EvaluationError, FactorGraph, LinearSystem, UnderconstrainedError, Values
+from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
-from nls.linear.null_space import single_directions, weakest
-from nls.linear.singular import NULL
+from nls.linear.null_space import single_directions
 from tests.combinations import for_all
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
+from tests.nls.solving import null_space
 
 INSTALLED = [name for name in SOLVERS if SOLVERS[name].missing() is None]
 REFUSING = [name for name in INSTALLED if name != "pinv"]
-
-
-def null_space(system: LinearSystem) -> Array:
-    """Free directions (n, k), whatever the weights."""
-    s, N = weakest(system.balanced)
-    return N[:, s <= NULL]
 
 
 def refused(graph: FactorGraph, values: Values, gauge: str = "none", solver: str = "lu") -> UnderconstrainedError:
