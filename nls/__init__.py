@@ -7,58 +7,66 @@ from nls.lazy import importer, refuse_shadows
 
 TYPE_CHECKING = False  # to a type checker always true; the import of typing takes as long as all others of a start
 if TYPE_CHECKING:
-    from factors.keys import Keys, Kind, kinds
+    from factors.keys import Keys as Keys, Kind as Kind, kinds as kinds
     from models.errors import (
-        EvaluationError,
-        GraphError,
-        GraphFileError,
-        GraphWarning,
-        JacobianError,
-        LeadlineError,
-        MissingSolverError,
-        NoiseModelError,
-        OptionError,
-        ResourceLimitError,
-        SingularGeometryError,
-        UnderconstrainedError,
+        EvaluationError as EvaluationError,
+        GraphError as GraphError,
+        GraphFileError as GraphFileError,
+        GraphWarning as GraphWarning,
+        JacobianError as JacobianError,
+        LeadlineError as LeadlineError,
+        MissingSolverError as MissingSolverError,
+        NoiseModelError as NoiseModelError,
+        OptionError as OptionError,
+        ResourceLimitError as ResourceLimitError,
+        SingularGeometryError as SingularGeometryError,
+        UnderconstrainedError as UnderconstrainedError,
     )
-    from nls import plot
-    from nls.analysis.variance_components import VarianceComponents, variance_components
-    from nls.certificate import Certificate, certify
-    from nls.covariance import Marginals
-    from nls.explanation import Explanation, Finding, FindingKind, explain
-    from nls.graph import FactorGraph
-    from nls.incremental import Incremental
-    from nls.io import LoadReport, load, save
+    from nls import plot as plot
+    from nls.analysis.variance_components import (
+        VarianceComponents as VarianceComponents,
+        variance_components as variance_components,
+    )
+    from nls.certificate import Certificate as Certificate, certify as certify
+    from nls.covariance import Marginals as Marginals
+    from nls.explanation import (
+        Explanation as Explanation,
+        Finding as Finding,
+        FindingKind as FindingKind,
+        explain as explain,
+    )
+    from nls.graph import FactorGraph as FactorGraph
+    from nls.incremental import Incremental as Incremental
+    from nls.io import LoadReport as LoadReport, load as load, save as save
     from nls.linear import (
-        LU,
-        PCG,
-        QR,
-        Cholesky,
-        DenseCholesky,
-        DenseQR,
-        LinearSolver,
-        Pinv,
-        Schur,
-        backends,
-        factorize,
+        LU as LU,
+        PCG as PCG,
+        QR as QR,
+        Cholesky as Cholesky,
+        DenseCholesky as DenseCholesky,
+        DenseQR as DenseQR,
+        LinearSolver as LinearSolver,
+        Pinv as Pinv,
+        Schur as Schur,
+        backends as backends,
+        factorize as factorize,
     )
     from nls.optimizers import (
-        Dogleg,
-        Fit,
-        GaussNewton,
-        Iteration,
-        LevenbergMarquardt,
-        Optimizer,
-        Result,
-        Status,
-        Stop,
-        gauss_newton_step,
+        Dogleg as Dogleg,
+        Fit as Fit,
+        GaussNewton as GaussNewton,
+        Iteration as Iteration,
+        LevenbergMarquardt as LevenbergMarquardt,
+        Optimizer as Optimizer,
+        Result as Result,
+        Status as Status,
+        Stop as Stop,
+        gauss_newton_step as gauss_newton_step,
     )
-    from nls.robust import Robustified, gnc
-    from nls.starts import initialize
-    from nls.system import LinearSystem
-    from nls.values import Values
+    from nls.robust import Robustified as Robustified, gnc as gnc
+    from nls.starts import initialize as initialize
+    from nls.system import LinearSystem as LinearSystem
+    from nls.values import Values as Values
 
 __version__ = "0.1.0"
 
@@ -85,6 +93,8 @@ _WHERE = {
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 
+__all__ = sorted([*_MODULE, "plot"])  # to a type checker: all that is imported under its own name
+
 if not TYPE_CHECKING:
     __getattr__ = importer("nls", _MODULE)
     del importer, TYPE_CHECKING  # no names for users
@@ -92,63 +102,3 @@ if not TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     return sorted([*__all__, "__version__"])
-
-
-__all__ = [
-    "LU",
-    "PCG",
-    "QR",
-    "Certificate",
-    "Cholesky",
-    "DenseCholesky",
-    "DenseQR",
-    "Dogleg",
-    "EvaluationError",
-    "Explanation",
-    "FactorGraph",
-    "Finding",
-    "FindingKind",
-    "Fit",
-    "GaussNewton",
-    "GraphError",
-    "GraphFileError",
-    "GraphWarning",
-    "Incremental",
-    "Iteration",
-    "JacobianError",
-    "Keys",
-    "Kind",
-    "LeadlineError",
-    "LevenbergMarquardt",
-    "LinearSolver",
-    "LinearSystem",
-    "LoadReport",
-    "Marginals",
-    "MissingSolverError",
-    "NoiseModelError",
-    "Optimizer",
-    "OptionError",
-    "Pinv",
-    "ResourceLimitError",
-    "Result",
-    "Robustified",
-    "Schur",
-    "SingularGeometryError",
-    "Status",
-    "Stop",
-    "UnderconstrainedError",
-    "Values",
-    "VarianceComponents",
-    "backends",
-    "certify",
-    "explain",
-    "factorize",
-    "gauss_newton_step",
-    "gnc",
-    "initialize",
-    "kinds",
-    "load",
-    "plot",
-    "save",
-    "variance_components",
-]

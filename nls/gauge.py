@@ -27,7 +27,7 @@ from models.errors import GraphWarning, OptionError
 from models.listing import some
 from nls.sparse.components import connected, firsts
 from nls.sparse.pattern import Batch, Pattern, offsets
-from nls.values import Values
+from nls.values import Stack, Values
 
 __all__ = [
     "GAUGES",
@@ -35,6 +35,7 @@ __all__ = [
     "by_number",
     "choose_gauge",
     "component_labels",
+    "fixed_of",
     "fixed_variables",
     "touched_variables",
 ]
@@ -177,6 +178,15 @@ def _first_of_components(label: Index, pattern: Pattern, moving: Mask, anchored:
     kinds = sorted(pattern.numbers, key=lambda kind: -pattern.manifolds[kind].dim)
     order = np.concatenate([*(by_number(pattern, kind) for kind in kinds), np.zeros(0, dtype=np.intp)])
     return firsts(label, order[(moving & ~anchored[label])[order]])
+
+
+def fixed_of(fixed: Sequence[Keys], stack: Stack) -> Mask:
+    """Which variables (n,) of a kind are in a list of keys."""
+    out = np.zeros(len(stack), dtype=bool)
+    for keys in fixed:
+        if keys.kind == stack.kind:
+            out[stack.index(keys)] = True
+    return out
 
 
 def fixed_variables(fixed: Sequence[Keys], values: Values) -> Mask:

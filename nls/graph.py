@@ -23,7 +23,7 @@ from nls.optimizers.fit import shares
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.memory import keep_freed_memory
-from nls.sparse.pattern import Pattern, measured_rows
+from nls.sparse.pattern import Pattern
 from nls.sparse.singles import Singles
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
@@ -209,7 +209,7 @@ class FactorGraph:
             solver, pattern = FreeGauge(solver, pattern), decided.pattern.holding(decided.fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
-        dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
+        dof = pattern.measured_rows - int(pattern.dims[~decided.held].sum())
         limited = any(factor.limit_only for factor in self.factors)  # what is free may be meant to be, within them
         try:
             if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice

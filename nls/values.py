@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys, Kind
-from models.algebra import Index, Numbers
+from models.algebra import Index, Mask, Numbers
 from models.errors import GraphError
 from models.html_table import html_table
 from models.manifolds.base import Manifold
@@ -49,6 +49,10 @@ class Stack:
         stack.kind, stack.manifold, stack.numbers = self.kind, self.manifold, self.numbers
         stack._order, stack._sorted, stack.X = self._order, self._sorted, np.asfortranarray(X)
         return stack
+
+    def only(self, rows: slice | Mask) -> Stack:
+        """Some of the variables (n,)."""
+        return Stack(self.kind, self.manifold, self.X[rows], self.numbers[rows])
 
     def index(self, keys: Keys) -> Index:
         """Rows of the stack that hold these variables, (n,).
@@ -218,7 +222,7 @@ class Values:
 
     def spaces(self) -> Values:
         """No values, of the same kinds."""
-        return Values.of(Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in self.stacks.values())
+        return Values.of(s.only(slice(0)) for s in self.stacks.values())
 
     def copy(self) -> Values:
         """An independent copy."""

@@ -22,7 +22,6 @@ from factors import Between, Diagonal, Prior
 from models import SE2, R
 from nls import FactorGraph, Values, kinds
 from nls.filters.base import steps
-from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.starts import locate_points
 from sim.checks import check_rng, check_size
@@ -115,7 +114,7 @@ def circuit(rng: np.random.Generator, landmarks: int) -> LandmarkWorld:
     truth = Values({x: (SE2, X), l: (R(2), L)})
     start = locate_points(graph, Values({x: (SE2, chain(SE2, first[0], odometry)), l: (R(2), np.zeros_like(L))}))
     description = f"Circuit: a ring of {2 * radius:.4g} m across, {n} poses, {landmarks} landmarks."
-    rows = measured_rows(graph.pattern(truth))
+    rows = graph.pattern(truth).measured_rows
     return LandmarkWorld("circuit", truth, graph, start, rows, "correlated", seed_of(rng), description)
 
 

@@ -18,6 +18,9 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from factors import Position, Sighting
+from models import SE2, SE3
+from models.alignment import align
 from models.errors import (
     EvaluationError,
     GraphError,
@@ -25,7 +28,6 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
-from nls.analysis.alignment import aligned
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError
@@ -35,12 +37,6 @@ from nls.values import Values
 
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
 EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less cannot be told apart
-STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
-    "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],
-    "odometry": lambda graph, values: initialize(graph, values, "odometry")[0],
-    "aligned": aligned,
-    "values": lambda graph, values: values,
-}
 SAME = 1e-6  # relative: starts whose chi2 differ by less are one
 HALF = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
 ITERATIONS = 50  # of one alternative
@@ -52,6 +48,63 @@ REFUSED = (
     UnderconstrainedError,
     SingularGeometryError,
 )
+
+
+def aligned(graph: FactorGraph, values: Values) -> Values:
+    """Poses chained by odometry and points seen from them, all moved by one motion onto the measured positions.
+
+    Parameters
+    ----------
+    graph : its `Position` factors of all coordinates say where the poses are.
+    values : every variable.
+
+    Raises
+    ------
+    UnderconstrainedError
+        No positions are measured.
+    SingularGeometryError
+        The positions leave a rotation free.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic
+    >>> from nls import kinds
+    >>> (x,) = kinds("x")
+    >>> step = Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.0], Isotropic(0.1))
+    >>> fixes = Position(x[[0, 2]], [[5.0, 1.0], [5.0, 3.0]], Isotropic(0.1))
+    >>> aligned(FactorGraph([step, fixes]), Values({x: (SE2, SE2.identity(3))}))[x].round(3).tolist()
+    [[5.0, 1.0, 1.571], [5.0, 2.0, 1.571], [5.0, 3.0, 1.571]]
+    """
+    fixes = [f for f in graph.factors if isinstance(f, Position) and f.components is None]
+    groups = {values.gather(factor)[0].manifolds[0] for factor in fixes}
+    if len(groups) != 1:
+        raise UnderconstrainedError("no positions are measured in one group of poses")
+    (group,) = groups
+    assert group in (SE2, SE3)
+    start = initialize(graph, values, "odometry")[0]
+    measured, positions = [], []
+    for factor in fixes:
+        model, X = start.gather(factor)
+        measured.append(model.z)
+        positions.append(model.factor.predict(model.manifolds, *X)[0])
+    T = align(np.concatenate(measured), np.concatenate(positions))
+    points = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting)}
+    moved = {}
+    for kind, stack in start.stacks.items():
+        if stack.manifold is group:
+            moved[kind] = group.compose(T, stack.X)
+        elif kind in points:
+            moved[kind] = group.act(T, stack.X)
+    return start.replaced(moved)
+
+
+STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
+    "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],
+    "odometry": lambda graph, values: initialize(graph, values, "odometry")[0],
+    "aligned": aligned,
+    "values": lambda graph, values: values,
+}
 
 
 class Judged(Protocol):
@@ -139,6 +192,11 @@ def scale(fit: Judged) -> float:
     return max(1.0, fit.chi2 / max(fit.dof, 1))
 
 
+def decisive(standing: Fit, other: Fit, tries: int) -> bool:
+    """Whether chi2 of another graph, as one of so many tries, is lower than chance makes it."""
+    return standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale(other)
+
+
 def supported(standing: Fit, other: Fit, tries: int) -> bool:
     """Whether the measurements support another graph instead of the one that stands, as one of so many tries.
 
@@ -147,5 +205,4 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
     Noise must explain chi2 of the other, or it must be at most half of the one that stands. Wrong closures and sigmas
     that are off remain under every reading.
     """
-    decisive = standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale(other)
-    return decisive and (expected(other) or other.chi2 <= HALF * standing.chi2)
+    return decisive(standing, other, tries) and (expected(other) or other.chi2 <= HALF * standing.chi2)

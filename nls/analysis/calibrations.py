@@ -41,7 +41,7 @@ from nls.covariance import Marginals
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.posegraph import odometry
-from nls.sparse.pattern import Pattern, measured_rows
+from nls.sparse.pattern import Pattern
 from nls.starts.parts import Parts
 from nls.values import Values
 
@@ -154,7 +154,7 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
     key = _unused(values)
     sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, values, key)]
     held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
-    chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.n
+    chi2, dof = graph.chi2(values), pattern.measured_rows - pattern.n
     fits: list[Calibration] = []
     for source in sources:
         other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(source.sigma))], held)

@@ -19,7 +19,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array, Mask, apply
@@ -44,29 +43,20 @@ class ClockOffset:
     Attributes
     ----------
     kind : name of the type of measurement.
-    factors : numbers of the factors.
-    dt : offset: the measurement is of the time of its pose plus dt; in steps, or s where times are given.
+    dt : offset: the measurement is of the time of its pose plus dt; in steps.
     sigma : of dt.
     fall : of chi2, when dt is estimated with everything else and the offsets before it.
-    chi2, dof : of the graph without offsets, kernels' weights counted.
     chance : of such a fall in one of the kinds that were tested, if there is no offset.
-    seconds : whether dt is in seconds.
     """
 
     kind: str
-    factors: tuple[int, ...]
     dt: float
     sigma: float
     fall: float
-    chi2: float
-    dof: float
     chance: float
-    seconds: bool
 
 
-def clock_offsets(
-    checked: Checked, values: Values, count: int, times: Mapping[str, npt.ArrayLike] | None = None
-) -> tuple[ClockOffset, ...]:
+def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOffset, ...]:
     """Kinds of measurements whose residuals go with the velocity of the vehicle.
 
     Parameters
@@ -74,7 +64,6 @@ def clock_offsets(
     checked : every measurement against all others, at the optimum.
     values : the optimum.
     count : number of factors of the graph; further ones of `checked` hold what is free.
-    times : of the poses by the name of their kind, (n,) in the order of `values`, s; pose numbers when omitted.
 
     Returns
     -------
@@ -87,7 +76,7 @@ def clock_offsets(
     Measurements of one pose and of points or nothing else are tested. At constant velocity in the axes of the body a
     forgotten lever arm ahead looks the same: dt times the speed.
     """
-    speeds = {name: velocities(stack, None if times is None else times.get(name)) for name, stack in _tracks(values)}
+    speeds = {name: velocities(stack) for name, stack in _tracks(values)}
     kinds = {
         name: [k for k, _ in kind]
         for name, kind in kinds_of(checked.linear.pattern, count).items()
@@ -97,7 +86,9 @@ def clock_offsets(
     if not names:
         return ()
     score, M, determined = _test(checked, list(kinds.values()), speeds)
-    duration = [max(speeds[kind][1] for k in kinds[name] for kind in _moving(checked, k, speeds)) for name in names]
+    duration = [
+        max(len(speeds[kind]) - 1 for k in kinds[name] for kind in _moving(checked, k, speeds)) for name in names
+    ]
     chi2 = sum(float((w * np.square(e).sum(axis=1)).sum()) for w, e in zip(checked.w[:count], checked.e, strict=False))
     dof = sum(float(test.dof.sum()) for test in checks(checked, count))
     chosen: list[int] = []
@@ -117,40 +108,35 @@ def clock_offsets(
     scale = max(1.0, (chi2 - sum(falls)) / max(dof - len(chosen), 1.0))
     sigma = np.sqrt(scale * np.diagonal(np.linalg.inv(M[np.ix_(chosen, chosen)])))
     offsets = [
-        ClockOffset(names[j], tuple(kinds[names[j]]), float(d), float(s), fall, chi2, dof, chance, times is not None)
+        ClockOffset(names[j], float(d), float(s), fall, chance)
         for j, d, s, fall, chance in zip(chosen, dt, sigma, falls, chances, strict=True)
     ]
     sensible = all(abs(o.dt) <= LONGEST * duration[j] for o, j in zip(offsets, chosen, strict=True))
     return tuple(offsets) if sensible else ()
 
 
-def velocities(stack: Stack, times: npt.ArrayLike | None = None) -> tuple[Array, float]:
-    """Velocity of every pose (n, dim) in its tangent space, and the duration of the track.
+def velocities(stack: Stack) -> Array:
+    """Velocity of every pose (n, dim) in its tangent space, per step.
 
-    .. math:: v_k = \\mathrm{Log}(x_{k-1}^{-1} x_{k+1}) / (t_{k+1} - t_{k-1})
+    .. math:: v_k = \\mathrm{Log}(x_{k-1}^{-1} x_{k+1}) / 2
 
     Parameters
     ----------
-    stack : poses; the order of their numbers is that of time.
-    times : (n,), s, in the order of the stack; the places in the order of time when omitted.
+    stack : poses, two at least; the order of their numbers is that of time.
 
     Examples
     --------
-    >>> velocities(Stack("x", SE2, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.arange(3)))[0].tolist()
+    >>> velocities(Stack("x", SE2, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.arange(3))).tolist()
     [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     group = stack.manifold
     assert isinstance(group, LieGroup)
     order = np.argsort(stack.numbers, kind="stable")
-    n = len(order)
-    t = np.arange(n, dtype=float) if times is None else np.asarray(times, dtype=float)[order]
-    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
-    apart = t[after] - t[before]
-    moving = apart > 0
-    v = np.zeros((n, group.dim))
-    step = group.log(group.between(stack.X[order[before]], stack.X[order[after]]))
-    v[order] = np.where(moving[:, None], step / np.where(moving, apart, 1.0)[:, None], 0.0)
-    return v, float(np.ptp(t))
+    place = np.arange(len(order))
+    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(place) - 1)
+    v = np.zeros((len(order), group.dim))
+    v[order] = group.log(group.between(stack.X[order[before]], stack.X[order[after]])) / (after - before)[:, None]
+    return v
 
 
 def _tracks(values: Values) -> list[tuple[str, Stack]]:
@@ -168,9 +154,7 @@ def _attached(checked: Checked, k: int, speeds: Mapping[str, object]) -> bool:
     return len(_moving(checked, k, speeds)) == 1
 
 
-def _test(
-    checked: Checked, kinds: list[list[int]], speeds: Mapping[str, tuple[Array, float]]
-) -> tuple[Array, Array, Mask]:
+def _test(checked: Checked, kinds: list[list[int]], speeds: Mapping[str, Array]) -> tuple[Array, Array, Mask]:
     """Scores a'e (q,), M (q, q), and which offsets the motion determines (q,)."""
     pattern = checked.linear.pattern
     score, size, columns = np.zeros(len(kinds)), np.zeros(len(kinds)), np.zeros((pattern.n, len(kinds)))
@@ -179,7 +163,7 @@ def _test(
         for k in factors:
             batch, w = pattern.batches[k], checked.w[k][:, None]
             (slot,) = (s for s, kind in enumerate(batch.kinds) if kind in speeds)
-            a = apply(checked.linear.A[k][slot], speeds[batch.kinds[slot]][0][batch.index[slot]])
+            a = apply(checked.linear.A[k][slot], speeds[batch.kinds[slot]][batch.index[slot]])
             products[k] = [w * np.vecmat(a, A) for A in checked.linear.A[k]]
             score[j] += float((w * a * checked.e[k]).sum())
             size[j] += float((w * a * a).sum())

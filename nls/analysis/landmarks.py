@@ -28,12 +28,13 @@ from factors import Sighting
 from factors.keys import Keys, Kind
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array, Mask, apply, congruence, dot, gram
+from models.algebra import Array, Mask, apply, congruence, dot
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear.default import default_solver
 from nls.linear.limits import default_limit
+from nls.linear.null_space import own_information
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
@@ -148,11 +149,7 @@ def landmark_information(
         raise GraphError(f"landmark_information: {name} is in {stack.manifold}, expected points in R(2) or R(3)")
     every = graph.pattern(values)
     system = LinearSystem.at(every, values)
-    H = np.zeros((len(stack), d, d))
-    for batch, blocks in zip(every.batches, system.blocks, strict=True):
-        for slot_kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):
-            if slot_kind == name:
-                np.add.at(H, index, gram(A))
+    H = own_information(system, every.offsets[name] + np.arange(len(stack)), d)
     M = None
     if marginal:
         decided = choose_gauge("first", every, values, fixed_variables(graph.fixed, values))

@@ -20,10 +20,9 @@ import numpy as np
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures, odometry
+from nls.sparse.pattern import measuring
 
 if TYPE_CHECKING:
-    from factors.base import Model
-    from models.algebra import Index
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 
@@ -34,7 +33,6 @@ __all__ = [
     "checks",
     "kinds_of",
     "left_out",
-    "measuring",
     "middle_variance",
     "spoiled",
     "tested",
@@ -81,15 +79,6 @@ def left_out(e: Array, C: Array, w: Array) -> tuple[Array, Array]:
     along = np.square(np.matvec(V.mT, e))
     variance = np.where(r > UNCHECKED, r * (1 + (1 - w)[:, None] * c), np.inf)
     return (along / variance).sum(axis=1), r
-
-
-def measuring(model: Model) -> Index:
-    """(n,) numbers per measurement that measure something, as `nls.sparse.pattern.measured_numbers` counts them."""
-    n, W = len(model.z), model.W
-    if model.factor.limit_only:
-        return np.zeros(n, dtype=np.intp)
-    zero = (W == 0).sum(axis=1) if W.ndim == 2 else (W == 0).all(axis=2).sum(axis=1)
-    return np.broadcast_to(model.dim - model.factor.eliminated - zero, n)
 
 
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:

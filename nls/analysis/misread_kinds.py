@@ -15,10 +15,10 @@ import numpy as np
 from factors.base import Factor
 from models.algebra import Index
 from nls.analysis.alternatives import FIRST, expected, nearest, solved, supported
-from nls.analysis.leave_one_out import kinds_of, measuring, middle_variance
+from nls.analysis.leave_one_out import kinds_of, middle_variance
 from nls.analysis.readings import READINGS, Reading
 from nls.graph import FactorGraph
-from nls.sparse.pattern import Pattern
+from nls.sparse.pattern import Pattern, measuring
 from nls.values import Values
 
 __all__ = ["misread_kinds"]
@@ -42,7 +42,6 @@ class MisreadKind:
     reading : a name of `nls.analysis.readings`.
     standing, chi2 : chi2 of the whole graph at the optimum as it stands, and as it was meant.
     dof : degrees of freedom of both.
-    tries : readings that were tried.
     values : the optimum as it was meant.
     """
 
@@ -52,7 +51,6 @@ class MisreadKind:
     standing: float
     chi2: float
     dof: int
-    tries: int
     values: Values
 
 
@@ -112,8 +110,7 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
         fit = solved(begun.graph, begun.values, start=False)
         if fit is None or not supported(standing, fit, len(alternatives)) or _middle(reread, fit.values) > MIDDLE:
             continue
-        tries = len(alternatives)
-        meant.append(MisreadKind(name, places, reading, standing.chi2, fit.chi2, fit.dof, tries, fit.values))
+        meant.append(MisreadKind(name, places, reading, standing.chi2, fit.chi2, fit.dof, fit.values))
     return nearest(meant)
 
 

@@ -19,17 +19,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.base import Model
-from factors.keys import Keys
 from factors.noise import square
 from models import SE3, SO3
 from models.algebra import Array
 from models.manifolds.units import unit
 from nls.analysis.alternatives import UNLIKELY
 from nls.analysis.chi_squared import chi2_tail
-from nls.analysis.leave_one_out import measuring
 from nls.analysis.linearization import Checked, Linearization
 from nls.analysis.readings import READINGS
-from nls.sparse.pattern import Batch, Pattern
+from nls.analysis.suspects import weights_without
+from nls.sparse.pattern import Batch, Pattern, measuring
 from nls.values import Values
 
 __all__ = ["misread_measurements"]
@@ -44,21 +43,15 @@ class MisreadMeasurement:
     Attributes
     ----------
     place : number of the factor, index of the measurement.
-    keys : its variables as they stand.
     reading : a name of `nls.analysis.readings`.
     standing, t : squared distance from the prediction of all others, as it stands and as it was meant, in sigmas of the
         difference.
-    m : degrees of freedom of t.
-    chance : that a measurement drawn at random fits as well under one of the readings that were tried.
     """
 
     place: tuple[int, int]
-    keys: tuple[Keys, ...]
     reading: str
     standing: float
     t: float
-    m: int
-    chance: float
 
 
 def misread_measurements(
@@ -109,12 +102,9 @@ def misread_measurements(
             factor = reading.read(pattern.batches[k].model)
             if factor is not None:
                 meant.append((k, reading.name, factor[indices]))
-    accepted = [np.ones(len(factor)) for factor in factors]
-    for k, indices in doubtful.items():
-        accepted[k][indices] = 0.0
     whole = Pattern([*factors, *(factor for *_, factor in meant)], values).holding(pattern.held)
     nothing = [np.zeros(len(factor)) for *_, factor in meant]
-    checked = Checked(Linearization(whole, values, [*accepted, *nothing]))
+    checked = Checked(Linearization(whole, values, [*weights_without(pattern, places, len(factors)), *nothing]))
     standing = {k: _distances(checked, k) for k in doubtful}
     out = []
     for n, (k, name, _) in enumerate(meant, start=len(factors)):
@@ -125,9 +115,7 @@ def misread_measurements(
         for row in np.flatnonzero(fits).tolist():
             i = doubtful[k][row]
             if standing[k][i] >= FAR:
-                keys = tuple(keys[[i]] for keys in factors[k].keys)
-                numbers = float(standing[k][i]), float(t[row]), int(m[row]), float(chance[row])
-                out.append(MisreadMeasurement((k, i), keys, name, *numbers))
+                out.append(MisreadMeasurement((k, i), name, float(standing[k][i]), float(t[row])))
     return tuple(sorted(out, key=lambda misread: (list(places).index(misread.place), misread.t)))
 
 

@@ -45,6 +45,7 @@ from factors.keys import Kind
 from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
+from nls.analysis.chi_squared import mahalanobis
 from nls.analysis.closure_groups import ClosureGroup, closure_groups
 from nls.analysis.leave_one_out import UNSEEN
 from nls.covariance import Marginals
@@ -221,7 +222,7 @@ def _judged(
         moved, known = displacements(before, after), np.trace(Sigma, axis1=1, axis2=2) > 0
         q = (before - after)[known]
         meters, rms = float(moved.max()), float(np.sqrt(np.square(moved).mean()))
-        sigmas = float(np.sqrt((q * np.linalg.solve(Sigma[known], q[..., None])[..., 0]).sum(axis=1).max()))
+        sigmas = float(np.sqrt(mahalanobis(q, Sigma[known]).max()))
         if rms < PART * extent or sigmas < SIGMAS:
             return None
     closures_of = tuple(zip(group.batch.tolist(), group.index.tolist(), strict=True))

@@ -15,9 +15,9 @@ from factors.robust import Kernel
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError
 from models.manifolds.units import unit
-from nls.analysis.leave_one_out import kinds_of, measuring
+from nls.analysis.leave_one_out import kinds_of
 from nls.analysis.linearization import Checked
-from nls.sparse.pattern import Batch, Pattern
+from nls.sparse.pattern import Batch, Pattern, measuring
 
 __all__ = ["GROUPS", "Group", "Residuals", "residual_groups"]
 
@@ -107,7 +107,7 @@ class Residuals:
                 w, e, C = checked.w[number][index], checked.e[number][index], checked.C[number][index]
                 beta, likeness = _under_noise(batch, index)
                 f = np.sqrt(w / beta)[:, None] * e[:, columns]
-                count = _measured(batch, index, columns)
+                count = measuring(batch.model, columns)[index]
                 self.v[k] += np.square(f).sum()
                 self.numbers[k] += count.sum()
                 self._spent[k] += (w[:, None] * np.diagonal(C, axis1=1, axis2=2)[:, columns]).sum()
@@ -150,13 +150,6 @@ class Residuals:
         out = np.full((K, K), np.nan)
         out[np.ix_(chosen, chosen)] = np.linalg.inv(N[np.ix_(chosen, chosen)])
         return out
-
-
-def _measured(batch: Batch, index: Index, columns: Index) -> Index:
-    """(k,) numbers among some components that measure something, without those that a factor has spent."""
-    W = batch.model.W
-    nonzero = (W != 0 if W.ndim == 2 else (W != 0).any(axis=2))[:, columns].sum(axis=1)
-    return np.broadcast_to(nonzero, len(batch))[index] - batch.model.factor.eliminated
 
 
 def _under_noise(batch: Batch, index: Index) -> tuple[Array, Array]:

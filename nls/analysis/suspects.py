@@ -1,13 +1,14 @@
 """Wrong measurements: the worst is taken out, all others are judged anew, until none stands out.
 
 One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. A group of
-wrong closures that support each other is taken out as one, see `nls.analysis.group_tests`. The linear problem decides
+wrong closures that support each other is taken out as one (`nls.analysis.closure_groups`). The linear problem decides
 about both; then the rest is optimized, and closures that fit the rest after all come back, a group's one by one.
 """
 
 from __future__ import annotations
 
 from collections import ChainMap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ import numpy as np
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
-from nls.analysis.group_tests import GroupTests
+from nls.analysis.closure_groups import GroupTests
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph
@@ -112,7 +113,7 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
         except NoOptimumError:
             break  # the linear problem has the last word
     places = list(chain(*removals))
-    tests, accepted = checks(checked, count), _accepted(pattern, places, count)
+    tests, accepted = checks(checked, count), weights_without(pattern, places, count)
     s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
     chi2 = sum(float(s_k[a > 0].sum()) for s_k, a in zip(s, accepted, strict=True))
     dof = round(sum(float(test.dof[a > 0].sum()) for test, a in zip(tests, accepted, strict=True)), 6) + 0.0
@@ -177,7 +178,8 @@ def _off(checked: Checked, tests: list[Tested], scale: list[Array]) -> list[Arra
     return out
 
 
-def _accepted(pattern: Pattern, places: list[Place], count: int) -> list[Array]:
+def weights_without(pattern: Pattern, places: Sequence[Place], count: int) -> list[Array]:
+    """By batch 1 for every measurement and 0 for some of them, (n,)."""
     accepted = [np.ones(len(batch)) for batch in pattern.batches[:count]]
     for k, i in places:
         accepted[k][i] = 0.0
@@ -192,7 +194,7 @@ def _without(graph: FactorGraph, pattern: Pattern, values: Values, places: list[
     NoOptimumError
         There is none, or none within `ITERATIONS`; or a factor is made from a function and has no parts.
     """
-    accepted = _accepted(pattern, places, len(graph.factors))
+    accepted = weights_without(pattern, places, len(graph.factors))
     damped = LevenbergMarquardt(Stop(max_iterations=ITERATIONS))
     try:
         subgraph = graph.only([a > 0 for a in accepted])

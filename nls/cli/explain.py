@@ -85,7 +85,7 @@ def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Ex
 def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[Explanation, str]:
     """The explanation of a mission without its wrong contacts, which it names, and what it is of."""
     from nls.cli import outliers
-    from nls.explanation.wrong_contacts import wrong_contacts
+    from nls.explanation.causes import wrong_contacts
 
     kept, kept_report = outliers.without_rejected(graph, choice, report)
     explanation = explanation_of(kept, choice.result.values, kept_report)
@@ -114,7 +114,7 @@ def _explained(
     from models.listing import several
     from nls.cli.hint import explain_misfit
     from nls.cli.outliers import choice_of
-    from nls.explanation.applicability import graduates
+    from nls.explanation.doubts import graduates
     from nls.explanation.findings import FindingKind
     from nls.optimizers import default_optimizer
 

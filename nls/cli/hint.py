@@ -71,7 +71,7 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     pattern = graph.pattern(values)
     if not component_labels(pattern).any():  # one part, beginning with the first variable
         return []
-    from nls.explanation.separate_parts import separate_parts
+    from nls.explanation.explain import separate_parts
 
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
@@ -105,7 +105,7 @@ def gnc_applies(graph: FactorGraph, result: Result, options: argparse.Namespace)
     """Graduated non-convexity, or another start, where chi2 is far off and closures may be wrong."""
     if options.robust is not None or Advice("start") not in result.advice:
         return []
-    from nls.explanation.applicability import graduates
+    from nls.explanation.doubts import graduates
 
     return listed([Advice("gnc"), Advice("start")] * graduates(graph, result.values), shell=True)
 

@@ -70,8 +70,8 @@ def contacts_of(graph: FactorGraph) -> list[Factor]:
 def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
     """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
 
-    All are believed where `nls.robust.misfit` finds nothing. They are believed with a note where a calibration explains
-    most of the misfit. The same holds where the choice is doubtful or cannot be made.
+    All are believed where `nls.robust.contacts.misfit` is False. They are believed with a note where a calibration
+    explains most of the misfit. The same holds where the choice is doubtful or cannot be made.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     from models.errors import UnderconstrainedError
     from nls.analysis.calibrations import calibrations
     from nls.explanation.causes import calibrated
-    from nls.robust.misfit import misfit
+    from nls.robust.contacts import misfit
 
     if not misfit(result, contacts):
         return None
@@ -173,10 +173,10 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
 
 def without_left(values: Values, kept: Values) -> Values:
     """The values of the variables that were kept."""
-    from nls.values import Stack, Values
+    from nls.values import Values
 
     stacks = []
     for stack in values.stacks.values():
         there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
-        stacks.append(stack if there.all() else Stack(stack.kind, stack.manifold, stack.X[there], stack.numbers[there]))
+        stacks.append(stack if there.all() else stack.only(there))
     return Values.of(stacks)

@@ -23,8 +23,7 @@ from nls.covariance.determined import Undetermined, anchored_factorization, used
 from nls.covariance.frames import axes, of_motions, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
-from nls.covariance.pairs import paired
-from nls.covariance.selected import SelectedInverse
+from nls.covariance.selected import SelectedInverse, paired
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by

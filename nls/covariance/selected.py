@@ -1,13 +1,22 @@
-"""The selected inverse: all blocks of H^-1 that have one in H, from one pass over its factor."""
+"""The selected inverse: all blocks of H^-1 that have one in H, from one pass over its factor.
+
+Pairs of variables that nothing measures together get a block in H by a factor that measures nothing.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from factors.base import Factor, Jacobians
+from factors.keys import Keys
+from factors.noise import Isotropic
+from models import Manifold, R
 from models.algebra import Array, Index, Mask
 from nls.linear.factorization import Factorization
 
-__all__ = ["SelectedInverse"]
+__all__ = ["Pair", "SelectedInverse", "paired"]
 
 
 class SelectedInverse:
@@ -53,3 +62,30 @@ class SelectedInverse:
         """Keys of pairs (k,), and where they are or would be among those there are."""
         key = np.minimum(i, j) * self._variables + np.maximum(i, j)
         return key, np.minimum(np.searchsorted(self._key, key), len(self._key) - 1)
+
+
+class Pair(Factor):
+    """Two variables that share a factor, which measures nothing: so the selected inverse has their block."""
+
+    slots = (None, None)
+    relative = True
+
+    def __init__(self, i: Keys, j: Keys) -> None:
+        super().__init__([i, j], [0.0], Isotropic(1.0))
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return R(1)
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        return np.zeros((len(self), 1)), tuple(np.zeros((len(self), 1, manifold.dim)) for manifold in manifolds)
+
+
+def paired(pairs: Sequence[tuple[Keys, Keys]]) -> list[Factor]:
+    """A factor for every batch of pairs, each pair once; none of a variable with itself."""
+    factors: list[Factor] = []
+    for i, j in pairs:
+        numbers = np.stack([i.numbers, j.numbers])
+        numbers = np.unique(numbers[:, i.numbers != j.numbers] if i.kind == j.kind else numbers, axis=1)
+        if numbers.size:
+            factors.append(Pair(Keys(i.kind, numbers[0]), Keys(j.kind, numbers[1])))
+    return factors

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from models.advice import Advice
 from models.listing import SOME
 from nls.analysis.clock import clock_offsets
+from nls.analysis.exchanged_contacts import Exchanged, exchanged_contacts
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
+    from nls.robust import Robustified
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
@@ -59,16 +63,14 @@ def misread(graph: FactorGraph, values: Values) -> list[Finding]:
 
 def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested]) -> list[Finding]:
     """Pairs of landmarks that are one another in some of their sightings."""
-    return [
-        Finding(
-            FindingKind.SWAPPED,
-            (pair.first, pair.second),
-            {"sightings": len(pair.places), "chi2": pair.standing, "chi2_otherwise": pair.chi2, "dof": pair.dof},
-            (Advice("exchange", (repr(pair.first), repr(pair.second))),),
-            pair.places[:SOME],
-        )
-        for pair in swapped_landmarks(graph, values, tests)
-    ]
+    return [_swapped(pair, pair.dof) for pair in swapped_landmarks(graph, values, tests)]
+
+
+def _swapped(pair: Exchanged, dof: int) -> Finding:
+    """Two landmarks that were taken for one another."""
+    numbers = {"sightings": len(pair.places), "chi2": pair.standing, "chi2_otherwise": pair.chi2, "dof": dof}
+    advice = (Advice("exchange", (repr(pair.first), repr(pair.second))),)
+    return Finding(FindingKind.SWAPPED, (pair.first, pair.second), numbers, advice, pair.places[:SOME])
 
 
 def readings(checked: Checked, suspects: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
@@ -119,3 +121,23 @@ def calibrated(wrong: Sequence[Calibration]) -> list[Finding]:
     }
     advice = tuple(Advice(f"calibrate {quantity}") for quantity in dict.fromkeys(c.quantity for c in wrong))
     return [Finding(FindingKind.CALIBRATION, (), numbers, advice)]
+
+
+def wrong_contacts(graph: FactorGraph, choice: Robustified) -> tuple[Finding, ...]:
+    """The contacts of a mission that were rejected, all in one, then the pairs of landmarks with exchanged contacts.
+
+    Parameters
+    ----------
+    graph : with all contacts.
+    choice : among them.
+    """
+    out = [weight == 0 for weight in choice.weights]
+    where = {
+        factor.describe(i): (k, i) for k, factor in enumerate(graph.factors) for i in np.flatnonzero(out[k]).tolist()
+    }
+    names = [rejection.factor for rejection in choice.rejected]
+    worst = tuple(where[name] for name in names[:SOME] if name in where)
+    inspect = (Advice("inspect", ("them",)), Advice("remove", ("them",)))
+    many = Finding(FindingKind.MANY_OUTLIERS, (), {"factors": names}, inspect, worst)
+    exchanged = exchanged_contacts(graph, choice.result.values, out)
+    return (many, *(_swapped(pair, 2 * len(pair.places)) for pair in exchanged))

@@ -10,11 +10,11 @@ import numpy as np
 from factors import Cauchy, Huber, Prior
 from factors.base import Factor
 from models.advice import Advice
+from models.errors import GraphError
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
-from nls.explanation.applicability import certifies, graduates
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.gauge import component_labels
 from nls.posegraph import closures
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Batch, Pattern
     from nls.values import Values
 
-__all__ = ["of_suspects"]
+__all__ = ["certifies", "graduates", "of_suspects"]
 
 UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word
@@ -44,6 +44,27 @@ CURES = {  # action by reading
     "z flipped": "flip",
     "x, y exchanged": "flip",
 }
+
+
+def certifies(graph: FactorGraph, values: Values) -> bool:
+    """Whether `nls.certify` takes this graph."""
+    from nls.certificate.problem import certifiable
+
+    try:
+        certifiable(graph, values)
+    except GraphError:
+        return False
+    return True
+
+
+def graduates(graph: FactorGraph, values: Values) -> bool:
+    """Whether `nls.gnc` finds loop closures to doubt in this graph, and odometry to judge them by."""
+    from nls.robust.loop_graph import loop_graph
+
+    try:
+        return len(loop_graph(graph, values).closures) > 0
+    except GraphError:
+        return False
 
 
 def measurement(factor: Factor, index: int, values: Values, t: float, chance: float) -> Measurement:
@@ -64,7 +85,7 @@ def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values)
     return Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": chi2}, advice)
 
 
-def taken_out(suspects: Suspects, graph: FactorGraph, pattern: Pattern, values: Values) -> tuple[Measurement, ...]:
+def taken_out(suspects: Suspects, graph: FactorGraph, values: Values) -> tuple[Measurement, ...]:
     """The suspects: chi2 where they are in, distance and chance where they are not."""
     n = sum(int((test.m > 0).sum()) for test in suspects.tests)
     out = []

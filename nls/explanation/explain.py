@@ -23,19 +23,17 @@ from nls.explanation import causes, doubts
 from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.explanation.separate_parts import separate_parts
 from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
+    from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
-
-__all__ = ["explain"]
+__all__ = ["explain", "separate_parts"]
 
 WORST = 10  # measurements that are named
 AT_OPTIMUM = 0.01, 1e-5  # fall of chi2 in a further step: in all, and as a part of chi2
@@ -105,8 +103,9 @@ def explain(
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
-    chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
-    dof = measured_rows(pattern) - (pattern.n - free.count)
+    squares = [factor.chi2(values) for factor in graph.factors]
+    chi2 = sum(float(s.sum()) for s in squares)
+    dof = pattern.measured_rows - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
     tests: list[Tested] | None = None
     outliers: Suspects | None = None
@@ -120,7 +119,6 @@ def explain(
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
-        squares = [factor.chi2(values) for factor in graph.factors]
         parts = _parts(pattern, squares, tests)
         grouped = parts if groups is None else _parts(pattern, squares, tests, groups=groups)
         worst = _worst(pattern, values, tests)
@@ -142,7 +140,7 @@ def explain(
         variables=len(values),
         unknowns=pattern.n,
         measurements=len(graph),
-        rows=measured_rows(pattern),
+        rows=pattern.measured_rows,
         components=_sizes(pattern, moving_variables(pattern)),
         gauge=gauge.description,
         nullity=free.count,
@@ -156,7 +154,7 @@ def explain(
         findings=tuple(findings),
         parts=grouped,
         worst=worst,
-        suspects=() if outliers is None else doubts.taken_out(outliers, graph, whole, values),
+        suspects=() if outliers is None else doubts.taken_out(outliers, graph, values),
         chi2_without=None if outliers is None or not outliers.places else (outliers.chi2, outliers.dof),
         weakest=weakest,
     )
@@ -243,6 +241,24 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
     keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
     pronoun = "it" if len(keys) == 1 else "them"
     return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (pronoun,))))]
+
+
+def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
+    """Parts that nothing joins, where not all of them have a place of their own; the largest first.
+
+    Parameters
+    ----------
+    pattern : the graph.
+    gauge : what is held; a part that the gauge holds has no place of its own.
+    """
+    moved = moving_variables(pattern)
+    names, first, sizes = np.unique(component_labels(pattern)[moved], return_index=True, return_counts=True)
+    if len(names) < 2 or not (gauge.held & ~gauge.fixed).any():
+        return []
+    order = np.argsort(-sizes, kind="stable")
+    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(moved)[first[order]])
+    numbers = {"variables": tuple(sizes[order].tolist())}
+    return [Finding(FindingKind.SEPARATE_PARTS, keys, numbers, (Advice("join"), Advice("split")))]
 
 
 def _parts(

@@ -20,10 +20,10 @@ from nls.gauge import choose_gauge, touched_variables
 from nls.incremental.batch import BatchMark, GrowingBatch, touched
 from nls.incremental.growing import Variables
 from nls.incremental.marginal import MarginalPrior, priors_left
-from nls.incremental.preconditioner import Preconditioner
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
+from nls.linear.updatable import Preconditioner
 from nls.optimizers.fit import Fit, fit
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem

@@ -35,7 +35,7 @@ from models.sensors import seen_from
 from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-from nls.values import Stack, Values
+from nls.values import Values
 
 __all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
 
@@ -209,7 +209,7 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
     UnderconstrainedError
         The measurements do not determine what leaves; named.
     """
-    touched = Values.of(_masked(s, np.isin(s.numbers, numbers_of(touching, s.kind))) for s in values.stacks.values())
+    touched = Values.of(s.only(np.isin(s.numbers, numbers_of(touching, s.kind))) for s in values.stacks.values())
     pattern = Pattern(touching, touched)
     system = LinearSystem.at(pattern, touched)
     gone = {(keys.kind, number) for keys in leaving for number in keys.numbers.tolist()}
@@ -282,12 +282,8 @@ def without(values: Values, leaving: Sequence[Keys]) -> Values:
     """The values of the other variables."""
     stacks = dict(values.stacks)
     for gone in leaving:
-        stacks[gone.kind] = _masked(stacks[gone.kind], ~np.isin(stacks[gone.kind].numbers, gone.numbers))
+        stacks[gone.kind] = stacks[gone.kind].only(~np.isin(stacks[gone.kind].numbers, gone.numbers))
     return Values.of(stacks.values())
-
-
-def _masked(stack: Stack, mask: Mask) -> Stack:
-    return Stack(stack.kind, stack.manifold, stack.X[mask], stack.numbers[mask])
 
 
 def numbers_of(factors: Sequence[Factor], kind: str) -> Numbers:

@@ -20,7 +20,7 @@ from nls.io.report import LoadReport
 from nls.io.roles import Roles
 from nls.io.text import Text
 from nls.posegraph import says_poses
-from nls.starts.chain import chain
+from nls.starts.dead_reckoning import chain
 from nls.starts.landmarks import locate_points
 from nls.values import Values
 

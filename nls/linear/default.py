@@ -5,10 +5,10 @@ from __future__ import annotations
 from models.errors import OptionError
 from nls.linear.base import LinearSolver
 from nls.linear.cholesky import Cholesky
+from nls.linear.dense import FEW, Small
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import LU
 from nls.linear.normal import SparseSolver
-from nls.linear.small import FEW, Small
 from nls.system import LinearSystem
 
 __all__ = ["best_decomposition", "chosen_solver", "default_solver", "factorize", "factorized_by"]

@@ -21,19 +21,13 @@ from nls.linear.factorization import Factorization
 from nls.linear.singular import NULL, SingularSystemError
 from nls.system import LinearSystem
 
-__all__ = ["BLOCKS", "null_directions", "null_space", "separated", "single_directions", "weakest"]
+__all__ = ["BLOCKS", "null_directions", "own_information", "separated", "single_directions", "weakest"]
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration
 MAX_DIRECTIONS, BLOCKS = 12, 8  # null directions looked for in one block; blocks; more are counted as "at least"
 NOTHING = 1e-4  # of a direction of length 1: rounding, when all else of it belongs to single variables
 MAYBE = 1e-12  # eigenvalue of a block whose columns have length 1: squares keep half of the digits, so only a candidate
-
-
-def null_space(system: LinearSystem) -> Array:
-    """Free directions (n, k) of a linear system, whatever its weights, of length 1, k at most 12."""
-    s, N = weakest(system.balanced)
-    return N[:, s <= NULL]
 
 
 def null_directions(system: LinearSystem, singles: sp.csc_array) -> tuple[Array, bool]:
@@ -126,7 +120,7 @@ def single_directions(system: LinearSystem) -> sp.csc_array:
         variables = free[pattern.dims[free] == d]
         columns = pattern.starts[variables][:, None] + np.arange(d)  # (v, d)
         scale = norms[columns]
-        w, V = np.linalg.eigh(_blocks(system, variables, d) / (scale[:, :, None] * scale[:, None, :]))
+        w, V = np.linalg.eigh(own_information(system, variables, d) / (scale[:, :, None] * scale[:, None, :]))
         v, k = np.nonzero(w <= MAYBE)
         rows.append(columns[v].ravel())
         numbers.append(V[v, :, k].ravel())
@@ -137,7 +131,7 @@ def single_directions(system: LinearSystem) -> sp.csc_array:
     return sp.csc_array(candidates[:, np.flatnonzero(lengths <= NULL)])
 
 
-def _blocks(system: LinearSystem, variables: Index, d: int) -> Array:
+def own_information(system: LinearSystem, variables: Index, d: int) -> Array:
     """A_v'A_v (k, d, d) of some variables (k,), all of d unknowns."""
     place = np.full(len(system.pattern.dims), -1)
     place[variables] = np.arange(len(variables))

@@ -1,4 +1,4 @@
-r"""How far an estimated trajectory is from the true one, in meters, after a named alignment.
+r"""How far an estimated trajectory is from the true one, in meters, after a named alignment; circles of its errors.
 
 The absolute trajectory error compares positions, pose by pose, after one motion T = (R, t) of the whole estimate:
 
@@ -12,8 +12,17 @@ The absolute trajectory error compares positions, pose by pose, after one motion
 
 The last three are those of `models.alignment`. s = 1 but for the last: sonar and odometry measure meters.
 
+Navigators state accuracy by the circle that holds 50 % or 95 % of the errors, and by 2DRMS:
+
+    CEP(p) = the p-quantile of d_i,   d_i = sqrt(e_x^2 + e_y^2),   2DRMS = 2 sqrt(mean d_i^2)
+
+Both are of the errors x and y, in the horizontal. CEP is counted, not computed from a normal distribution, so that
+outliers count as they are. Of normal errors without correlation and of one sigma, CEP(0.5) is 1.177 sigma, CEP(0.95)
+2.448 sigma and 2DRMS 2.828 sigma, which holds 98.2 %.
+
 Source: J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, section V.B; Z. Zhang, D.
-Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", IROS 2018.
+Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", IROS 2018; F. van
+Diggelen, "GPS accuracy: lies, damn lies, and statistics", GPS World 9(1), 1998.
 """
 
 from __future__ import annotations
@@ -27,10 +36,11 @@ from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from models.alignment import align, align_similarity, align_yaw
 from models.errors import GraphError, OptionError, SingularGeometryError
-from models.finite import numbers
+from models.finite import finite, numbers
+from models.options import check_between
 from models.sensors import SingularAt
 
-__all__ = ["ALIGNMENTS", "TrajectoryError", "ate", "displacements"]
+__all__ = ["ALIGNMENTS", "TrajectoryError", "ate", "cep", "displacements", "drms2"]
 
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 
@@ -165,3 +175,46 @@ def _least(group: LieGroup, p: Array, q: Array, how: str) -> tuple[Array, float]
         ) from error
     except GraphError as error:  # the positions are finite: their squares are not
         raise _too_far() from error
+
+
+def cep(errors: npt.ArrayLike, probability: float = 0.5) -> float:
+    """Circular error probable: the radius about the truth that holds this share of the estimates, m.
+
+    Parameters
+    ----------
+    errors : (n, 2) or (n, 3), m: x and y first, as `TrajectoryError.errors`. A third column does not count.
+    probability : between 0 and 1; 0.95 gives R95.
+
+    Raises
+    ------
+    GraphError
+        Another shape, no errors, no finite numbers.
+    OptionError
+        A probability that is not between 0 and 1.
+
+    Examples
+    --------
+    >>> cep([[3.0, 4.0], [0.0, 1.0], [0.0, 2.0]]), cep([[3.0, 4.0], [0.0, 1.0], [0.0, 2.0]], 0.95)
+    (2.0, 4.7)
+    """
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.95")
+    return float(np.quantile(_horizontal("cep", errors), probability))
+
+
+def drms2(errors: npt.ArrayLike) -> float:
+    """2DRMS, twice the root mean square of the horizontal errors, m; parameters and errors as for `cep`.
+
+    Examples
+    --------
+    >>> drms2([[3.0, 4.0], [0.0, 5.0]])
+    10.0
+    """
+    return float(2 * np.sqrt(np.mean(np.square(_horizontal("drms2", errors)))))
+
+
+def _horizontal(who: str, errors: npt.ArrayLike) -> Array:
+    """Horizontal distances (n,)."""
+    e = np.atleast_2d(finite(who, "errors", errors))
+    if e.ndim != 2 or e.shape[1] not in (2, 3) or not len(e):
+        raise GraphError(f"{who}: errors have shape {e.shape}, expected (n, 2) or (n, 3): x and y, or x, y and z")
+    return np.asarray(np.hypot(e[:, 0], e[:, 1]))

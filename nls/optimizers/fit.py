@@ -25,7 +25,7 @@ import numpy as np
 
 from factors.base import Factor
 from models.algebra import Array, Mask
-from nls.sparse.pattern import measured_numbers
+from nls.sparse.pattern import measuring
 from nls.values import Values
 
 __all__ = ["SILENCED", "Fit", "Share", "fit", "shares"]
@@ -137,4 +137,4 @@ def _ignored(factor: Factor, values: Values) -> tuple[Mask, Array, float]:
     if kernel is None or factor.limit_only:
         return np.zeros(len(s), dtype=bool), s, 0.0
     bound = BELIEVED * kernel.weight(np.array([chdtri(model.dim, NOISE)]))
-    return kernel.weight(s) <= bound, s, measured_numbers(model) / max(len(s), 1)
+    return kernel.weight(s) <= bound, s, int(measuring(model).sum()) / max(len(s), 1)

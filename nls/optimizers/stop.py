@@ -2,7 +2,6 @@
 
 A rule takes a `Step` and returns a `Verdict`, or None where it does not apply; the first verdict ends the optimization.
 Each rule is documented by its inequality. The thresholds are those in force, `Stop.in_force`; 0 is one that is off.
-The rules for trial steps that a damped method refuses are in `nls.optimizers.refusal`.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from nls.optimizers.step import ROUNDING, Step
 from nls.optimizers.thresholds import Status
 
-__all__ = ["AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "Rule", "Verdict", "ask"]
+__all__ = ["AFTER_A_REFUSAL", "AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "NO_STEP_LEFT", "Rule", "Verdict", "ask"]
 
 CHECK = "check the Jacobians with factors.check_jacobians"
 
@@ -159,6 +158,60 @@ def cycle(step: Step) -> Verdict | None:
     return Verdict(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {watch.lowest:.6g}")
 
 
+# ---- after a trial step that was refused
+
+
+def level_refused(step: Step) -> Verdict | None:
+    """|fall| is within the rounding of chi2, and dx is long."""
+    return levels_off(step) if step.rounds(abs(step.fall)) and step.leaves else None
+
+
+def promise_small(step: Step) -> Verdict | None:
+    """promise <= chi2_rtol chi2, and the undamped step agrees."""
+    ratio = step.promised / step.system.chi2
+    if not (step.tol.chi2_rtol > 0 and ratio <= step.tol.chi2_rtol and step.agreed):
+        return None
+    if step.watch.level_steps >= PLATEAU:
+        return levels_off(step)
+    reason = f"promised relative decrease of chi2 {ratio:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)"
+    return Verdict(Status.CONVERGED, reason)
+
+
+def promise_invisible(step: Step) -> Verdict | None:
+    """The promise is within the rounding of chi2, and the undamped step agrees."""
+    if not (step.invisible and step.agreed):
+        return None
+    if step.watch.level_steps >= PLATEAU:
+        return levels_off(step)
+    ratio = step.promised / step.system.chi2
+    return Verdict(
+        Status.CONVERGED, f"noise floor of 16 digits: no step promises a relative decrease of chi2 above {ratio:.1e}"
+    )
+
+
+# ---- no shorter step is left to try
+
+STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
+
+
+def no_rise(step: Step) -> Verdict | None:
+    """chi2 does not rise along the undamped step, as it would from a minimum, even where the Jacobian is singular."""
+    return levels_off(step) if step.fall >= 0 or step.rounds(-step.fall) else None
+
+
+def stationary(step: Step) -> Verdict | None:
+    """max_k |A_k'b| / (|A_k| |b|) <= 1e-6."""
+    size = step.slope
+    if size > STATIONARY:
+        return None
+    return Verdict(Status.CONVERGED, f"noise floor of 16 digits: no step lowers chi2; scaled gradient {size:.1e}")
+
+
+def every_step_refused(step: Step) -> Verdict:
+    """max_k |A_k'b| / (|A_k| |b|) > 1e-6."""
+    return Verdict(Status.STALLED, f"every step was refused, the last one led {step.words}; {CHECK}")
+
+
 # ---- limits
 
 ROUND = 20  # steps up and down without a new best, and none above those before: no search still going on
@@ -233,5 +286,7 @@ OUTCOMES: tuple[Rule, ...] = (
     cycle,
 )
 AFTER_A_STEP = OUTCOMES + LIMITS
+AFTER_A_REFUSAL: tuple[Rule, ...] = (level_refused, promise_small, promise_invisible, *LIMITS)
+NO_STEP_LEFT: tuple[Rule, ...] = (no_rise, stationary, every_step_refused)
 AT_THE_END: tuple[Rule, ...] = (pulled,)
 GUARDS = (unknown_lost, above_the_best)

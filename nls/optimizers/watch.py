@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.algebra import Array
-from nls.optimizers import refusal, stop
+from nls.optimizers import stop
 from nls.optimizers.record import Record
 from nls.optimizers.result import Callback, Iteration
 from nls.optimizers.step import Step
@@ -110,7 +110,7 @@ class Watch(Record):
         self, values: Values, system: LinearSystem, dx: Array, promised: float, fall: float, undamped: Undamped
     ) -> None:
         """A trial step from the current point was not taken."""
-        self._ask(refusal.AFTER_A_REFUSAL, Step(self, values, system, dx, promised, fall=fall, undamped=undamped))
+        self._ask(stop.AFTER_A_REFUSAL, Step(self, values, system, dx, promised, fall=fall, undamped=undamped))
 
     def stall(self, values: Values, system: LinearSystem, chi2: float, led: str) -> None:
         """No shorter step from the current point is left to try.
@@ -122,7 +122,7 @@ class Watch(Record):
         led : where the last step led.
         """
         fall = system.chi2 - chi2
-        self._ask(refusal.NO_STEP_LEFT, Step(self, values, system, np.zeros(0), fall=fall, words=led))
+        self._ask(stop.NO_STEP_LEFT, Step(self, values, system, np.zeros(0), fall=fall, words=led))
 
     def doubt(self, system: LinearSystem, solver: str) -> None:
         """It has converged by the steps of a solver that is not exact: ask again at the best point."""

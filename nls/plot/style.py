@@ -1,21 +1,5 @@
 """The colors of all pictures: one thing has one color, and those that meet differ for the color-blind, too."""
 
-__all__ = [
-    "ARC",
-    "BEFORE",
-    "CLOSURE",
-    "CONTACT",
-    "ECHO",
-    "ELLIPSE",
-    "ESTIMATE",
-    "HELD",
-    "LANDMARK",
-    "REJECTED",
-    "SERIES",
-    "SIGHT",
-    "TRUE",
-]
-
 ESTIMATE = "#0b4f6c"  # the solution, its track
 BEFORE = "#e07a2f"  # what was there before it: dead reckoning, a start
 TRUE = "#202020"

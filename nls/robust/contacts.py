@@ -1,4 +1,6 @@
-r"""Which contacts of a sonar to begin with: of every landmark the largest set that agrees, judged by dead reckoning.
+r"""Whether contacts of a sonar are wrong, and which to begin with then: those that agree, judged by dead reckoning.
+
+Of every landmark the largest set that agrees is taken.
 
 A contact a (range, azimuth) of a landmark and an elevation e say where the landmark is, as seen from its own pose. Each
 other contact b of the landmark, from a pose at T_ab with the covariance P_ab along the track, is predicted from there:
@@ -15,6 +17,19 @@ linear in the contacts.
 One contact that nothing repeats decides nothing: where no second one agrees, the landmark has no set. Contacts of a
 landmark in parts of the track that nothing trusted joins are sets of their own.
 
+The covariance of a step of the track, in the axes of its end, is that of the trusted graph (`nls.analysis.motions`).
+The steps are added as if they were independent (`nls.robust.consistency.Odometry`). They are where odometry measures
+them; a depth or an attitude that every pose measures by itself makes the sum too large, never too small. A track ends
+where nothing trusted joins a pose to the one before: dives that only have landmarks in common.
+
+After a plain solution contacts are wrong where
+
+    chi2 > its 97.5 % quantile,     max s > v q,     v = max(1, median s / median of chi2)
+
+with s the squared whitened residuals of the n contacts, and q a quantile of chi2 of two numbers (`misfit`). One of n
+right contacts is beyond it by chance with 0.1 %. v is the variance of unit weight by the median. Sigmas that are all
+too small raise v and max s alike, wrong contacts raise the largest ones far more.
+
 Source: the largest set of measurements that agree, as in J. G. Mangelson et al., "Pairwise consistent measurement set
 maximization for robust multi-robot map merging", ICRA 2018; here all are compared with one of them, as in M. Fischler,
 R. Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981, since two contacts of an arc agree easily.
@@ -28,27 +43,32 @@ from math import ceil, radians
 
 import numpy as np
 
-from factors.base import Model
-from factors.elevation import ElevationHinge
+from factors.base import Factor, Model
+from factors.keys import Keys
 from factors.noise import square
 from factors.sighting import Sighting
-from models import SE3
-from models.algebra import Array, Index, Mask
+from models import SE3, LieGroup
+from models.algebra import Array, Index, Mask, Numbers
 from models.sensors import cartesian
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.motions import motion_covariances
 from nls.covariance.frames import turned
+from nls.gauge import component_labels
 from nls.graph import FactorGraph
+from nls.optimizers import Fit, Result
+from nls.posegraph import Edges
+from nls.robust.consistency import Odometry
 from nls.robust.landmarks import Landmarks
-from nls.robust.track import Track, along
-from nls.starts.elevation import APERTURE
+from nls.starts.elevation import aperture_of
 from nls.values import Values
 
-__all__ = ["Agreement", "agreement", "doubted_contacts", "selected"]
+__all__ = ["Agreement", "Track", "agreement", "along", "doubted_contacts", "misfit", "selected"]
 
 TRIED = 10  # contacts of a landmark that are tried; with every third one wrong all of them are with 2e-5
 STEP = radians(1.8)  # between elevations: 0.15 m at 5 m, and sigma_e is 0.045 m
 AGREED = 0.99  # probability with which a right contact agrees with a right one
 FEWEST = 2  # contacts of a set
+UNLIKELY = 1e-3  # with which all contacts are right and one is beyond the bound of `misfit`
 AT_ONCE = 20_000  # pairs of contacts that are compared at once
 
 
@@ -68,6 +88,68 @@ class Agreement:
     rows: Index
     points: Array
     size: Index
+
+
+@dataclass(frozen=True)
+class Track:
+    """Poses of one kind in the order of their numbers.
+
+    Attributes
+    ----------
+    numbers : (n,) of the poses, rising.
+    X : (n, size) poses.
+    part : (n,) number of the part of the track that each pose is in.
+    odometry : relative poses and covariances of poses in one part, by place.
+    """
+
+    numbers: Numbers
+    X: Array
+    part: Index
+    odometry: Odometry
+
+    def places(self, keys: Keys) -> Index:
+        """Places (k,) of poses on the track."""
+        return np.searchsorted(self.numbers, keys.numbers)
+
+
+def along(graph: FactorGraph, values: Values, kind: str) -> Track:
+    """The track of a kind of poses.
+
+    Parameters
+    ----------
+    graph, values : the trusted measurements, and their optimum.
+
+    Raises
+    ------
+    UnderconstrainedError
+        The trusted measurements leave a pose free within its part of the track.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.0], Isotropic(0.1))])
+    >>> track = along(graph, Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])}), "x")
+    >>> pose, covariance = track.odometry.between(np.array([0]), np.array([2]))
+    >>> pose, covariance[0].diagonal().round(3)
+    (array([[2., 0., 0.]]), array([0.02, 0.03, 0.02]))
+    """
+    stack = values.stack(kind)
+    group = stack.manifold
+    assert isinstance(group, LieGroup)
+    order = np.argsort(stack.numbers, kind="stable")
+    numbers, X = stack.numbers[order], np.asarray(stack.X[order])
+    pattern = graph.pattern(values)
+    label = component_labels(pattern)[pattern.offsets[kind] + order]
+    step = np.flatnonzero(label[1:] == label[:-1])
+    part = np.concatenate([[0], np.cumsum(label[1:] != label[:-1])])
+    i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
+    T = group.between(X[step], X[step + 1])
+    C = motion_covariances(graph, values, i, j) if len(step) else np.zeros((0, group.dim, group.dim))
+    return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
 
 
 def doubted_contacts(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> list[int]:
@@ -126,12 +208,6 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     return values, landmarks.kept(inliers, values)
 
 
-def aperture_of(graph: FactorGraph, kind: str) -> float:
-    """Half of the aperture, rad: the widest limit of the hinges of a kind of landmarks, 7 deg where there is none."""
-    limits = [f.limit for f in graph.factors if isinstance(f, ElevationHinge) and f.keys[1].kind == kind]
-    return max(limits, default=APERTURE / 2)
-
-
 def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> Agreement:
     """Of every landmark the contacts that agree, and where they put it.
 
@@ -151,7 +227,7 @@ def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> A
     >>> import numpy as np
     >>> import sim
     >>> from nls import FactorGraph, Values
-    >>> from nls.robust.track import along
+    >>> from nls.robust.contacts import along
     >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=12, outliers=0.1)
     >>> poses = Values.of([mission.start.stack("x")])
     >>> track = along(FactorGraph(mission.graph.factors[:4]), poses, "x")
@@ -253,3 +329,27 @@ class Arcs:
 def _ranked(count: Index) -> Index:
     """0, 1 .. of every group, for groups of so many."""
     return np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+
+
+def misfit(result: Result, contacts: Sequence[Factor]) -> bool:
+    """Whether an optimum says that some of its contacts are wrong.
+
+    Parameters
+    ----------
+    result : of least squares, without robust kernels.
+    contacts : factors of two numbers a measurement.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> mission = sim.hauv_hull(np.random.default_rng(1), levels=2, per_level=13)
+    >>> spoiled = sim.exchange_contacts(mission, 0.05, np.random.default_rng(2))
+    >>> [misfit(m.graph.optimize(m.start), [m.contacts]) for m in (mission, spoiled)]
+    [False, True]
+    """
+    s = np.concatenate([factor.chi2(result.values) for factor in contacts] or [np.zeros(0)])
+    if not len(s) or result.fit is Fit.PLAUSIBLE:
+        return False
+    variance = max(1.0, float(np.median(s)) / chi2_gate(2, 0.5))
+    return bool(s.max() > variance * chi2_gate(2, 1 - UNLIKELY / len(s)))

@@ -224,7 +224,7 @@ def gnc(
             advice=[Advice.robust("Cauchy", 1), Advice("doubt")],
         )
     landmarks = landmarks_of(graph, values, masks)
-    c2 = [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors]
+    c2 = [chi2_gate(values.gather(factor)[0].dim, probability) for factor in graph.factors]
     problem = Truncated(graph, masks, c2, landmarks)
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
@@ -272,9 +272,3 @@ def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:
         if not any(factor is f for f in graph.factors):
             raise GraphError(f"gnc: {factor!r:.80} is doubted, and not in this graph")
     return [np.full(len(f), any(f is d for d in doubted)) for f in graph.factors]
-
-
-def _numbers(factor: Factor, values: Values) -> int:
-    """Numbers of one measurement."""
-    model, _ = values.gather(factor)
-    return int(model.dim)

@@ -19,8 +19,9 @@ import numpy as np
 
 from factors.sighting import Sighting
 from models.algebra import Index, Mask, Numbers
+from nls.gauge import fixed_of
 from nls.graph import FactorGraph
-from nls.values import Stack, Values
+from nls.values import Values
 
 __all__ = ["Landmarks", "landmarks_of"]
 
@@ -82,10 +83,7 @@ class Landmarks:
         gone = self.gone(inliers)
         if not any(mask.any() for mask in gone.values()):
             return values
-        return Values.of(
-            Stack(s.kind, s.manifold, s.X[~gone[s.kind]], s.numbers[~gone[s.kind]]) if s.kind in gone else s
-            for s in values.stacks.values()
-        )
+        return Values.of(s.only(~gone[s.kind]) if s.kind in gone else s for s in values.stacks.values())
 
     def merged(self, values: Values, present: Values) -> Values:
         """The values with those that are present moved to where these are."""
@@ -173,8 +171,5 @@ def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) ->
         for slot, keys in enumerate(factor.keys):
             if keys.kind in kinds:
                 factors[keys.kind].append((number, slot, values.stack(keys.kind).index(keys)))
-    held = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in kinds}
-    for keys in graph.fixed:
-        if keys.kind in kinds:
-            held[keys.kind][values.stack(keys.kind).index(keys)] = True
+    held = {kind: fixed_of(graph.fixed, values.stack(kind)) for kind in kinds}
     return Landmarks(graph, doubted, factors, held)

@@ -1,5 +1,10 @@
 """Choice among loop closures: all of them where these explain each other, else from those that `growth` accepts.
 
+Graduation follows one minimum only and cannot leave it by itself. Where groups are few a choice is improved by giving
+up one group or taking one back. Closures that agree with neighbors are one witness, however many they are, and stay
+together. Each move is solved for; the one that lowers the cost, the sum of min(s, c^2), the most is taken, until none
+does. Where closures are many no group decides alone, and each move costs as much as the whole choice.
+
 Why the choice may be wrong is the matter of `nls.robust.verdict`.
 """
 
@@ -9,19 +14,18 @@ from math import ceil
 
 import numpy as np
 
+from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration
 from nls.robust import verdict
-from nls.robust.exchange import exchanged
 from nls.robust.groups import Witness, misfits, witnesses
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence
-from nls.sparse.pattern import measured_rows
 from nls.starts import chordal
 
-__all__ = ["Preselection"]
+__all__ = ["Preselection", "exchanged"]
 
 FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lower cost is taken
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
@@ -30,6 +34,9 @@ CLEARLY = 7.0  # rejections by which all closures, tried from odometry, are the 
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 SETTLED, HOPELESS = 3, 2.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 0.5
 TURNS = 3  # of giving up contradicted groups
+FEW, MANY = 60, 600  # groups and closures between which one is exchanged; with more there are others that check each
+MOVES = 10  # of an exchange, at most
+BETTER = 1e-3  # of the cost by which a move must lower it
 
 
 class Preselection:
@@ -68,7 +75,7 @@ class Preselection:
         loops, graph = self.loops, self.loops.graph
         if loops.neighbors.passing < MOST or self._dearer(DEARER):
             return None
-        rows = measured_rows(graph.pattern(loops.values))
+        rows = graph.pattern(loops.values).measured_rows
 
         def hopeless(step: Iteration) -> bool:
             return step.number >= SETTLED and step.chi2 > HOPELESS * rows
@@ -127,3 +134,28 @@ class Preselection:
             groups = list(witnesses(self.loops, choice.result.values, inliers)) if inliers.any() else []
             self._judged = choice, groups
         return self._judged[1]
+
+
+def exchanged(problem: Truncated, loops: LoopGraph, choice: Choice) -> tuple[Choice, list[Choice]]:
+    """The choice no move improves, and where the last moves led."""
+    cluster = loops.neighbors.cluster
+    groups = np.unique(cluster)
+    alternatives: list[Choice] = []
+    if len(groups) > FEW or len(cluster) > MANY:
+        return choice, alternatives
+    for _ in range(MOVES):
+        inliers = loops.accepted(choice.inliers)
+        alternatives = [_moved(problem, loops, choice, inliers, cluster == group) for group in groups]
+        best = min(alternatives, key=lambda alternative: alternative.cost)
+        if best.cost >= choice.cost * (1 - BETTER):
+            break
+        choice = best
+    return choice, alternatives
+
+
+def _moved(problem: Truncated, loops: LoopGraph, choice: Choice, inliers: Mask, group: Mask) -> Choice:
+    """The choice without a group, or with all of it where most of it is rejected."""
+    takes = 2 * (inliers & group).sum() < group.sum()
+    masks = loops.masks(inliers | group if takes else inliers & ~group)
+    start = problem.graph.only(masks).optimize(choice.result.values).values
+    return problem.settled(start)

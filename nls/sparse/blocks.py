@@ -1,12 +1,13 @@
 """The blocks of H = A'A from the blocks of A, in one flat array S, without forming A.
 
 S holds the summed diagonal blocks A_a'A_a of *all* variables, of each the lower triangle. Blocks of held variables are
-there, and never taken. Then come the blocks A_a'A_c of all pairs of slots, one for every measurement.
+there, and never taken. Then come the blocks A_a'A_c of all pairs of slots, one for every measurement. Sums over
+measurements by variable are one `numpy.bincount` per slot of a batch, whatever the width of its parts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import combinations
 
@@ -14,9 +15,36 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask, gram, product
 from nls.sparse.hessian import triangle
-from nls.sparse.scatter import Scatter, Slots
 
-__all__ = ["Blocks"]
+__all__ = ["Blocks", "Scatter"]
+
+
+Slots = Sequence[Sequence[tuple[Index, int]]]
+"""Per batch and slot the variables (k,) of its measurements, and their dimension."""
+
+
+class Scatter:
+    """Adds numbers that belong to measurements into a flat array that belongs to variables.
+
+    Parameters
+    ----------
+    slots : of every batch.
+    first : (V,) where in the flat array the numbers of each variable begin.
+    size : of the flat array.
+    inner : for a variable of dimension d the places (c,) of its numbers from there; all d of them when omitted.
+    """
+
+    def __init__(self, slots: Slots, first: Index, size: int, inner: Callable[[int], Index] = np.arange) -> None:
+        self.slots, self.first, self.size, self.inner = slots, first, size, inner
+        self._places: dict[tuple[int, int], Index] = {}  # by batch and slot
+
+    def add(self, total: Array, batch: int, slot: int, addend: Array) -> None:
+        """Add a part (c, k), components first, of k measurements to ``total`` (size,)."""
+        places = self._places.get((batch, slot))
+        if places is None:
+            variables, d = self.slots[batch][slot]
+            places = self._places[batch, slot] = (self.first[variables] + self.inner(d)[:, None]).reshape(-1)
+        total += np.bincount(places, addend.reshape(-1), self.size)
 
 
 @cache

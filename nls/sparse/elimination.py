@@ -13,7 +13,7 @@ import numpy as np
 
 from models.algebra import Index, Mask
 
-__all__ = ["Elimination", "Eliminations", "Order"]
+__all__ = ["Elimination", "Eliminations", "Order", "first_of_equals"]
 Order = Callable[[Index, Index, int], Index]
 """(u, v, V) -> order of elimination (V,), such as `Cholmod.order`: every pair once, u > v, by rising v and then u."""
 
@@ -43,7 +43,7 @@ class Elimination:
         if callable(order):
             pairs = np.minimum(u, v) * V + np.maximum(u, v)
             pairs.sort()
-            low, high = np.divmod(pairs[_first_of_equals(pairs)], max(V, 1))
+            low, high = np.divmod(pairs[first_of_equals(pairs)], max(V, 1))
             order = order(high, low, V)
         if order is not None:
             self.variables, position = order, np.empty(V, dtype=np.intp)
@@ -52,7 +52,7 @@ class Elimination:
         self.row, self.column, self.turned = np.maximum(a, b), np.minimum(a, b), a < b
         place = self.column * V + self.row
         sort = np.argsort(place)
-        new = _first_of_equals(place[sort])
+        new = first_of_equals(place[sort])
         again = (~new).nonzero()[0]
         self.blocks, self.again, self.twin = sort[new], sort[again], new.cumsum()[again] - 1
 
@@ -61,10 +61,10 @@ class Elimination:
         return self.V == V and self.order is order and np.array_equal(self.u, u) and np.array_equal(self.v, v)
 
 
-def _first_of_equals(rising: Index) -> Mask:
-    """Which numbers differ from the one before."""
-    first = np.ones(len(rising), dtype=bool)
-    np.not_equal(rising[1:], rising[:-1], out=first[1:])
+def first_of_equals(numbers: Index) -> Mask:
+    """Which numbers (n,) differ from the one before; the first does."""
+    first = np.ones(len(numbers), dtype=bool)
+    np.not_equal(numbers[1:], numbers[:-1], out=first[1:])
     return first
 
 

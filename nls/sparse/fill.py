@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.algebra import Index, Mask
-from nls.sparse.elimination import Order
+from nls.sparse.elimination import Order, first_of_equals
 from nls.sparse.pattern import Pattern
 
 __all__ = ["counted", "fill_in", "rows_below", "tree"]
@@ -76,9 +76,9 @@ def rows_below(widths: Index, row: Index, column: Index) -> Index:
     nodes = np.arange(V)
     place = np.concatenate([row * V + column, nodes * (V + 1)])
     place.sort()
-    place = place[np.append(True, place[1:] != place[:-1])[: len(place)]]
+    place = place[first_of_equals(place)]
     r, c = np.divmod(place, max(V, 1))  # every neighbor once, by rows and then columns; the last of a row is itself
-    first, up = _subtrees(c[np.flatnonzero(np.append(True, r[1:] != r[:-1])[: len(r)])])
+    first, up = _subtrees(c[np.flatnonzero(first_of_equals(r))])
     if not _touch(place, first, up):
         post = _postorder(tree(r, c, V))
         widths_by_post = np.empty_like(widths)

@@ -15,13 +15,12 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask, components
-from nls.sparse.blocks import Blocks
+from nls.sparse.blocks import Blocks, Scatter
 from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Hessian
-from nls.sparse.scatter import Scatter
 from nls.values import Values, take
 
-__all__ = ["Batch", "Pattern", "measured_rows", "offsets"]
+__all__ = ["Batch", "Pattern", "measuring", "offsets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +149,11 @@ class Pattern:
             sizes.append(float((weight * z.max(axis=1, initial=0.0)).max(initial=0.0)))
         return max(sizes)
 
+    @cached_property
+    def measured_rows(self) -> int:
+        """Rows of A that measure something."""
+        return sum(int(measuring(batch.model).sum()) for batch in self.batches)
+
     @property
     def numbers_in_A(self) -> int:
         """Numbers in all Jacobian blocks, those of held variables too."""
@@ -239,18 +243,17 @@ class Pattern:
         return variable, np.arange(self.n) - self.starts[variable]
 
 
-def measured_rows(pattern: Pattern) -> int:
-    """Rows of A that measure something."""
-    return sum(measured_numbers(batch.model) for batch in pattern.batches)
+def measuring(model: Model, columns: slice | Index = slice(None)) -> Index:
+    """(n,) numbers per measurement, all or some, that measure something: not limits, nor what a factor has spent.
 
-
-def measured_numbers(model: Model) -> int:
-    """Numbers that measure something: not limits, zeros of a semi-definite information, what a factor has spent."""
-    if model.factor.limit_only:
-        return 0
+    Zeros of a semi-definite information are none either.
+    """
     n, W = len(model.z), model.W
-    zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
-    return n * (model.dim - model.factor.eliminated) - zero * (n if len(W) == 1 else 1)
+    if model.factor.limit_only:
+        return np.zeros(n, dtype=np.intp)
+    nonzero = (W != 0 if W.ndim == 2 else (W != 0).any(axis=2))[:, columns].sum(axis=1)
+    numbers: Index = nonzero - model.factor.eliminated
+    return numbers.repeat(n) if len(W) == 1 else numbers
 
 
 def offsets(values: Values) -> dict[str, int]:

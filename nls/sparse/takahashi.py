@@ -29,6 +29,7 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError
+from nls.sparse.elimination import first_of_equals
 from nls.sparse.hessian import Hessian
 from nls.sparse.supernodes import Supernodes
 from nls.sparse.threads import single_thread
@@ -40,7 +41,7 @@ def supernodes(hessian: Hessian, p: Index) -> Supernodes:
     """Those of L with H[p][:, p] = L L', the columns of H in the order in which they were given."""
     dims, V = hessian.dims, len(hessian.dims)
     owner = np.repeat(np.arange(V), dims)[p]
-    eliminated = owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]  # every variable once
+    eliminated = owner[first_of_equals(owner)]  # every variable once
     position = np.empty(V, dtype=np.intp)
     position[eliminated] = np.arange(V)
     u, v = position[hessian.elimination.u], position[hessian.elimination.v]

@@ -12,9 +12,8 @@ from nls.posegraph import pose_graphs, says_poses
 from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.candidates import Candidates
-from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
-from nls.starts.dead_reckoning import dead_reckoning, walks
+from nls.starts.dead_reckoning import chain, dead_reckoning, spanning_tree, walks
 from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points

@@ -22,7 +22,6 @@ from models.errors import (
 from nls.gauge import fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.optimizers import Dogleg, Status, Stop
-from nls.sparse.pattern import measured_rows
 from nls.stages import stage
 from nls.values import Values
 
@@ -59,7 +58,7 @@ class Candidates:
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
         self.believes_all = False
-        self.rows = measured_rows(graph.pattern(values))
+        self.rows = graph.pattern(values).measured_rows
 
     @cached_property
     def dof(self) -> int:

@@ -30,10 +30,11 @@ from factors.sonar import first_contacts
 from models import SE3
 from models.algebra import Array, Index, Numbers
 from models.options import check_between, check_whole
+from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
-__all__ = ["APERTURE", "Arcs", "first_sighting", "misfit_of", "search_elevation"]
+__all__ = ["APERTURE", "Arcs", "aperture_of", "first_sighting", "misfit_of", "search_elevation"]
 APERTURE = radians(14.0)  # of a DIDSON, where no hinge of the graph states another
 FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to leave elevation 0
 
@@ -129,11 +130,16 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
     landmarks = {}
     for arcs in _arcs(graph, values):
         sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
-        hinges = [f.limit for f in sightings if isinstance(f, ElevationHinge)]
-        widest = limit if limit is not None else max(hinges, default=APERTURE / 2)
+        widest = aperture_of(graph, arcs.kind) if limit is None else limit
         elevation = _best(misfit_of(sightings, values, arcs), len(arcs.rows), widest, steps)
         landmarks[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
     return values.replaced(landmarks)
+
+
+def aperture_of(graph: FactorGraph, kind: str) -> float:
+    """Half of the aperture, rad: the widest limit of the hinges of a kind of landmarks, 7 deg where there is none."""
+    limits = [f.limit for f in graph.factors if isinstance(f, ElevationHinge) and f.keys[1].kind == kind]
+    return max(limits, default=APERTURE / 2)
 
 
 def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
@@ -150,10 +156,7 @@ def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
         S, pose_numbers, numbers, z = (np.concatenate(parts) for parts in zip(*views, strict=True))
         first = first_contacts(Keys("pose", pose_numbers), Keys(kind, numbers))
         rows = values.stack(kind).index(Keys(kind, numbers[first]))
-        free = np.ones(len(values.stack(kind)), dtype=bool)
-        for keys in graph.fixed:
-            if keys.kind == kind:
-                free[values.stack(kind).index(keys)] = False
+        free = ~fixed_of(graph.fixed, values.stack(kind))
         first = first[free[rows]]
         yield Arcs(kind, rows[free[rows]], S[first], z[first])
 

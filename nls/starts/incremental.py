@@ -29,9 +29,7 @@ from models.options import check_whole
 from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
 from nls.posegraph import says_poses
-from nls.sparse.pattern import measured_rows
-from nls.starts.chain import chain
-from nls.starts.dead_reckoning import dead_reckoning
+from nls.starts.dead_reckoning import chain, dead_reckoning
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import locate_points
 from nls.starts.parts import Masks, Parts, put_back
@@ -180,7 +178,7 @@ class _Growth:
             result = subgraph.optimize(within, method)
         except UnderconstrainedError:
             return values, 0.0  # fewer measurements than unknowns so far
-        rows = measured_rows(subgraph.pattern(within))
+        rows = subgraph.pattern(within).measured_rows
         return put_back(values, subgraph, result.values), result.chi2_final / max(rows, 1)
 
     def _known(self, stage: int) -> list[Mask]:

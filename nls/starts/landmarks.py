@@ -29,6 +29,7 @@ from factors.mount import named_singularity
 from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, Mask, Numbers, apply
+from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
@@ -100,10 +101,7 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
 def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Array:
     """The points (n, d) of one kind."""
     X = np.array(stack.X)
-    todo = np.ones(len(X), dtype=bool)
-    for keys in graph.fixed:
-        if keys.kind == stack.kind:
-            todo[stack.index(keys)] = False
+    todo = ~fixed_of(graph.fixed, stack)
 
     complete = [s for s in sightings if s.factor.locates]
     if complete:

@@ -9,8 +9,9 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models.algebra import Mask
+from nls.gauge import fixed_of
 from nls.graph import FactorGraph
-from nls.values import Stack, Values
+from nls.values import Values
 
 __all__ = ["Masks", "Parts", "put_back"]
 
@@ -34,9 +35,7 @@ class Parts:
     def __init__(self, graph: FactorGraph, values: Values) -> None:
         self.factors: list[Factor] = graph.factors
         self.index = [tuple(values.stack(keys.kind).index(keys) for keys in f.keys) for f in graph.factors]
-        self.fixed = {kind: np.zeros(len(stack), dtype=bool) for kind, stack in values.stacks.items()}
-        for keys in graph.fixed:
-            self.fixed[keys.kind][values.stack(keys.kind).index(keys)] = True
+        self.fixed = {kind: fixed_of(graph.fixed, stack) for kind, stack in values.stacks.items()}
 
     def any(self, k: int, mask: Masks) -> Mask:
         """Measurements (n,) of factor k that touch a variable of the mask, whose kinds may be some of all."""
@@ -63,7 +62,7 @@ class Parts:
         for kind, mask in touched.items():
             if mask.any():
                 stack = values.stack(kind)
-                stacks.append(Stack(kind, stack.manifold, stack.X[mask], stack.numbers[mask]))
+                stacks.append(stack.only(mask))
                 still = mask & (self.fixed[kind] | held[kind] if kind in held else self.fixed[kind])
                 if still.any():
                     subgraph.fix(Keys(kind, stack.numbers[still]))

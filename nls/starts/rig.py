@@ -24,6 +24,7 @@ from models.alignment import align
 from models.alignment import three_points as from_three
 from models.errors import SingularGeometryError
 from models.sensors import SingularAt
+from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.starts.camera_sonar import Pairs, sightings
 from nls.starts.landmarks import locate_points
@@ -102,7 +103,7 @@ def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool
     poses, points = pairs.poses, pairs.points
     rows, p, variance = pairs.placed(pairs.O)
     pose, point = pairs.pose[rows], pairs.point[rows]
-    X, L, known = np.array(poses.X), np.array(points.X), _fixed(graph, values, points.kind)
+    X, L, known = np.array(poses.X), np.array(points.X), fixed_of(graph.fixed, points)
     order = np.argsort(pose, kind="stable")
     first = np.searchsorted(pose[order], np.arange(len(X) + 1))
     shared = sp.csr_array((np.ones(len(rows), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
@@ -111,7 +112,7 @@ def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool
     todo = np.zeros(len(poses), dtype=bool)  # poses that saw a point with camera or sonar
     for factor in pairs.factors:
         todo[poses.index(factor.keys[0])] = True
-    held = np.flatnonzero(todo & _fixed(graph, values, poses.kind))
+    held = np.flatnonzero(todo & fixed_of(graph.fixed, poses))
     if not len(held) and not known.any():
         held = np.flatnonzero(todo)[[np.argmin(poses.numbers[todo])]]
     ready = held[np.argsort(poses.numbers[held])].tolist()
@@ -165,15 +166,6 @@ def _far_apart(v: Array) -> list[int]:
     b = int(np.argmax(np.linalg.norm(v - v[a], axis=1)))
     c = int(np.argmax(np.linalg.norm(np.cross(v - v[a], v[b] - v[a]), axis=1)))
     return [a, b, c]
-
-
-def _fixed(graph: FactorGraph, values: Values, kind: str) -> Mask:
-    """Variables (n,) of a kind that are held fixed."""
-    fixed = np.zeros(len(values.stack(kind)), dtype=bool)
-    for keys in graph.fixed:
-        if keys.kind == kind:
-            fixed[values.stack(kind).index(keys)] = True
-    return fixed
 
 
 def _from_rays(pairs: Pairs, values: Values, known: Mask) -> Values:

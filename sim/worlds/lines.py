@@ -17,7 +17,6 @@ from models import LINE, SE2
 from models.sensors import line_in_frame, normalized
 from models.vehicles import differential_drive, travel_sigmas
 from nls import FactorGraph, Values, kinds
-from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
 from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.landmark_world import KNOWN_START, LandmarkWorld
@@ -115,5 +114,5 @@ def lines(rng: np.random.Generator, laps: int = 2, noise_scale: float = 1.0) -> 
         f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. The first pose is known to 1 mm and "
         "0.1 mrad."
     )
-    rows = measured_rows(graph.pattern(truth)) - (n - 1)  # less the slip, which is not drawn
+    rows = graph.pattern(truth).measured_rows - (n - 1)  # less the slip, which is not drawn
     return LandmarkWorld("lines", truth, graph, start, rows, "correlated", seed_of(rng), description)

@@ -19,7 +19,6 @@ from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.sensors import direction, distance, point_in_frame
 from nls import FactorGraph, Values, kinds
-from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
 from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.landmark_world import KNOWN_START, LandmarkWorld
@@ -151,7 +150,7 @@ def subsea(
     )
     start = locate_points(graph, reckoned)
     return LandmarkWorld(
-        "subsea", truth, graph, start, measured_rows(graph.pattern(truth)), landmarks, seed_of(rng), description
+        "subsea", truth, graph, start, graph.pattern(truth).measured_rows, landmarks, seed_of(rng), description
     )
 
 

@@ -9,11 +9,13 @@ from models.algebra import Array
 from nls import LinearSystem
 from nls.linear import SOLVERS, LinearSolver
 from nls.linear.cholesky import Cholmod
+from nls.linear.dense import Lapack
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
-from nls.linear.small import Dense
+from nls.linear.null_space import weakest
+from nls.linear.singular import NULL
 
-DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Dense)
+DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Lapack)
 
 
 def make(name: str) -> LinearSolver:
@@ -42,3 +44,9 @@ def dense_step(system: LinearSystem, damping: Array | None = None) -> Array:
     if damping is None:
         return np.asarray(np.linalg.lstsq(A, b)[0])
     return np.asarray(np.linalg.solve(A.T @ A + np.diag(damping), A.T @ b))
+
+
+def null_space(system: LinearSystem) -> Array:
+    """Free directions (n, k), whatever the weights."""
+    s, N = weakest(system.balanced)
+    return N[:, s <= NULL]

@@ -23,9 +23,9 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index
-from nls.linear.schur.pairs import Pairs, Products, changes
+from nls.linear.schur.pairs import Pairs, Products
 from nls.linear.schur.roots import BlockInverse, cholesky_root, inverse_root
-from nls.sparse.elimination import Elimination
+from nls.sparse.elimination import Elimination, first_of_equals
 from nls.sparse.hessian import Hessian, triangle
 
 __all__ = ["Complement", "Filled"]
@@ -93,7 +93,7 @@ class Complement:
         e, self._block_inverse, self._whole = hessian.elimination, block_inverse, hessian
         widths = hessian.dims[e.variables]
         self.n = int(widths[:gone].sum())
-        member = np.cumsum(changes(group)) - 1  # group of every variable that is kept, in their order
+        member = np.cumsum(first_of_equals(group)) - 1  # group of every variable that is kept, in their order
         dims = np.bincount(member, weights=widths[gone:]).astype(np.intp)
         groups = len(dims)
 
@@ -103,7 +103,7 @@ class Complement:
         l, p, height = column[lp], member[row[lp] - gone], widths[row[lp]]
         total = np.bincount(l, weights=height, minlength=gone).astype(np.intp)
         above = np.cumsum(height) - height - (np.cumsum(total) - total)[l]
-        starts_pair = changes(l) | changes(p)
+        starts_pair = first_of_equals(l) | first_of_equals(p)
         l, p, above = l[starts_pair], p[starts_pair], above[starts_pair]
         height = dims[p]
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Index, Mask
+from models.algebra import Index
+from nls.sparse.elimination import first_of_equals
 
-__all__ = ["Pairs", "Products", "changes"]
+__all__ = ["Pairs", "Products"]
 
 
 class Products(NamedTuple):
@@ -48,7 +49,7 @@ class Pairs:
         block = p[first] * groups + p[second]
         order = np.argsort(block, kind="stable")
         block = block[order]
-        begins = np.flatnonzero(changes(block))
+        begins = np.flatnonzero(first_of_equals(block))
         self.first, self.second = first[order], second[order]
         self.length = np.diff(np.append(begins, len(block)))
         self.count = count
@@ -84,11 +85,6 @@ class Pairs:
                 sides.append(index.reshape(-1, length))
             out.append(Products(sides[0], sides[1], target[blocks], (D, C)))
         return out
-
-
-def changes(a: Index) -> Mask:
-    """Where a number differs from the one before it; the first does."""
-    return np.append(True, a[1:] != a[:-1])[: len(a)]
 
 
 def _all_pairs(l: Index) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:

@@ -32,8 +32,9 @@ from collections.abc import Callable
 import numpy as np
 
 from models.algebra import Array
+from models.options import check_between, check_whole
 from nls.linear.base import LinearSolver
-from nls.linear.conjugate import SURE, Iterated, checked_settings, conjugate
+from nls.linear.conjugate import SURE, Iterated, Look, conjugate
 from nls.linear.factorization import Factorization
 from nls.linear.normal import NormalAnalysis
 from nls.linear.schur.complement import Complement
@@ -72,7 +73,7 @@ class PCGDecomposition(SchurDecomposition):
             return np.stack([self._reduced(column) for column in g.T], axis=1)
         solution = self._conjugate(g, lambda first: self._tol**2 * first)
         self._require(solution)
-        return np.asarray(solution.x[0])
+        return solution.x
 
     def refuse_free(self, free: Callable[[Array], bool]) -> None:
         """Look for a free direction of S.
@@ -89,20 +90,20 @@ class PCGDecomposition(SchurDecomposition):
         h, next_look = np.empty(len(order)), 0.0
         h[order] = L @ np.random.default_rng(0).normal(size=len(order))
 
-        def look(rz: Array, x: Array) -> None:
+        def look(rz: float, x: Array) -> None:
             nonlocal next_look
-            if rz[0] > next_look:
-                judge(x[0])
-                next_look = GROWN * rz[0]
+            if rz > next_look:
+                judge(x)
+                next_look = GROWN * rz
 
         def judge(x_p: Array) -> None:
             if free(self._followed(x_p)):
                 raise SingularSystemError("conjugate gradients met a direction that no measurement sees")
 
-        solution = self._conjugate(h, lambda first: np.full(1, SURE**2), look)
+        solution = self._conjugate(h, lambda _: SURE**2, look)
         for x_p in (solution.x, solution.flat):
             if x_p is not None:
-                judge(x_p[0])
+                judge(x_p)
         self._require(solution, ", while looking for free directions")
 
     def _followed(self, x_p: Array) -> Array:
@@ -112,22 +113,17 @@ class PCGDecomposition(SchurDecomposition):
         x[:n] = -self._blockwise([X.mT for X in self._roots], self._L.T @ x)
         return x
 
-    def _conjugate(
-        self, g: Array, goals: Callable[[Array], Array], look: Callable[[Array, Array], None] | None = None
-    ) -> Iterated:
+    def _conjugate(self, g: Array, goal: Callable[[float], float], look: Look | None = None) -> Iterated:
         n, transposed, upper = self._complement.n, self._L.T, self._H_pp.T
         diagonal = self._H_pp.diagonal()
         padded = np.zeros(n + len(g))
 
-        def times(P: Array) -> Array:
-            p = padded[n:] = P[0]
-            Sp: Array = self._H_pp @ p + upper @ p - diagonal * p - (self._L @ (transposed @ padded))[n:]
-            return Sp[None]
+        def times(p: Array) -> Array:
+            padded[n:] = p
+            return np.asarray(self._H_pp @ p + upper @ p - diagonal * p - (self._L @ (transposed @ padded))[n:])
 
         with single_thread():
-            solution = conjugate(
-                times, lambda R: self._decomposition.solve(R[0])[None], g[None], goals, self._max_steps, look=look
-            )
+            solution = conjugate(times, self._decomposition.solve, g, goal, self._max_steps, look)
         self.steps += solution.steps
         return solution
 
@@ -227,7 +223,8 @@ class PCG(LinearSolver):
     name = "pcg"
 
     def __init__(self, tol: float = 1e-10, max_steps: int = 2000) -> None:
-        self.tol, self.max_steps = checked_settings(tol, max_steps)
+        self.tol = check_between("tol", tol, 0, 1, "a number above 0 and below 1")
+        self.max_steps = check_whole("max_steps", max_steps, 1, "a whole number above 0")
         self.exact = self.tol <= EXACT
 
     def analyze(self, pattern: Pattern) -> PCGAnalysis:

@@ -11,9 +11,8 @@ from models.errors import GraphWarning, UnderconstrainedError
 from nls.io.files import write_bytes
 from nls.plot.report.data import Rejected, ReportData
 from nls.plot.report.markup import Html, joined, tag
-from nls.plot.report.sections import SECTIONS
+from nls.plot.report.sections import SECTIONS, key_figures, verdict
 from nls.plot.report.style import STYLE
-from nls.plot.report.verdict import key_figures, verdict
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:

@@ -86,7 +86,7 @@ def stretches(
         mine = inside.copy()
         if poses.kind in touched.stacks:  # an opaque factor comes with all of its poses
             mine[poses.index(Keys(poses.kind, touched.stack(poses.kind).numbers))] = True
-        own = Stack(poses.kind, poses.manifold, poses.X[mine], poses.numbers[mine])
+        own = poses.only(mine)
         start = Values.of([own, *without(touched, Kind(poses.kind)).stacks.values()])
         part.fix(_first_poses(part, start, own))
         rows = np.flatnonzero(of_sighting == stretch)

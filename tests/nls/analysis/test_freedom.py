@@ -14,9 +14,10 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
-from nls.linear.null_space import null_space, single_directions
+from nls.linear.null_space import single_directions
 from tests.combinations import for_all
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
+from tests.nls.solving import null_space
 
 INSTALLED = [name for name in SOLVERS if SOLVERS[name].missing() is None]
 REFUSING = [name for name in INSTALLED if name != "pinv"]

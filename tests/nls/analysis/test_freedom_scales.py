@@ -8,10 +8,10 @@ import pytest
 from factors import Between, Isotropic, Prior
 from models import SE2
 from nls import FactorGraph, Values
-from nls.linear.null_space import null_space
 from tests.combinations import for_all
 from tests.nls.analysis.test_freedom import names, refused
 from tests.nls.graphs import x
+from tests.nls.solving import null_space
 
 
 def one_unlike(n: int, sigma: float, measured: float = 1.0) -> tuple[FactorGraph, Values]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from factors.keys import Keys
 from nls import Marginals
-from nls.covariance.pairs import paired
+from nls.covariance.selected import paired
 from tests.nls.graphs import l, mixed, x
 
 

@@ -18,8 +18,7 @@ from models.advice import ACTIONS, Advice
 from nls.analysis.readings import READINGS
 from nls.analysis.suspects import Suspects
 from nls.explanation import Finding, FindingKind, Measurement, words
-from nls.explanation.applicability import certifies, graduates
-from nls.explanation.doubts import CURES, of_suspects
+from nls.explanation.doubts import CURES, certifies, graduates, of_suspects
 from nls.explanation.naming import _loose
 from nls.explanation.rejections import rejections
 from nls.explanation.words import together

@@ -26,7 +26,6 @@ from factors.keys import Keys
 from models import SE2, SE3, R
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Values, kinds
-from nls.incremental import preconditioner
 from nls.incremental.steps import steps
 from nls.linear import cholesky, updatable
 from tests.factors.samples import Sample, full_noise, situation
@@ -164,7 +163,7 @@ def test_random_graphs_removals_kernels_and_rebuilds(seed: int) -> None:
 
 def test_without_room_for_new_variables_it_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     world = sim.ring(np.random.default_rng(2), laps=1, per_lap=20)
-    monkeypatch.setattr(preconditioner, "RESERVE", 7)
+    monkeypatch.setattr(updatable, "RESERVE", 7)
     smoother = Incremental()
     for k, step in enumerate(steps(world.graph.factors)):
         smoother.update(step.factors, first(world.start) if k == 0 else None)

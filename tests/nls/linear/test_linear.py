@@ -14,10 +14,10 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear import SOLVERS, Pinv, backends, best_decomposition, default_solver
+from nls.linear.dense import FEW, Lapack
 from nls.linear.factorization import Decomposition
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
-from nls.linear.small import FEW, Dense
 from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph, x
 from tests.nls.solving import DECOMPOSITIONS, dense_step, factorized, make, near
 
@@ -166,7 +166,7 @@ def test_the_default_is_cholesky_and_without_suitesparse_lu(monkeypatch: pytest.
     result = sample.graph.optimize(sample.values)
     assert (result.linear_solver, result.converged) == ("lu", True)
     few = pose_graph(SE3)
-    assert best_decomposition(FEW) is Dense
+    assert best_decomposition(FEW) is Lapack
     assert few.graph.optimize(few.values).linear_solver == "cholesky"
 
 

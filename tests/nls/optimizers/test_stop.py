@@ -17,7 +17,7 @@ from factors import Between, Factor, Information, Isotropic, Prior
 from models import SE2, SE3, R
 from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Status, Stop, Values
 from nls.cli import main
-from nls.optimizers import OPTIMIZERS, automatic, refusal, stop
+from nls.optimizers import OPTIMIZERS, automatic, stop
 from nls.optimizers.thresholds import Thresholds
 from tests.nls.graphs import circle, p, pose_graph, scalar
 
@@ -103,20 +103,20 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
     ),
     stop.iteration_limit: (Status.MAX_ITERATIONS, {"history": swings(100)}, [{"history": swings(99)}]),
     stop.time_limit: (Status.MAX_TIME, {"stop": Stop(max_seconds=0.0)}, [{"stop": Stop(max_seconds=1e6)}]),
-    refusal.level_refused: (
+    stop.level_refused: (
         Status.DIVERGED,
         {"fall": 1e-13, "leaves": True},
         [{"fall": -1e-3}, {"fall": -math.inf}, {"leaves": False}],
     ),
-    refusal.promise_small: (
+    stop.promise_small: (
         Status.CONVERGED,
         {"promised": 4e-5},
         [{"promised": 6e-5}, {"agreed": False}, {"tol": OFF}],
     ),
-    refusal.promise_invisible: (Status.CONVERGED, {"invisible": True}, [{"invisible": False}, {"agreed": False}]),
-    refusal.no_rise: (Status.DIVERGED, {"fall": 0.0}, [{"fall": -1e-3}]),
-    refusal.stationary: (Status.CONVERGED, {"slope": 1e-6}, [{"slope": 1.1e-6}]),
-    refusal.every_step_refused: (Status.STALLED, {}, []),
+    stop.promise_invisible: (Status.CONVERGED, {"invisible": True}, [{"invisible": False}, {"agreed": False}]),
+    stop.no_rise: (Status.DIVERGED, {"fall": 0.0}, [{"fall": -1e-3}]),
+    stop.stationary: (Status.CONVERGED, {"slope": 1e-6}, [{"slope": 1.1e-6}]),
+    stop.every_step_refused: (Status.STALLED, {}, []),
     stop.pulled: (
         Status.STALLED,
         {"slope": 1.0},
@@ -132,7 +132,7 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
 
 
 def test_every_rule_is_here() -> None:
-    asked = {*stop.BEFORE_A_STEP, *stop.AFTER_A_STEP, *stop.AT_THE_END, *refusal.AFTER_A_REFUSAL, *refusal.NO_STEP_LEFT}
+    asked = {*stop.BEFORE_A_STEP, *stop.AFTER_A_STEP, *stop.AT_THE_END, *stop.AFTER_A_REFUSAL, *stop.NO_STEP_LEFT}
     assert asked | {automatic.chi2_rises, automatic.no_new_best} == set(RULES)
     assert all(rule.__doc__ for rule in RULES)
 
@@ -152,7 +152,7 @@ def test_a_long_step_that_chi2_cannot_show_is_a_plateau() -> None:
     assert stop.plateau(looked(invisible=True, short=False, leaves=True)) is not None
     assert stop.plateau(looked(invisible=True)) is None
     assert stop.zero(looked(chi2=0.0, short=False)) is not None
-    for rule, holds in ((refusal.promise_small, {"promised": 4e-5}), (refusal.promise_invisible, {"invisible": True})):
+    for rule, holds in ((stop.promise_small, {"promised": 4e-5}), (stop.promise_invisible, {"invisible": True})):
         verdict = rule(looked(**holds, level_steps=6))  # type: ignore[arg-type]
         assert verdict is not None
         assert verdict.status is Status.DIVERGED

@@ -17,11 +17,10 @@ from models import SE2, SE3, SO3, LieGroup, R
 from models.errors import UnderconstrainedError
 from nls import Values
 from nls.plot import report
-from nls.plot.report.bars import across
 from nls.plot.report.markup import Html
-from nls.plot.report.pictures import SMALL, picture
+from nls.plot.report.pictures import SMALL, across, picture
+from nls.plot.report.sections import number
 from nls.plot.report.style import STYLE
-from nls.plot.report.verdict import number
 from nls.plot.style import REJECTED
 from tests.nls.graphs import l, mixed, pose_graph, x
 from tests.nls.plot.html_page import Page, undrawn

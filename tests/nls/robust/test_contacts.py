@@ -15,10 +15,8 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Marginals, Values, kinds
-from nls.robust.contacts import TRIED, agreement
+from nls.robust.contacts import TRIED, agreement, along, misfit
 from nls.robust.landmarks import landmarks_of
-from nls.robust.misfit import misfit
-from nls.robust.track import along
 
 x, l = kinds("x", "l")
 RNG = np.random.default_rng

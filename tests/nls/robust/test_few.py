@@ -14,8 +14,8 @@ from nls import FactorGraph, Values, kinds, posegraph
 from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.consistency import LOW, neighbors
+from nls.robust.growth import path_covariances
 from nls.robust.loop_graph import loop_graph
-from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
 N = 40

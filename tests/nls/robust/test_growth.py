@@ -15,9 +15,8 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import Edges
 from nls.robust import growth
-from nls.robust import paths as paths_module
+from nls.robust.growth import path_covariances
 from nls.robust.loop_graph import loop_graph
-from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
 N = 40
@@ -107,7 +106,7 @@ def test_paths_are_the_same_however_many_are_searched_together(circle: Values, m
     together = path_covariances(edges, circle[x], i, j, 10.0)
     assert (np.linalg.eigvalsh(together[i != j]) > 0).all()
     for size in (1, 3 * N):
-        monkeypatch.setattr(paths_module, "TOGETHER", size)
+        monkeypatch.setattr(growth, "TOGETHER", size)
         np.testing.assert_array_equal(path_covariances(edges, circle[x], i, j, 10.0), together)
 
 

@@ -13,10 +13,10 @@ import sim
 from factors import Between, Diagonal, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
-from nls.robust import DoubtKind, exchange, verdict
+from nls.robust import DoubtKind, preselection, verdict
 from nls.robust import preselection as preselection_module
-from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
+from nls.robust.preselection import exchanged
 from nls.robust.truncated_least_squares import Truncated
 from nls.robust.verdict import difference, doubts
 
@@ -245,7 +245,7 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypa
     dear = Truncated(FactorGraph([*graph.factors, offset]), [*doubted, np.zeros(2, bool)], [6.6] * 4)
     best = dear.settled(choice.result.values)
     assert exchanged(dear, loop_graph(dear.graph, values), best)[0] is best
-    monkeypatch.setattr(exchange, "MANY", 3)  # where more are there, each is checked by others
+    monkeypatch.setattr(preselection, "MANY", 3)  # where more are there, each is checked by others
     assert exchanged(problem, loops, start) == (start, [])
 
 
