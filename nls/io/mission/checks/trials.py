@@ -4,12 +4,14 @@ A calibration of calibration.csv is a variable c with a wide prior, which is sol
 
     c_0 = each begin,    c_k+1 = argmin chi2(X, c; linear about c_k)
 
-Angles begin at quarter turns, clocks at several lags. Another reading of columns (`readings`) is solved as it is. The
-rows that the track covers may become more with a clock and never fewer. Constants explain chi2 by the rule of
+Angles begin at quarter turns, clocks at several lags. Other readings of columns (`readings`) are ranked by chi2 of
+their dead reckoning, and the best are solved. So is each error of a whole table (`table_errors`) that explains chi2.
+The rows that the track covers may become more with a clock and never fewer. Constants explain chi2 by the rule of
 `nls.analysis.calibrations`. Those that nothing tells apart are all found.
 
 Where no constant explains, a Cauchy kernel is tried on one type of measurement at a time. That is the cure where it
-ignores few of them and noise explains all others.
+ignores few of them and noise explains all others. Last, sigmas of one table may be too small: variance components scale
+it alone, and its residuals are white and normal then.
 """
 
 from __future__ import annotations
