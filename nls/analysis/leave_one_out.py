@@ -20,11 +20,10 @@ import numpy as np
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures, odometry
-from nls.sparse.pattern import measuring
+from nls.sparse.pattern import Batch, Pattern, measuring
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
-    from nls.sparse.pattern import Batch, Pattern
 
 __all__ = [
     "UNCHECKED",

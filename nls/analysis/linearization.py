@@ -24,13 +24,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.algebra import Array, apply, product
+from models.algebra import Array, Index, apply, product
 from nls.linear import factorize
 from nls.linear.limits import default_limit
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from models.algebra import Index
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
 from nls.analysis.closure_groups import GroupTests
@@ -28,7 +28,6 @@ from nls.posegraph import odometry
 from nls.starts import chordal
 
 if TYPE_CHECKING:
-    from models.algebra import Index
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 

@@ -23,14 +23,13 @@ from nls.explanation import causes, doubts
 from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
+from nls.gauge import Gauge, choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
-    from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
 __all__ = ["explain", "separate_parts"]
