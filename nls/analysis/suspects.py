@@ -11,7 +11,6 @@ from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,11 +24,9 @@ from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.posegraph import odometry
+from nls.sparse.pattern import Pattern
 from nls.starts import chordal
-
-if TYPE_CHECKING:
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["Suspects", "suspects"]
 
