@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys, Kind
-from models.algebra import Index, Mask, Numbers
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
 from models.html_table import html_table
 from models.manifolds.base import Manifold
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model
-    from models.algebra import Array
 
 __all__ = ["Stack", "Values", "refuse_other"]
 

@@ -23,7 +23,6 @@ The step of odometry z is h o Exp(G c) with c its scale error and the turn of it
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,17 +36,15 @@ from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.freedom import Freedom, freedom
+from nls.analysis.linearization import Checked
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.posegraph import odometry
 from nls.sparse.pattern import Pattern
 from nls.starts.parts import Parts
+from nls.system import LinearSystem
 from nls.values import Values
-
-if TYPE_CHECKING:
-    from nls.analysis.linearization import Checked
-    from nls.system import LinearSystem
 
 __all__ = ["Calibration", "calibrations", "explains"]
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,6 @@ from nls.posegraph import closures, odometry, places
 from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern, measuring
 from nls.values import Values
-
-if TYPE_CHECKING:
-    from models.algebra import Index
 
 __all__ = ["ClosureGroup", "GroupTests", "closure_groups"]
 

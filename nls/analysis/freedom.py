@@ -6,22 +6,18 @@ The directions and the anchors that hold them come from `nls.linear.anchors`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse as sp
 
+from models.algebra import Array, Index
 from nls.analysis.linearization import Checked, Linearization
 from nls.linear.anchors import FreeDirections, column_lengths
 from nls.linear.null_space import BLOCKS
 from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-if TYPE_CHECKING:
-    import scipy.sparse as sp
-
-    from models.algebra import Array, Index
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["Freedom", "freedom"]
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +23,8 @@ from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
 from nls.analysis.observable import Observability, in_unit
 from nls.analysis.variable import check_one, observability
+from nls.graph import FactorGraph
 from nls.values import Values
-
-if TYPE_CHECKING:
-    from nls.graph import FactorGraph
 
 __all__ = ["Motion", "Motions", "helpful_motions"]
 
@@ -220,8 +217,6 @@ def _touching(factor: Factor, key: Keys) -> Mask:
 
 def _seen_again(graph: FactorGraph, values: Values, pose: Keys, motion: Array) -> tuple[FactorGraph, Values]:
     """The graph and its values with one more pose, and with what would be measured from there."""
-    from nls.graph import FactorGraph
-
     stack = values.stack(pose.kind)
     new = int(stack.numbers.max()) + 1
     group = stack.manifold

@@ -20,7 +20,6 @@ These are joined to nothing else, so that the weight of one landmark changes the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,17 +31,15 @@ from models.algebra import Array, Mask, apply, congruence, dot
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
 from nls.gauge import choose_gauge, fixed_variables
+from nls.graph import FactorGraph
 from nls.linear.default import default_solver
 from nls.linear.limits import default_limit
 from nls.linear.null_space import own_information
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.linear.underconstrained import underconstrained
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-if TYPE_CHECKING:
-    from nls.graph import FactorGraph
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["LandmarkInformation", "landmark_information"]
 

@@ -13,18 +13,14 @@ In the axes of C_i, with eigenvalues c, both are sums. Where 1 - w c vanishes no
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.linearization import Checked
 from nls.posegraph import closures, odometry
-from nls.sparse.pattern import measuring
-
-if TYPE_CHECKING:
-    from nls.analysis.linearization import Checked
-    from nls.sparse.pattern import Batch, Pattern
+from nls.sparse.pattern import Batch, Pattern, measuring
 
 __all__ = [
     "UNCHECKED",

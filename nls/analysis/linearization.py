@@ -20,19 +20,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.algebra import Array, apply, product
+from models.algebra import Array, Index, apply, product
 from nls.linear import factorize
 from nls.linear.limits import default_limit
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-if TYPE_CHECKING:
-    from models.algebra import Index
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["Checked", "Linearization", "Together", "stacked"]
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import degrees
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.keys import Keys
 from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
-
-if TYPE_CHECKING:
-    from factors.keys import Keys
 
 __all__ = ["Observability", "in_unit", "shown"]
 

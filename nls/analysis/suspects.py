@@ -11,11 +11,10 @@ from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
 from nls.analysis.closure_groups import GroupTests
@@ -25,12 +24,9 @@ from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.posegraph import odometry
+from nls.sparse.pattern import Pattern
 from nls.starts import chordal
-
-if TYPE_CHECKING:
-    from models.algebra import Index
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["Suspects", "suspects"]
 

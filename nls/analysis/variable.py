@@ -17,7 +17,6 @@ nuisance parameters).
 from __future__ import annotations
 
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,15 +26,13 @@ from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
+from nls.graph import FactorGraph
 from nls.linear.default import default_solver
 from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-if TYPE_CHECKING:
-    from nls.graph import FactorGraph
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["observability"]
 

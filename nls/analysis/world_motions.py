@@ -9,16 +9,12 @@ part of the graph is a column of G. The motions in the span of free directions N
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.bundle import CAMERA
-from models import SO3
+from models import SO3, Manifold
 from models.algebra import Array, apply
-
-if TYPE_CHECKING:
-    from models import Manifold
 
 __all__ = ["AXES", "NEAR", "SAME", "Motion", "generators", "motions", "places"]
 

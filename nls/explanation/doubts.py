@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from factors import Cauchy, Huber, Prior
 from factors.base import Factor
+from factors.keys import Keys
 from models.advice import Advice
+from models.algebra import Index
 from models.errors import GraphError
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
+from nls.analysis.suspects import Suspects
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.gauge import component_labels
+from nls.graph import FactorGraph
 from nls.posegraph import closures
-
-if TYPE_CHECKING:
-    from factors.keys import Keys
-    from models.algebra import Index
-    from nls.analysis.suspects import Suspects
-    from nls.graph import FactorGraph
-    from nls.sparse.pattern import Batch, Pattern
-    from nls.values import Values
+from nls.sparse.pattern import Batch, Pattern
+from nls.values import Values
 
 __all__ = ["certifies", "graduates", "of_suspects"]
 

@@ -5,23 +5,18 @@ d = l_a - l_b,   t = d' (P_aa + P_bb - P_ab - P_ba)^-1 d  ~  chi2    if they are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from factors import Sighting
 from factors.keys import Keys
 from models import R
 from models.advice import Advice
+from models.algebra import Index
 from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.linearization import Checked
 from nls.explanation.findings import Finding, FindingKind
-
-if TYPE_CHECKING:
-    from models.algebra import Index
-    from nls.analysis.linearization import Checked
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
-
+from nls.sparse.pattern import Pattern
+from nls.values import Values
 
 PAIRS = 20  # nearest pairs that are looked at
 SAME = 0.999  # of such pairs that are one point are found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,21 +16,18 @@ from nls.analysis.calibrations import calibrations
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
+from nls.analysis.linearization import Checked
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import causes, doubts
 from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
+from nls.gauge import Gauge, choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
+from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
-
-if TYPE_CHECKING:
-    from nls.analysis.linearization import Checked
-    from nls.gauge import Gauge
-    from nls.sparse.pattern import Pattern
 
 __all__ = ["explain", "separate_parts"]
 

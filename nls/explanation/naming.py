@@ -6,7 +6,6 @@ Those of single points are named in the frame of the sensor that sees them: rang
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +15,12 @@ from models import LieGroup
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
 from models.sensors import point_in_frame
+from nls.analysis.freedom import Freedom
 from nls.analysis.world_motions import AXES, NEAR, SAME, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
-
-if TYPE_CHECKING:
-    from nls.analysis.freedom import Freedom
-    from nls.sparse.pattern import Pattern
-    from nls.values import Values
+from nls.sparse.pattern import Pattern
+from nls.values import Values
 
 ALIGNED = 0.99  # cosine of the angle between an axis and the free directions
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas

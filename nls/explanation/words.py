@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from models.advice import listed
 from models.listing import some
 from models.manifolds.units import unit
 from nls.analysis.observable import in_unit
-from nls.explanation.findings import FindingKind, number
+from nls.explanation.findings import Explanation, Finding, FindingKind, Part, number
 from nls.explanation.rejections import unverified
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from nls.explanation.findings import Explanation, Finding, Part
 
 __all__ = ["sentence", "together"]
 

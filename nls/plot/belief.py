@@ -12,7 +12,7 @@ import numpy as np
 from nls.covariance.ellipse import outlines
 from nls.covariance.frames import axes as axes_of
 from nls.covariance.frames import turned
-from nls.filters.base import POSE
+from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
 from nls.plot.axes import axes_or_new, figure_of, legend_below
 from nls.plot.ellipses import _outlines, magnification
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from factors.keys import Keys
     from models.algebra import Array
-    from nls.filters.base import Filter
     from nls.values import Values
 
 __all__ = ["belief"]

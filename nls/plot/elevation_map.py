@@ -15,14 +15,13 @@ import numpy.typing as npt
 
 from models import SE3
 from models.errors import OptionError
-from models.sensors import cartesian
+from models.sensors import ImagingSonar, cartesian
 from nls.sonar.elevation import elevation_sigma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from models.algebra import Array
-    from models.sensors import ImagingSonar
 
 __all__ = ["elevation_map", "motions"]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import kinds
-from models.algebra import distance_along
+from models.algebra import Array, distance_along
 from nls.plot.ellipses import ellipses, visible_scale
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import SHARED, annotate, closures
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from models.algebra import Array
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io.mission.solution import Elevations, Track

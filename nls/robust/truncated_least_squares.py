@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,17 +13,15 @@ from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status, Stop, default_optimizer
+from nls.optimizers.problem import Problem
+from nls.optimizers.watch import Watch
 from nls.robust.kernels import LOSSES, Graduated
 from nls.robust.landmarks import Landmarks
 from nls.robust.loop_graph import LoopGraph
 from nls.sparse.fill import fill_in
 from nls.starts import chordal
+from nls.system import LinearSystem
 from nls.values import Values
-
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
 
 __all__ = ["Choice", "Truncated", "lowest"]
 
