@@ -59,16 +59,19 @@ class Mistake:
         if re.search("late|early|fast|times of", self.name):
             return {f"clock of {table}.csv"}
         if table == "depth":
-            return {"depth of depth.csv", *["zero of the depth of depth.csv"] * ("too deep" in self.name)}
+            of = "zero of the depth" if "too deep" in self.name else "scale" if "scale" in self.name else "depth"
+            return {"depth of depth.csv", f"{of} of depth.csv"}
         if table == "fixes":
             return {f"{'arm' if 'arm' in self.name else 'place'} of fixes.csv"}
         return {"heading of ahrs.csv"} if self.name.startswith("ahrs") and "heading" in self.name else set()
 
     @property
     def size(self) -> float:
-        """By how many seconds a clock is late on average; 0 of other mistakes."""
-        late = re.search(r"(\d+) s (late|early)", self.name)
-        return float(late[1]) if late else 2.0 if "fast" in self.name else 0.5 if "times of" in self.name else 0.0
+        """By how many seconds a clock is late on average, or by which part a scale is off; 0 of other mistakes."""
+        late, scale = re.search(r"(\d+) s (late|early)", self.name), re.search(r"scale ([\d.]+)", self.name)
+        if late or scale:
+            return float(late[1]) if late else abs(float(scale[1]) - 1) if scale else 0.0
+        return 2.0 if "fast" in self.name else 0.5 if "times of" in self.name else 0.0
 
 
 def change(table: str, columns: list[str], function: Callable[[Array], Any]) -> Change:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.io.charts import Projection
 
-SIZES = {"heading": "rad", "zero of the depth": "m", "place": "m", "clock": "s", "arm": "m"}
+SIZES = {"heading": "rad", "zero of the depth": "m", "scale": "of it", "place": "m", "clock": "s", "arm": "m"}
 
 
 def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:

@@ -8,7 +8,7 @@ the rest chi2 grows by nabla'M nabla. Without a number that was measured so,
 The fall is the square of Baarda's w. Where it is more than `EVIDENT` times what is left per degree of freedom, and the
 track moves by more than its own standard deviation, the error is evident. A smaller one is hidden,
 
-    |nabla| < sqrt(EVIDENT / lambda_min(M))
+    |nabla| < (sqrt(EVIDENT) + SURE) / sqrt(lambda_min(M))
 
 A row measured c before its time has z(t - c), so C = -W dz/dt. Of a clock that runs fast by r since the first pose,
 c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count, and nothing is evident.
@@ -46,17 +46,19 @@ from nls.values import Values
 
 __all__ = ["table_errors"]
 EVIDENT = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
+SURE = 2.0  # standard deviations of the root of the fall: 98 of 100 errors of the hidden size are evident
 ROUNDING = 1e-9  # part of an error that rounding shows
 WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
 SAMPLES = 6  # poses, whose positions are compared
-HIDDEN = {
+HIDDEN = {  # sizes that matter
     "heading": 0.2,
     "depth": 1.0,
     "zero of the depth": 2.0,
+    "scale": 0.02,
     "place": 10.0,
     "clock": 1.0,
     "arm": 5.0,
-}  # that matter
+}
 MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
 LARGEST = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # of a reading: beyond, another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
@@ -102,13 +104,14 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         M, largest = left[:, k].T @ left[:, k], float(np.linalg.eigvalsh(C.T @ C).max())
         shown, least = float(np.linalg.eigvalsh(M).min()), HIDDEN.get(quantity, np.inf)
         if not shown > ROUNDING * largest:
-            out.append(TableError(file, quantity, np.inf, hidden=least < np.inf))
+            checked = quantity == "scale"  # by the way down
+            out.append(TableError(file, quantity, np.inf, hidden=least < np.inf and not checked))
             continue
         size, far = left[:, k].T @ linear.b / np.diag(M), np.sqrt(np.sum(moved[:, k] ** 2, axis=0) / variance)
         fall = size**2 * np.diag(M)
         j = int(np.argmax(fall))
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
-        below = float(np.sqrt(EVIDENT * ratio / shown))
+        below = float((np.sqrt(EVIDENT) + SURE) * np.sqrt(ratio / shown))
         hidden = bool(below > least and below * far.max() > 1)
         entry = TableError(file, quantity, below if below < MOST.get(quantity, np.inf) else np.inf, hidden=hidden)
         if not walks and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
@@ -174,10 +177,11 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
     elif (tilts := factor.tilts(batch.model)) is not None:
         z, w = tilts[:, :1], W[:, :, :1]
         yield file, "zero of the depth", w
-        yield file, "scale", w * z[:, :, None]
-        if "dvl.csv" not in report.tags:  # the checks before the graph compare it with the way down
+        if "dvl.csv" not in report.tags:
             yield file, "depth", w * (z - z.mean())[:, :, None]
-        elif t is not None:
+            return
+        yield file, "scale", w * z[:, :, None]
+        if t is not None:
             yield from _late(file, -w[:, :, 0] * np.gradient(z[:, 0], t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Heading):
         yield file, "heading", W[:, :, :1]

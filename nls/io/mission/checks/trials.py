@@ -84,7 +84,7 @@ def explained(
     """
     linear = [Trial(e.reading, e.sigma, chi2 - e.fall, dof) for e in errors if e.reading]
     if chi2 <= TWICE * dof:
-        return Explained(chi2, dof, nearest(linear))
+        return Explained(chi2, dof, tuple(sorted(nearest(linear), key=_is_drift)))
     whole = _mission(tables, elevation, chi2, dof)
     few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
@@ -156,7 +156,13 @@ def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
     """Those of least chi2, of as many rows, which nothing tells apart; a wrong place on the Earth is no accident."""
     alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
     place = {t.reading: t.reading.column.startswith(GEODETIC) for t in trials}
-    return [t for t in sorted(trials, key=lambda t: (not place[t.reading], t.chi2 - t.dof)) if t.reading in alike]
+    ordered = sorted(trials, key=lambda t: (not place[t.reading], _is_drift(t), t.chi2 - t.dof))
+    return [trial for trial in ordered if trial.reading in alike]
+
+
+def _is_drift(trial: Trial) -> bool:
+    """Whether it is of a clock that runs fast, which is rarer than one that is late."""
+    return trial.reading.cause is Cause.DRIFT
 
 
 def _again(mission: Mission, trial: Trial) -> Iterator[Trial]:
