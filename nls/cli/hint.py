@@ -6,6 +6,7 @@ import argparse
 import os
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from models.advice import Advice, listed
@@ -77,13 +78,15 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
-def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, options: argparse.Namespace) -> None:
-    """Errors of whole tables of one mission, and what explains an implausible chi2, into its report.
+def explain_misfit(
+    report: LoadReport, graph: FactorGraph, result: Result, options: argparse.Namespace, as_read: bool = True
+) -> None:
+    """Errors of whole tables of a mission, and what explains an implausible chi2, into its report.
 
-    Nothing is tried where special values or units of its tables are wrong: those come first.
+    Nothing is tried of several dives, of a graph that is not as read, and where special values or units of its tables
+    are wrong: those come first.
     """
-    mission = mission_of(report)
-    if mission is None or getattr(options, "dives", []):
+    if (mission := mission_of(report)) is None:
         return
     from nls.cli.progress import Progress
     from nls.io.mission.checks.table_errors import table_errors
@@ -93,7 +96,9 @@ def explain_misfit(report: LoadReport, graph: FactorGraph, result: Result, optio
 
     chi2, dof = result.believed
     mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
-    if (result.doubt or any(error.evident for error in mission.errors)) and worth_trying(mission.findings):
+    if not as_read or getattr(options, "dives", []):
+        mission.errors = [replace(error, evident=False) for error in mission.errors]
+    elif (result.doubt or any(error.evident for error in mission.errors)) and worth_trying(mission.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
             tables = read_tables(mission.path)[0]
             explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")

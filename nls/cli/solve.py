@@ -191,8 +191,8 @@ def _optimize(job: Job) -> None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")
-    if job.report.format == "mission" and job.choice is None and job.sigmas is None:
-        explain_misfit(job.report, job.graph, job.result, job.options)
+    if job.report.format == "mission":
+        explain_misfit(job.report, job.graph, job.result, job.options, job.choice is None and job.sigmas is None)
         job.clock.lap("report")
 
 
