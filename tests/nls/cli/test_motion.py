@@ -108,7 +108,8 @@ def test_each_of_several_dives_has_its_own_empty_cells(log: Shell) -> None:
     for name, mapping in (("a", PLACES), ("b", PLACES + COMPASS)):
         (log / "map.toml").write_text(mapping + "[origin]\nlat_deg = 48.0\nlon_deg = -123.0\n")
         log(f"import log.csv --map map.toml -o {name}")
-    log("solve a b -o s --covariance c.csv")
+    out = log("solve a b -o s --covariance c.csv")
+    assert "the place" in row(out, "unchecked")
     assert not {"world_z_z", "world_yaw_yaw"} & _filled(log, "c.csv")  # of none, as one dive has none
     assert _filled(log, "s/a/trajectory.csv") == PLACED
     assert _filled(log, "s/b/trajectory.csv") == PLACED | {"z_m", "yaw_rad", "sigma_z_m", "sigma_yaw_rad"}
