@@ -39,6 +39,7 @@ from sim.cli import main as simulated
 SEEDS, CONTROLS, CURES, SHORT = 3, 20, 6, 140  # a cure for each of the tables
 PATIENCE = 20.0  # s of processor time, fifty times what a right log takes: then the user presses Ctrl-C
 WORSE = 1.5  # times the error of the right log: a wrong result
+STATED = 3.0  # standard deviations that a result states where data of its own say a constant
 SILENT, UNMEASURED, LOUD, CURED, HARMLESS = "silent", "unmeasured", "loud", "cured", "harmless"
 KINDS = (SILENT, UNMEASURED, LOUD, CURED, HARMLESS)  # the worst first
 ROW = re.compile(r"(\w+|max\|dx\|)  ")  # of the table of a command
@@ -63,10 +64,11 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - usbl: the same, with a ship that measures range, bearing and elevation every 4 s.
 - rov: compass, depth and positions every 2 s, without a DVL.
 - Error: root mean square of the positions over the track, against the truth.
-- harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma where
-  that is larger, or that of the result itself. cured: the same after a cure. still loud: another exit status, or no
-  answer in {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that
-  nothing checks this quantity of this table, as the depth of the rov, or no error of this size.
+- harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma or that
+  of the result itself where these are larger. cured: the same after a cure, or within {STATED:.0f} sigmas as stated then:
+  a constant that the data say adds an error of its own. still loud: another exit status, or no answer in
+  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that nothing
+  checks this quantity of this table, as the depth of the rov, or no error of this size.
 - Where the answer lists causes that nothing tells apart, the one that was made is taken if it is among them: whoever
   looks at the vehicle knows it.
 - Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
@@ -226,7 +228,7 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
     right = first.alarm and any(re.search(pattern, line, re.I) for pattern in mistake.right for line in said)
     arms = [float(word) for line in first.statements for word in re.findall(r"\+- (\S+) m too", line)]
     stated = float(np.hypot(run.sigma, max(arms, default=0.0)))  # an arm is known as well as it was said to be
-    within = run.error <= WORSE * max(clean.error, clean.sigma, stated)
+    within = run.error <= max(WORSE * max(clean.error, clean.sigma, stated), STATED * stated * bool(followed))
     wrong = UNMEASURED if run.answer.misses(mistake) else SILENT
     kind = LOUD if run.answer.status else wrong if not within else CURED if followed or first.status else HARMLESS
     numbers = (clean.error, before, run.error)

@@ -23,7 +23,7 @@ from nls.io.mission.table import Table
 if TYPE_CHECKING:
     from nls.io.mission.report import MissionReport
 
-__all__ = ["NAMES", "Calibrations", "Compass"]
+__all__ = ["NAMES", "Calibrations", "Compass", "wide"]
 
 Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
 
@@ -39,6 +39,11 @@ NAMES = {  # of a calibration: what it is
     "usbl_scale": "ranges of usbl.csv are 1 + this times the distance, as of a sound speed that is too high",
     "sound_speed_scale": "ranges of ranges.csv are 1 + this times the distance, as of a sound speed that is too high",
 }
+
+
+def wide(name: str) -> float:
+    """The standard deviation of a calibration of which nothing is known before: rad, s or a fraction."""
+    return next(sigma for end, sigma in {"_rad": 1.0, "_s": 10.0, "_scale": 0.3}.items() if name.endswith(end))
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from nls.analysis.calibrations import explains
 from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.io.mission.calibration import NAMES
+from nls.io.mission.calibration import NAMES, wide
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
 from nls.io.mission.checks.readings import Alternative, corrected, readings
 from nls.io.mission.columns import COLUMNS, GEODETIC
@@ -50,10 +50,10 @@ __all__ = ["explained", "worth_trying"]
 
 Tables = dict[str, Table]
 QUARTER = np.pi / 2
-BEGINS = {  # of a constant by the end of its name: where it begins, sigma of its prior
-    "_rad": ((0.0, QUARTER, -QUARTER, np.pi), 1.0),
-    "_s": ((0.0, 12.0, -12.0), 10.0),
-    "_scale": ((0.0,), 0.3),
+BEGINS = {  # of a constant, by the end of its name
+    "_rad": (0.0, QUARTER, -QUARTER, np.pi),
+    "_s": (0.0, 12.0, -12.0),
+    "_scale": (0.0,),
 }
 LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
 MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
@@ -183,10 +183,10 @@ def _calibrations(mission: Mission) -> Iterator[Trial]:
 
 def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) -> Iterator[Trial]:
     announce(f"trying {name}")
-    usual, wide = next(entry for end, entry in BEGINS.items() if name.endswith(end))
+    usual, prior = next(begins for end, begins in BEGINS.items() if name.endswith(end)), wide(name)
 
     def at(*values: float, anywhere: bool = False) -> list[tuple[Fit, float]]:
-        tables = [mission.tables | {"calibration": _with_row(mission.tables, name, c, wide)} for c in values]
+        tables = [mission.tables | {"calibration": _with_row(mission.tables, name, c, prior)} for c in values]
         return [(fit, values[k]) for k, fit in mission.optima(tables, len(tables), anywhere)]
 
     fit, value = min(at(*(begins or usual)), key=lambda pair: pair[0].chi2, default=(None, 0.0))
@@ -194,7 +194,7 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
         return
     for _ in range(ROUNDS):
         before, value = value, float(fit.values[Kind(name)[0]][0])
-        if abs(value - before) < SETTLED * wide or not (again := at(value, anywhere=True)):
+        if abs(value - before) < SETTLED * prior or not (again := at(value, anywhere=True)):
             break
         fit = again[0][0]
     if not explains(fit, mission.chi2, mission.dof):
@@ -203,7 +203,7 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
     if marginals.status(Kind(name))[0] != "estimated":
         return
     sigma = float(np.sqrt(marginals.covariance(Kind(name)[0])[0, 0]))
-    if sigma < LEFT * wide:  # else nothing measures it
+    if sigma < LEFT * prior:  # else nothing measures it
         yield Trial(Reading(Cause.CALIBRATION, "calibration.csv", name, value), sigma, fit.chi2, fit.dof)
 
 

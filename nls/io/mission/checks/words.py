@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from models.listing import several
+from nls.io.mission.calibration import wide
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
 from nls.io.mission.checks.special import meant
 
@@ -240,9 +241,12 @@ def _arm(r: Reading) -> str:
 
 
 def _row(name: str, value: float, sigma: float) -> str:
-    """A row of calibration.csv, with as many digits as sigma has two of."""
+    """A row of calibration.csv, with as many digits as sigma has two of.
+
+    The row's own sigma is wide: the measurements that say the number count once, when it is solved again.
+    """
     digits = max(0, 1 - math.floor(math.log10(sigma)))
-    row = f"write `{name},{value:.{digits}f},{sigma:.{digits}f}` in calibration.csv"
+    row = f"write `{name},{value:.{digits}f},{wide(name):g}` in calibration.csv"
     if not name.endswith("_clock_s"):
         return row
     file = name.removesuffix("_clock_s") + ".csv"
