@@ -65,8 +65,8 @@ The first cure that is printed is followed to the letter, at most {CURES} times.
 - rov: compass, depth and positions every 2 s, without a DVL.
 - Error: root mean square of the positions over the track, against the truth.
 - harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma or that
-  of the result itself where these are larger. cured: the same after a cure, or within {STATED:.0f} sigmas as stated then:
-  a constant that the data say adds an error of its own. still loud: another exit status, or no answer in
+  of the result itself where these are larger. cured: the same after a cure, or within {STATED:.0f} sigmas as stated
+  then: a constant that the data say adds an error of its own. still loud: another exit status, or no answer in
   {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that nothing
   checks this quantity of this table, as the depth of the rov, or no error of this size.
 - Where the answer lists causes that nothing tells apart, the one that was made is taken if it is among them: whoever
