@@ -92,13 +92,20 @@ def explain_misfit(
     from nls.io.mission.checks.table_errors import table_errors
     from nls.io.mission.checks.trials import explained, worth_trying
     from nls.io.mission.folder import read_tables
+    from nls.optimizers.fit import TWICE
     from nls.stages import listened
 
     chi2, dof = result.believed
     mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
-    if not as_read or getattr(options, "dives", []):
+    as_read = as_read and not getattr(options, "dives", [])
+    if not as_read:
         mission.errors = [replace(error, evident=False) for error in mission.errors]
-    elif (result.doubt or any(error.evident for error in mission.errors)) and worth_trying(mission.findings):
+    evident = any(error.evident for error in mission.errors)
+    if (
+        as_read
+        and (evident or (result.doubt and result.chi2_final > TWICE * result.dof))
+        and worth_trying(mission.findings)
+    ):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
             tables = read_tables(mission.path)[0]
             explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")

@@ -86,11 +86,11 @@ def total(rates: dict[str, Array]) -> Array:
 
 def twists(X: Array, t: Array) -> Array:
     """Body twists (n, 6) of poses (n, 7) at times (n,), m/s and rad/s: over the legs before and after."""
-    order = np.argsort(t)
-    X, dt = X[order], np.diff(t[order])
+    times, first, of = np.unique(t, return_index=True, return_inverse=True)
+    if len(times) == 1:
+        return np.zeros((len(t), SE3.dim))
+    X, dt = X[first], np.diff(times)
     step = SE3.local(X[:-1], X[1:])
     zero = np.zeros((1, SE3.dim))
     both = np.concatenate([step, zero]) + np.concatenate([zero, step])
-    out: Array = np.zeros(both.shape)
-    out[order] = both / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None]
-    return out
+    return np.asarray((both / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None])[of])

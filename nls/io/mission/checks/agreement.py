@@ -21,7 +21,7 @@ from models.algebra import Array, Mask
 from models.dead_reckoning.drop_outs import longest_step
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log
-from nls.io.mission.checks.readings import alternatives
+from nls.io.mission.checks.readings import alternatives, corrected
 
 __all__ = ["of_way_down"]
 WINDOW = 10.0  # s
@@ -36,6 +36,7 @@ DOUBT, CURED, TIE = 3.5, 1 / 3, 1.6
 ARM = 5.0  # m
 MISFIT = 0.1  # relative misfit that may be named, with its reading
 WRONG = 0.5  # relative misfit that needs no reading to be named
+WIDEST = 2.0  # times: a scale of the depth
 ALIKE = 3  # readings that are named
 
 
@@ -111,7 +112,7 @@ def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading
     scored.sort(key=lambda pair: pair[0])
     best = scored[0][0]
     if best > CURED * S:
-        return []
+        return _scaled(log, windows, S, noise)
     near: dict[tuple[str, ...], Reading] = {}
     for s, reading in scored:
         if s <= TIE * max(best, 1.0):
@@ -119,3 +120,14 @@ def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading
     arm = ARM / max(float(np.median(np.linalg.norm(log.v, axis=1))), 1e-9)
     first = next(iter(near.values()))
     return [] if first.cause is Cause.CLOCK and abs(first.factor) < arm else [*near.values()]
+
+
+def _scaled(log: Log, windows: Array, S: float, noise: float) -> list[Reading]:
+    """The scale of the depth, where that explains a misfit."""
+    dz, dD = _ways(windows, log.t_z, log.z), _ways(windows, log.t_v, log.way()[:, 2])
+    slope = float(dz @ dD) / max(float(dD @ dD), 1e-9)
+    if not 1 / WIDEST < slope < WIDEST:
+        return []
+    reading = Reading(Cause.SCALE, "depth.csv", "z_m", slope)
+    s = (_misfit(corrected(reading).on_log(log), windows) / noise) ** 2
+    return [reading] if s <= CURED * S else []

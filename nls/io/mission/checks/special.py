@@ -174,7 +174,7 @@ def repeated(tables: dict[str, Table]) -> Iterator[Implausible]:
             continue
         y, t = table.floats(*columns), table.floats("time_s")[:, 0]
         first, last = _runs(y)
-        many = last - first >= often
+        many = (last - first >= often) & (t[last] - t[first] >= LONG)
         same = _repeats(first[many], last[many], len(y))
         if same.any() and len(np.unique(y[~same, 0])) > max(len(y) - same.sum(), MANY) / 2:
             reading = Reading(Cause.STALE, f"{name}.csv", ", ".join(columns))

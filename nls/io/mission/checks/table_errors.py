@@ -8,7 +8,7 @@ the rest chi2 grows by nabla'M nabla. Without a number that was measured so,
 The fall is the square of Baarda's w. Where it is more than `EVIDENT` times what is left per degree of freedom, and the
 track moves by more than its own standard deviation, the error is evident. A smaller one is hidden,
 
-    |nabla| < (sqrt(EVIDENT) + SURE) / sqrt(lambda_min(M))
+    |nabla| < (sqrt(EVIDENT) + SURE) / sqrt(M)
 
 A row measured c before its time has z(t - c), so C = -W dz/dt. Of a clock that runs fast by r since the first pose,
 c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count, and nothing is evident.
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -50,6 +49,7 @@ SURE = 2.0  # standard deviations of the root of the fall: 98 of 100 errors of t
 ROUNDING = 1e-9  # part of an error that rounding shows
 WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
 SAMPLES = 6  # poses, whose positions are compared
+DIRECTIONS = 18  # of an arm or a place, in a quarter turn
 HIDDEN = {  # sizes that matter
     "heading": 0.2,
     "depth": 1.0,
@@ -78,43 +78,41 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
     fixed = fixed_variables(graph.fixed, values) | ~touched_variables(whole)
     pattern = whole.holding(choose_gauge("first", whole, values, fixed).held)
     linear = LinearSystem.at(pattern, values)
-    files = [Path(source.path).name for source in report.sources]
-    blocks, walks = list(linear.blocks), "motion.csv" in files
-    for number in (k for k, file in enumerate(files) if file == "motion.csv"):
-        blocks[number] = tuple(WALK * A for A in blocks[number])
-    errors = _columns(pattern, values, report, files)
-    if not errors:
-        return []
-    system, all_C = LinearSystem(pattern, blocks, linear.b), np.concatenate(list(errors.values()), axis=1)
+    files = [file.removesuffix(".gz") for file in report.tables]
+    walked = [file.endswith("motion.csv") for file in files]
+    blocks = [tuple(WALK * A for A in of) if walk else of for of, walk in zip(linear.blocks, walked, strict=False)]
+    system = LinearSystem(pattern, [*blocks, *linear.blocks[len(blocks) :]], linear.b)
     sampled = np.linspace(0, len(values.stack("x")) - 1, SAMPLES).astype(int)
     at = pattern.starts[pattern.offsets["x"] + sampled]
     places = (at[at >= 0, None] + np.arange(3)).ravel()
+    errors = _columns(pattern, values, report, files) if len(places) else {}
+    if not errors:
+        return []
     unit = np.zeros((pattern.n, len(places)))
     unit[places, np.arange(len(places))] = 1.0
     try:
-        taken = factorize(system).solve(np.hstack([system.A.T @ all_C, unit]))
+        factor = factorize(system)
+        variance = float(np.trace(factor.solve(unit)[places]))
     except SingularSystemError:
         return []
-    left, moved = all_C - system.A @ taken[:, : all_C.shape[1]], taken[places]  # by one unit of an error
-    variance = float(np.trace(moved[:, all_C.shape[1] :]))
-    times, first, out = report.vertex_times.get("x", np.zeros(1)), 0, []
+    times, out = report.vertex_times.get("x", np.zeros(1)), []
     for (file, quantity), C in errors.items():
-        k = slice(first, first + C.shape[1])
-        first += C.shape[1]
-        M, largest = left[:, k].T @ left[:, k], float(np.linalg.eigvalsh(C.T @ C).max())
-        shown, least = float(np.linalg.eigvalsh(M).min()), HIDDEN.get(quantity, np.inf)
-        if not shown > ROUNDING * largest:
-            checked = quantity == "scale"  # by the way down
+        taken = factor.solve(system.A.T @ C)
+        left, moved = C - system.A @ taken, taken[places]  # by one unit of the error
+        M, largest = left.T @ left, float(np.linalg.eigvalsh(C.T @ C).max())
+        least = HIDDEN.get(quantity, np.inf)
+        if not np.linalg.eigvalsh(M).min() > ROUNDING * largest:
+            checked = quantity == "scale" and not {"gyro.csv", "pressure.csv"} & {*files}  # by the way down
             out.append(TableError(file, quantity, np.inf, hidden=least < np.inf and not checked))
             continue
-        size, far = left[:, k].T @ linear.b / np.diag(M), np.sqrt(np.sum(moved[:, k] ** 2, axis=0) / variance)
+        size, far = left.T @ linear.b / np.diag(M), np.sqrt(np.sum(moved**2, axis=0) / variance)
         fall = size**2 * np.diag(M)
         j = int(np.argmax(fall))
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
-        below = float((np.sqrt(EVIDENT) + SURE) * np.sqrt(ratio / shown))
+        below = float((np.sqrt(EVIDENT) + SURE) * np.sqrt(ratio) / _root_of_fall(M))
         hidden = bool(below > least and below * far.max() > 1)
         entry = TableError(file, quantity, below if below < MOST.get(quantity, np.inf) else np.inf, hidden=hidden)
-        if not walks and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
+        if not any(walked) and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
             evident = bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1)
             entry = replace(entry, reading=reading, sigma=float(M[j, j] ** -0.5), fall=float(fall[j]), evident=evident)
         out.append(entry)
@@ -122,16 +120,24 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
     return [error for error in out if error.quantity != "zero of the depth" or error.file not in wholly]
 
 
+def _root_of_fall(M: Array) -> float:
+    """The least root of the fall by an error of size 1, of one number or of two whose direction is not known."""
+    angle = np.linspace(0.0, np.pi, 2 * DIRECTIONS if len(M) > 1 else 1)
+    u = np.stack([np.cos(angle), np.sin(angle)][: len(M)])
+    return float((np.abs(M @ u) / np.sqrt(np.diag(M))[:, None]).max(axis=0).min())
+
+
 def _columns(
     pattern: Pattern, values: Values, report: MissionReport, files: Sequence[str]
 ) -> dict[tuple[str, str], Array]:
     """C (m, k) of what may be wrong with a table, by its file and quantity; factors are from files."""
     errors: dict[tuple[str, str], Array] = {}
+    ship = _times_of_ship(pattern, values, report.vertex_times.get("x"))
     for batch, source, file in zip(pattern.batches, report.sources, files, strict=False):
-        if file == "motion.csv" or batch.model.factor.limit_only or len(batch) == 1 or not source.lines.any():
+        if file.endswith("motion.csv") or batch.model.factor.limit_only or len(batch) == 1 or not source.lines.any():
             continue
         weights = np.sqrt(batch.model.factor.weights(values))[:, None, None]
-        for name, quantity, C in _errors(batch, values, report, file):
+        for name, quantity, C in _errors(batch, values, report, ship, file):
             rows = errors.setdefault((name, quantity), np.zeros((pattern.m, C.shape[2])))
             rows[batch.rows] += (weights * C).reshape(-1, C.shape[2])
     return errors
@@ -139,7 +145,7 @@ def _columns(
 
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
     """What an error of this size is; a clock runs fast since a time."""
-    table = file.removesuffix(".csv")
+    table = file.rpartition("/")[2].removesuffix(".csv")
     if not abs(size) < LARGEST.get(quantity, np.inf):
         return None
     if quantity == "heading drift":
@@ -149,7 +155,7 @@ def _reading(file: str, quantity: str, component: int, size: float, since: float
     if quantity == "drift":
         return Reading(Cause.DRIFT, file, "time_s", size, size / (1 + size) * since)
     if quantity == "arm":
-        return Reading(Cause.ARM, "dvl_mount.csv" if table == "dvl" else file, ARMS[file][component], size)
+        return Reading(Cause.ARM, "dvl_mount.csv" if table == "dvl" else file, ARMS[f"{table}.csv"][component], size)
     if quantity == "scale" and table == "depth":
         return Reading(Cause.SCALE, file, "z_m", 1 + size)
     turned = quantity in ("turn", "heading")
@@ -159,10 +165,12 @@ def _reading(file: str, quantity: str, component: int, size: float, since: float
     return Reading(Cause.CALIBRATION, "calibration.csv", name, -size if turned else size) if name else None
 
 
-def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> Iterator[tuple[str, str, Array]]:
+def _errors(
+    batch: Batch, values: Values, report: MissionReport, ship: Array, file: str
+) -> Iterator[tuple[str, str, Array]]:
     """What may be wrong with all measurements of a factor: file, name, and C (n, m, k) of k numbers."""
     factor, W = batch.model.factor, batch.model.W
-    clock = f"{file.removesuffix('.csv')}_clock_s"
+    clock = f"{file.rpartition('/')[2].removesuffix('.csv')}_clock_s"
     known = any(keys.kind == clock for keys in factor.keys)  # a variable
     while isinstance(factor, Shifted):
         factor = factor.factor
@@ -171,13 +179,16 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
     X, t = values.stack("x"), report.vertex_times.get("x")
     if t is not None and not (np.diff(t) > 0).all():
         t = None
-    at = X.index(factor.keys[0])
-    if isinstance(factor, HorizontalStep) and file == "dvl.csv" and t is not None:
-        yield from _of_legs(W, factor.z, t[at], t[X.index(factor.keys[1])])
+    poses = [X.index(keys) for keys in factor.keys if keys.kind == "x"]
+    if not poses:
+        return
+    at, name = poses[0], file.rpartition("/")[2]
+    if isinstance(factor, HorizontalStep) and name == "dvl.csv" and t is not None:
+        yield from _of_legs(W, factor.z, t[at], t[poses[1]])
     elif (tilts := factor.tilts(batch.model)) is not None:
         z, w = tilts[:, :1], W[:, :, :1]
         yield file, "zero of the depth", w
-        if "dvl.csv" not in report.tags:
+        if file.replace(name, "dvl.csv") not in {tag.removesuffix(".gz") for tag in report.tags}:
             yield file, "depth", w * (z - z.mean())[:, :, None]
             return
         yield file, "scale", w * z[:, :, None]
@@ -193,8 +204,8 @@ def _errors(batch: Batch, values: Values, report: MissionReport, file: str) -> I
         yield file, "place", W[:, :, :2]
         if np.any(factor.offset):
             yield file, "arm", -W[:, :, :2] @ rotation3(X.X[at, 3:])[:, :2, :2]
-    if file.removesuffix(".csv") in CLOCKED and t is not None and not known:
-        yield from _of_clocks(factor, W, values, t, file)
+    if name.removesuffix(".csv") in CLOCKED and t is not None and not known:
+        yield from _of_clocks(factor, W, values, t, ship, file)
 
 
 def _of_legs(W: Array, z: Array, t_i: Array, t_j: Array) -> Iterator[tuple[str, str, Array]]:
@@ -214,12 +225,24 @@ def _late(file: str, late: Array, t: Array, first: float) -> Iterator[tuple[str,
     yield file, "drift", (late * (t - first)[:, None])[:, :, None]
 
 
-def _of_clocks(factor: Factor, W: Array, values: Values, t: Array, file: str) -> Iterator[tuple[str, str, Array]]:
-    """Of fixes, ranges and directions: their own clock, and that of the ship."""
+def _of_clocks(
+    factor: Factor, W: Array, values: Values, t: Array, ship: Array, file: str
+) -> Iterator[tuple[str, str, Array]]:
+    """Of fixes, ranges and directions: their own clock, and that of the ship, whose poses are at times (k,)."""
     X = values.stack("x")
     when = t[X.index(next(keys for keys in factor.keys if keys.kind == "x"))]
-    moving = {"x": twists(X.X, t)} | ({"s": twists(values[s], when)} if "s" in values.stacks else {})
+    moving = {"x": twists(X.X, t)} | ({"s": twists(values.stack("s").X, ship)} if len(ship) else {})
     by_kind = rates_by_time(factor, values, moving)
     yield from _late(file, -apply(W, total(by_kind)), when, t[0])
     if "s" in by_kind:
         yield from _late("ship.csv", apply(W, by_kind["s"]), when, t[0])
+
+
+def _times_of_ship(pattern: Pattern, values: Values, t: Array | None) -> Array:
+    """Times (k,) of the poses of a ship, by those of the vehicle that they see; none where one has none."""
+    out = np.full(len(values.stacks.get("s", ())), np.nan)
+    for batch in pattern.batches if t is not None else ():
+        keys = {keys.kind: keys for keys in batch.model.factor.keys}
+        if {"x", "s"} <= keys.keys() and t is not None:
+            out[values.stack("s").index(keys["s"])] = t[values.stack("x").index(keys["x"])]
+    return out if np.isfinite(out).all() else out[:0]

@@ -94,6 +94,7 @@ SPOILS: dict[str, tuple[Change, Reading]] = {
     "depth in feet": (depths(3.2808), of(Cause.UNIT, "depth", "z_m", 3.2808)),
     "depth in cm": (depths(100), of(Cause.UNIT, "depth", "z_m", 100.0)),
     "depth in kPa": (depths(10), of(Cause.UNIT, "depth", "z_m", 10.0)),
+    "depth 30 % too large": (depths(1.3), of(Cause.SCALE, "depth", "z_m", 1.3)),
     "depth constant": (lambda log: replace(log, z=np.full_like(log.z, 12.0)), of(Cause.STUCK, "depth", "z_m")),
     "AHRS early by 6 s": (late("t_a", -6.0), of(Cause.CLOCK, "ahrs", "time_s", -6.0)),
     "AHRS late by 5 s": (late("t_a", 5.0), of(Cause.CLOCK, "ahrs", "time_s", 5.0)),

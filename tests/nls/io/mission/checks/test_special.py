@@ -15,10 +15,11 @@ from models.geodesy import LocalPlane
 from nls.io.importing.mapping import Mapping
 from nls.io.importing.mission import import_logs
 from nls.io.mission.checks import Cause, Implausible, implausible
+from nls.io.mission.checks.special import repeated
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.folder import read_tables
 from nls.io.mission.read import read_mission
-from nls.io.mission.table import csv_text
+from nls.io.mission.table import Table, csv_text
 from tests.combinations import for_all
 from tests.nls.io.mission.checks.missions import dive, kinds, rows
 from tests.nls.io.mission.checks.vehicle import clean
@@ -178,6 +179,19 @@ def test_a_velocity_or_a_heading_that_repeats_is_stale(table: str, seed: int, tm
     (finding, *_) = findings(tmp_path / f"{table}{seed}", changed(files, table, spoil))
     assert (finding.check, finding.file) == ("repeated", f"{table}.csv")
     assert finding.lines == tuple(range(203, 262))
+
+
+@for_all(held=[1.0, 20.0])
+def test_places_of_a_ship_that_are_held_for_long_are_repeated(held: float) -> None:
+    """Attitudes at 20 Hz, and places that a receiver gives each second, or not for 20 s in the middle."""
+    t = np.arange(0.0, 80.0, 0.05)
+    given = np.floor(t) if held == 1.0 else np.where((t > 30) & (t < 30 + held), 30.0, t)
+    place = np.column_stack([given * 2.0, np.sin(given)])
+    columns = ["time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"]
+    noise = np.random.default_rng(0).normal(0, 0.01, (len(t), 3))
+    ship = Table("ship.csv", tuple(columns), data=csv_text(columns, t, place, 0 * t, noise))
+    rows = [row for entry in repeated({"ship": ship}) for row in entry.lines]
+    assert len(rows) == (0 if held == 1.0 else 399)
 
 
 def test_numbers_that_a_slow_sensor_repeats_are_not_stale(tmp_path: Path) -> None:
