@@ -37,6 +37,7 @@ ARM = 5.0  # m
 MISFIT = 0.1  # relative misfit that may be named, with its reading
 WRONG = 0.5  # relative misfit that needs no reading to be named
 WIDEST = 2.0  # times: a scale of the depth
+SCALED = 0.2  # relative misfit: a right log had 0.16, by a DVL whose mounting is off
 ALIKE = 3  # readings that are named
 
 
@@ -126,7 +127,7 @@ def _scaled(log: Log, windows: Array, S: float, noise: float) -> list[Reading]:
     """The scale of the depth, where that explains a misfit."""
     dz, dD = _ways(windows, log.t_z, log.z), _ways(windows, log.t_v, log.way()[:, 2])
     slope = float(dz @ dD) / max(float(dD @ dD), 1e-9)
-    if not 1 / WIDEST < slope < WIDEST:
+    if not (1 / WIDEST < slope < WIDEST and np.sqrt(S) * noise > SCALED):
         return []
     reading = Reading(Cause.SCALE, "depth.csv", "z_m", slope)
     s = (_misfit(corrected(reading).on_log(log), windows) / noise) ** 2
