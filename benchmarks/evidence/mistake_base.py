@@ -57,7 +57,7 @@ class Mistake:
         """What of its table is wrong, in the words of the program for what nothing checks."""
         table = self.tables[0] if self.tables else ""
         if re.search("late|early|fast|times of", self.name):
-            return {f"clock of {table}.csv"}
+            return {f"clock of {table}.csv", *["depth of depth.csv"] * (table == "depth")}
         if table == "depth":
             of = "zero of the depth" if "too deep" in self.name else "scale" if "scale" in self.name else "depth"
             return {"depth of depth.csv", f"{of} of depth.csv"}

@@ -37,7 +37,7 @@ ARM = 5.0  # m
 MISFIT = 0.1  # relative misfit that may be named, with its reading
 WRONG = 0.5  # relative misfit that needs no reading to be named
 WIDEST = 2.0  # times: a scale of the depth
-SCALED = 0.2  # relative misfit: a right log had 0.16, by a DVL whose mounting is off
+SCALED = 0.2  # relative misfit that a reading leaves: a right log had 0.16, by a DVL whose mounting is off
 ALIKE = 3  # readings that are named
 
 
@@ -112,7 +112,7 @@ def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading
         scored += [((_misfit(a.on_log(log), windows) / noise) ** 2, a.reading) for a in clocks]
     scored.sort(key=lambda pair: pair[0])
     best = scored[0][0]
-    if best > CURED * S:
+    if best > CURED * S or np.sqrt(best) * noise > SCALED:
         return _scaled(log, windows, S, noise)
     near: dict[tuple[str, ...], Reading] = {}
     for s, reading in scored:

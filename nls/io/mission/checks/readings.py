@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply
+from models.algebra import Array, apply, wrap
 from nls.io.mission.checks.findings import Cause, Reading
 from nls.io.mission.checks.log import Log, read_log
 from nls.io.mission.columns import ANGLES, GEODETIC, TILT, VELOCITY
@@ -86,6 +86,8 @@ class Alternative:
         if self.reading.cause is Cause.EARTH:
             log = read_log(tables, None) if "dvl" in tables else None
             return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
+        if self.reading == FROM_NORTH:
+            return _from_the_bow(tables) if {"usbl", "ship"} <= tables.keys() else {}
         names = tables if self.geodetic else [self.reading.file.removesuffix(".csv")]
         tables_read = {name: tables[name] for name in names if name in tables and tables[name].has(*self.columns)}
         meant = {
@@ -96,6 +98,17 @@ class Alternative:
 
     def _meant(self, y: Array) -> Array:
         return np.asarray(y @ self.A.T + self.c)
+
+
+FROM_NORTH = Reading(Cause.NORTH, "usbl.csv", "bearing_rad")
+
+
+def _from_the_bow(tables: dict[str, Table]) -> dict[str, Table]:
+    """Bearings of a USBL less the heading of the ship."""
+    ship, usbl = tables["ship"], tables["usbl"]
+    t, yaw = ship.floats("time_s", "yaw_rad").T
+    bearing = usbl.floats("bearing_rad")[:, 0] - np.interp(usbl.floats("time_s")[:, 0], t, np.unwrap(yaw))
+    return tables | {"usbl": usbl.with_numbers(("bearing_rad",), wrap(bearing)[:, None])}
 
 
 def alternatives() -> list[Alternative]:
@@ -112,6 +125,7 @@ def readings(tables: dict[str, Table]) -> list[Alternative]:
     geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
     ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
     drifts = [drift for name in ("ahrs", "dvl") if name in tables for drift in _drifts(f"{name}.csv", tables[name])]
+    north.append(Alternative(FROM_NORTH, np.eye(1), np.zeros(1)))
     return [*drifts, *_of_a_log(), *north, *of_tables, *geodetic, *ship]
 
 

@@ -185,6 +185,8 @@ def _axes(r: Reading) -> str:
 
 
 def _north(r: Reading) -> str:
+    if r.column == "bearing_rad":
+        return f"{r.column} of {r.file} looks counted from north: take the heading of the ship from it"
     looks = "looks" if r.column == "yaw_rad" else "look"
     east = f"{r.column} of {r.file} {looks} counted from east, counterclockwise"
     if r.column != "yaw_rad":  # the pitch has its sign, too
