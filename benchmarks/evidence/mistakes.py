@@ -238,11 +238,10 @@ def tried(mistake: Mistake, clean: Run, seed: int, folder: Path) -> Verdict:
 
 def choices(statements: Iterable[str], mistake: Mistake, followed: Sequence[str]) -> Iterator[list[Cure]]:
     """Cures that were not followed yet: of several causes that of the one that was made first, if it is there."""
-    parts = [(line, part) for line in statements for part in line.split("; or ")]
-    made = [any(re.search(pattern, part, re.I) for pattern in mistake.right) for _, part in parts]
-    several = [len(line.split("; or ")) > 1 for line, _ in parts]
-    first = [part for (_, part), is_made, is_one in zip(parts, made, several, strict=True) if is_made and is_one]
-    for part in [*first, *(part for _, part in parts)]:
+    causes = [line.split("; or ") for line in statements]
+    several = [part for parts in causes if len(parts) > 1 for part in parts]
+    made = [part for part in several if any(re.search(pattern, part, re.I) for pattern in mistake.right)]
+    for part in [*made, *itertools.chain(*causes)]:
         cures = cures_of(part.partition(", or ")[0]) or cures_of(part)[:1]
         if cures and "; ".join(map(plain, cures)) not in followed:
             yield cures

@@ -88,24 +88,23 @@ def explain_misfit(
     """
     if (mission := mission_of(report)) is None:
         return
-    from nls.cli.progress import Progress
     from nls.io.mission.checks.table_errors import table_errors
-    from nls.io.mission.checks.trials import explained, worth_trying
-    from nls.io.mission.folder import read_tables
     from nls.optimizers.fit import TWICE
-    from nls.stages import listened
 
     chi2, dof = result.believed
-    mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged else []
-    as_read = as_read and not getattr(options, "dives", [])
-    if not as_read:
+    mission.errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged and dof > 0 else []
+    if not as_read or getattr(options, "dives", []):
         mission.errors = [replace(error, evident=False) for error in mission.errors]
-    evident = any(error.evident for error in mission.errors)
-    if (
-        as_read
-        and (evident or (result.doubt and result.chi2_final > TWICE * result.dof))
-        and worth_trying(mission.findings)
-    ):
+        return
+    implausible = bool(result.doubt) and result.chi2_final > TWICE * result.dof
+    if not (implausible or any(error.evident for error in mission.errors)):
+        return
+    from nls.cli.progress import Progress
+    from nls.io.mission.checks.trials import explained, worth_trying
+    from nls.io.mission.folder import read_tables
+    from nls.stages import listened
+
+    if worth_trying(mission.findings):
         with Progress("explain", quiet=getattr(options, "quiet", False)) as progress, listened(progress.say):
             tables = read_tables(mission.path)[0]
             explanation = explained(tables, result.chi2_final, result.dof, mission.errors, options.elevation or "hinge")

@@ -100,6 +100,11 @@ def _misfit(log: Log, windows: Array) -> float:
     return float(np.std(dz - _ways(windows, log.t_v, log.way()[:, 2])) / np.std(dz)) if np.std(dz) > 0 else np.inf
 
 
+def _score(log: Log, windows: Array, noise: float) -> float:
+    """(m / n)^2."""
+    return (_misfit(log, windows) / noise) ** 2
+
+
 def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading]:
     """The readings that explain a misfit."""
     S = (m / noise) ** 2
@@ -107,9 +112,9 @@ def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading
         return []
     ways = alternatives()
     clocks = [a for a in ways if a.reading.cause is Cause.CLOCK]
-    scored = [((_misfit(a.on_log(log), windows) / noise) ** 2, a.reading) for a in ways if a not in clocks]
+    scored = [(_score(a.on_log(log), windows, noise), a.reading) for a in ways if a not in clocks]
     if not any(s <= TIE for s, _ in scored):  # nothing is left for a clock to explain
-        scored += [((_misfit(a.on_log(log), windows) / noise) ** 2, a.reading) for a in clocks]
+        scored += [(_score(a.on_log(log), windows, noise), a.reading) for a in clocks]
     scored.sort(key=lambda pair: pair[0])
     best = scored[0][0]
     if best > CURED * S or np.sqrt(best) * noise > SCALED:
@@ -130,5 +135,4 @@ def _scaled(log: Log, windows: Array, S: float, noise: float) -> list[Reading]:
     if not (1 / WIDEST < slope < WIDEST and np.sqrt(S) * noise > SCALED):
         return []
     reading = Reading(Cause.SCALE, "depth.csv", "z_m", slope)
-    s = (_misfit(corrected(reading).on_log(log), windows) / noise) ** 2
-    return [reading] if s <= CURED * S else []
+    return [reading] if _score(corrected(reading).on_log(log), windows, noise) <= CURED * S else []

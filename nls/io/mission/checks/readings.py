@@ -120,12 +120,15 @@ def alternatives() -> list[Alternative]:
 def readings(tables: dict[str, Table]) -> list[Alternative]:
     """All that are tried for tables: not the clocks and turns that are calibrations."""
     pitch, yaw = ANGLES[1:]
-    north = [_north("ahrs.csv"), _read(Cause.NORTH, "ahrs.csv", (pitch, yaw), -np.eye(2), 90.0, (0.0, np.pi / 2))]
+    north = [
+        _north("ahrs.csv"),
+        _read(Cause.NORTH, "ahrs.csv", (pitch, yaw), -np.eye(2), 90.0, (0.0, np.pi / 2)),
+        Alternative(FROM_NORTH, np.eye(1), np.zeros(1)),
+    ]
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
     geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
     ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
     drifts = [drift for name in ("ahrs", "dvl") if name in tables for drift in _drifts(f"{name}.csv", tables[name])]
-    north.append(Alternative(FROM_NORTH, np.eye(1), np.zeros(1)))
     return [*drifts, *_of_a_log(), *north, *of_tables, *geodetic, *ship]
 
 

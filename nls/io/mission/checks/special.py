@@ -173,9 +173,7 @@ def repeated(tables: dict[str, Table]) -> Iterator[Implausible]:
         if (table := tables.get(name)) is None or not table.has(*columns, "time_s"):
             continue
         y, t = table.floats(*columns), table.floats("time_s")[:, 0]
-        first, last = _runs(y)
-        many = (last - first >= often) & (t[last] - t[first] >= LONG)
-        same = _repeats(first[many], last[many], len(y))
+        same = _held(t, y, often)
         if same.any() and len(np.unique(y[~same, 0])) > max(len(y) - same.sum(), MANY) / 2:
             reading = Reading(Cause.STALE, f"{name}.csv", ", ".join(columns))
             yield _named("repeated", reading, np.flatnonzero(same), float(np.ptp(t[same])), "s")
@@ -194,6 +192,13 @@ def _repeats(first: Index, last: Index, count: int) -> Mask:
     for begin, end in zip(first, last, strict=True):
         out[begin + 1 : end + 1] = True
     return out
+
+
+def _held(t: Array, y: Array, often: int) -> Mask:
+    """Which rows of y (n, d) at times (n,) repeat one that so many others do, for long."""
+    first, last = _runs(y)
+    many = (last - first >= often) & (t[last] - t[first] >= LONG)
+    return _repeats(first[many], last[many], len(y))
 
 
 def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implausible]:
@@ -215,9 +220,7 @@ def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implau
 
 def _stuck(t: Array, y: Array, sigma: float) -> Mask:
     """Many equal rows (n,) of a sensor y (n, d) whose others scatter as stated, and hardly ever are the same."""
-    first, last = _runs(y)
-    many = (last - first >= MANY) & (t[last] - t[first] >= LONG)
-    stuck = _repeats(first[many], last[many], len(y))
+    stuck = _held(t, y, MANY)
     others = y[~stuck, 0]
     rough = len(others) > MANY and 1.4826 * np.median(np.abs(np.diff(others, 3))) / np.sqrt(20.0) > sigma / QUIET
     return stuck & bool(rough and len(np.unique(others)) > len(others) / 2)

@@ -25,7 +25,6 @@ import numpy as np
 
 from factors import Heading, Position
 from factors.base import Factor
-from factors.keys import kinds
 from factors.shifted import Shifted
 from factors.xyh import HorizontalStep
 from models.algebra import Array, apply
@@ -62,7 +61,6 @@ HIDDEN = {  # sizes that matter
 MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
 LARGEST = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # of a reading: beyond, another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
-(s,) = kinds("s")
 
 
 @single_thread()
@@ -132,12 +130,16 @@ def _columns(
 ) -> dict[tuple[str, str], Array]:
     """C (m, k) of what may be wrong with a table, by its file and quantity; factors are from files."""
     errors: dict[tuple[str, str], Array] = {}
-    ship = _times_of_ship(pattern, values, report.vertex_times.get("x"))
+    t = report.vertex_times.get("x")
+    if t is not None and not (np.diff(t) > 0).all():
+        t = None
+    moving = {} if t is None else _moving(pattern, values, t)
+    tags = {tag.removesuffix(".gz") for tag in report.tags}
     for batch, source, file in zip(pattern.batches, report.sources, files, strict=False):
         if file.endswith("motion.csv") or batch.model.factor.limit_only or len(batch) == 1 or not source.lines.any():
             continue
         weights = np.sqrt(batch.model.factor.weights(values))[:, None, None]
-        for name, quantity, C in _errors(batch, values, report, ship, file):
+        for name, quantity, C in _errors(batch, values, t, moving, tags, file):
             rows = errors.setdefault((name, quantity), np.zeros((pattern.m, C.shape[2])))
             rows[batch.rows] += (weights * C).reshape(-1, C.shape[2])
     return errors
@@ -166,29 +168,27 @@ def _reading(file: str, quantity: str, component: int, size: float, since: float
 
 
 def _errors(
-    batch: Batch, values: Values, report: MissionReport, ship: Array, file: str
+    batch: Batch, values: Values, t: Array | None, moving: dict[str, Array], tags: set[str], file: str
 ) -> Iterator[tuple[str, str, Array]]:
     """What may be wrong with all measurements of a factor: file, name, and C (n, m, k) of k numbers."""
-    factor, W = batch.model.factor, batch.model.W
-    clock = f"{file.rpartition('/')[2].removesuffix('.csv')}_clock_s"
-    known = any(keys.kind == clock for keys in factor.keys)  # a variable
+    factor, W, name = batch.model.factor, batch.model.W, file.rpartition("/")[2]
+    table = name.removesuffix(".csv")
+    known = any(keys.kind == f"{table}_clock_s" for keys in factor.keys)  # a variable
     while isinstance(factor, Shifted):
         factor = factor.factor
     W = W if W.ndim == 3 else W[:, :, None] * np.eye(W.shape[1])
     W = np.broadcast_to(W, (len(batch), *W.shape[1:]))
-    X, t = values.stack("x"), report.vertex_times.get("x")
-    if t is not None and not (np.diff(t) > 0).all():
-        t = None
+    X = values.stack("x")
     poses = [X.index(keys) for keys in factor.keys if keys.kind == "x"]
     if not poses:
         return
-    at, name = poses[0], file.rpartition("/")[2]
+    at = poses[0]
     if isinstance(factor, HorizontalStep) and name == "dvl.csv" and t is not None:
         yield from _of_legs(W, factor.z, t[at], t[poses[1]])
     elif (tilts := factor.tilts(batch.model)) is not None:
         z, w = tilts[:, :1], W[:, :, :1]
         yield file, "zero of the depth", w
-        if file.replace(name, "dvl.csv") not in {tag.removesuffix(".gz") for tag in report.tags}:
+        if file.replace(name, "dvl.csv") not in tags:
             yield file, "depth", w * (z - z.mean())[:, :, None]
             return
         yield file, "scale", w * z[:, :, None]
@@ -198,14 +198,14 @@ def _errors(
         yield file, "heading", W[:, :, :1]
         if t is not None:
             yield file, "heading drift", W[:, :, :1] * (t[at] - t[0])[:, None, None]
-        if t is not None and "motion.csv" not in report.tags and not known:
+        if t is not None and "motion.csv" not in tags and not known:
             yield from _late(file, -W[:, :, 0] * np.gradient(np.unwrap(factor.z[:, 0]), t[at])[:, None], t[at], t[0])
     elif isinstance(factor, Position):
         yield file, "place", W[:, :, :2]
         if np.any(factor.offset):
             yield file, "arm", -W[:, :, :2] @ rotation3(X.X[at, 3:])[:, :2, :2]
-    if name.removesuffix(".csv") in CLOCKED and t is not None and not known:
-        yield from _of_clocks(factor, W, values, t, ship, file)
+    if table in CLOCKED and t is not None and not known:
+        yield from _of_clocks(factor, W, values, moving, t[at], t[0], file)
 
 
 def _of_legs(W: Array, z: Array, t_i: Array, t_j: Array) -> Iterator[tuple[str, str, Array]]:
@@ -226,23 +226,21 @@ def _late(file: str, late: Array, t: Array, first: float) -> Iterator[tuple[str,
 
 
 def _of_clocks(
-    factor: Factor, W: Array, values: Values, t: Array, ship: Array, file: str
+    factor: Factor, W: Array, values: Values, moving: dict[str, Array], t: Array, first: float, file: str
 ) -> Iterator[tuple[str, str, Array]]:
-    """Of fixes, ranges and directions: their own clock, and that of the ship, whose poses are at times (k,)."""
-    X = values.stack("x")
-    when = t[X.index(next(keys for keys in factor.keys if keys.kind == "x"))]
-    moving = {"x": twists(X.X, t)} | ({"s": twists(values.stack("s").X, ship)} if len(ship) else {})
+    """Of fixes, ranges and directions at times (n,): their own clock, and that of the ship; kinds move with twists."""
     by_kind = rates_by_time(factor, values, moving)
-    yield from _late(file, -apply(W, total(by_kind)), when, t[0])
+    yield from _late(file, -apply(W, total(by_kind)), t, first)
     if "s" in by_kind:
-        yield from _late("ship.csv", apply(W, by_kind["s"]), when, t[0])
+        yield from _late("ship.csv", apply(W, by_kind["s"]), t, first)
 
 
-def _times_of_ship(pattern: Pattern, values: Values, t: Array | None) -> Array:
-    """Times (k,) of the poses of a ship, by those of the vehicle that they see; none where one has none."""
-    out = np.full(len(values.stacks.get("s", ())), np.nan)
-    for batch in pattern.batches if t is not None else ():
+def _moving(pattern: Pattern, values: Values, t: Array) -> dict[str, Array]:
+    """Twists (k, 6) of the vehicle, whose poses are at times (n,), and of a ship whose poses all see it at a time."""
+    out = {"x": twists(values.stack("x").X, t)}
+    times = np.full(len(values.stacks.get("s", ())), np.nan)
+    for batch in pattern.batches:
         keys = {keys.kind: keys for keys in batch.model.factor.keys}
-        if {"x", "s"} <= keys.keys() and t is not None:
-            out[values.stack("s").index(keys["s"])] = t[values.stack("x").index(keys["x"])]
-    return out if np.isfinite(out).all() else out[:0]
+        if {"x", "s"} <= keys.keys():
+            times[values.stack("s").index(keys["s"])] = t[values.stack("x").index(keys["x"])]
+    return out | ({"s": twists(values.stack("s").X, times)} if len(times) and np.isfinite(times).all() else {})

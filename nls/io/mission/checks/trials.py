@@ -82,13 +82,14 @@ def explained(
     GraphFileError
         The tables as they are cannot be read.
     """
-    center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
-    tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     given = tables["calibration"].text_of("name") if "calibration" in tables else []
-    readings_of = [(e.reading, e) for e in errors if e.reading and e.reading.column not in given]
-    linear = [Trial(reading, e.sigma, chi2 - e.fall, dof) for reading, e in readings_of]
+    linear = [
+        Trial(e.reading, e.sigma, chi2 - e.fall, dof) for e in errors if e.reading and e.reading.column not in given
+    ]
     if chi2 <= TWICE * dof:
         return Explained(chi2, dof, tuple(sorted(nearest(linear), key=_is_drift)))
+    center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
+    tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     whole = _mission(tables, elevation, chi2, dof)
     few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())

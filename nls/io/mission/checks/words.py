@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from models.listing import several
-from nls.io.mission.calibration import wide
+from nls.io.mission.calibration import NAMES, wide
 from nls.io.mission.checks.findings import Cause, Explained, Implausible, Reading, Trial
 from nls.io.mission.checks.special import meant
 
 __all__ = ["record", "sentence"]
 COARSE = 1.0  # s: sigma of a lag that is one of a list
-CLOCKS = ("ahrs", "fixes", "usbl", "ranges")  # that calibration.csv has
 LISTED = 100  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
@@ -129,9 +128,7 @@ def _none(r: Reading) -> str:
 def _unit(r: Reading) -> str:
     units = next(units for end, units in UNITS.items() if r.column.endswith(end))
     name = next((unit for factor, unit in units.items() if abs(factor / r.factor - 1) < 1e-3), "")
-    looks = f"looks like {name}" if name else "looks like another unit"
-    if len(r.column.split(", ")) > 1:
-        looks = looks.replace("looks", "look")
+    looks = f"{'look' if ', ' in r.column else 'looks'} like {name or 'another unit'}"
     digits = 5 if not _origin(r) else 10
     act = f"multiply {r.column} by {1 / r.factor:.{digits}g}{_origin(r)}"
     if r.factor > 1:
@@ -220,8 +217,8 @@ def _earth(r: Reading) -> str:
 def _clock(r: Reading) -> str:
     late, act = ("late", "subtract") if r.factor > 0 else ("early", "add")
     looks = f"times of {r.file} look about {abs(r.factor):.3g} s {late}"
-    if (file := r.file.removesuffix(".csv")) in CLOCKS:
-        return f"{looks}: {_row(f'{file}_clock_s', r.factor, COARSE)}"
+    if (name := f"{r.file.removesuffix('.csv')}_clock_s") in NAMES:
+        return f"{looks}: {_row(name, r.factor, COARSE)}"
     prefix = "to" if act == "add" else "from"
     return f"{looks}: {act} {abs(r.factor):.3g} s {prefix} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
 
@@ -235,11 +232,12 @@ def _fast(r: Reading) -> str:
     return f"the clock of {r.file} looks {100 * r.factor:.2g} % fast: {act}"
 
 
-def _arm(r: Reading) -> str:
-    size, (looks, act) = f"{abs(r.factor):.2g}", ("large", "subtract") if r.factor > 0 else ("small", "add")
-    return (
-        f"{r.column} of {r.file} looks {size} m too {looks}: {act} {size} {'from' if r.factor > 0 else 'to'} {r.column}"
-    )
+def _arm(trial: Trial) -> str:
+    r, size = trial.reading, f"{abs(trial.reading.factor):.2g}"
+    looks, act, of = ("large", "subtract", "from") if r.factor > 0 else ("small", "add", "to")
+    without = "; without that file it is 0" if r.file == "dvl_mount.csv" else ""
+    looking = f"looks {size} +- {trial.sigma:.2g} m too {looks}"
+    return f"{r.column} of {r.file} {looking}: {act} {size} {of} {r.column}{without}"
 
 
 def _row(name: str, value: float, sigma: float) -> str:
@@ -278,7 +276,7 @@ def _tried(trial: Trial) -> str:
     if r.cause is Cause.KERNEL:
         return f"look at these rows, or solve with --robust {r.column}=cauchy:1"
     if r.cause is not Cause.CALIBRATION:
-        return cause(r).replace(" m too", f" +- {trial.sigma:.2g} m too")
+        return _arm(trial) if r.cause is Cause.ARM else cause(r)
     digits = max(0, 1 - math.floor(math.log10(trial.sigma)))
     value = f"{r.column} {r.factor:.{digits}f} +- {trial.sigma:.{digits}f}"
     return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
@@ -304,5 +302,4 @@ DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.PRESSURE: _pressure,
     Cause.ZONE: _zone,
     Cause.DRIFT: _fast,
-    Cause.ARM: _arm,
 }
