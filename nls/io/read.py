@@ -18,6 +18,7 @@ from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import choose, no_information
+from nls.io.gtsam_keys import with_letters
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record, spaces_of
@@ -114,7 +115,7 @@ def read_graph(
     offsets.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
-    return graph, values, report
+    return with_letters(graph, values, report, roles.all_ids())
 
 
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:

@@ -29,6 +29,7 @@ __all__ = ["native_bytes", "read_native"]
 
 FORMAT, VERSION = "leadline graph", 1
 STRUCTURE = "structure"  # the array of an archive that says what the others are
+GTSAM = "keys of GTSAM"  # what the ids of a kind were in the file that it was read from
 SPACES = {space.name: space for space in (SO2, SE2, SO3, SE3, LINE)}
 VECTORS = re.compile(r"R\(([1-9][0-9]{0,4})\)")
 MEASURED = re.compile(r"\(([^(),]+(?:, [^(),]+){0,99})\)")
@@ -41,7 +42,7 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
     ----------
     path : for messages.
     graph, values : what to write.
-    report : of the file that the graph was read from, whose times of poses are kept.
+    report : of the file that the graph was read from, whose times of poses and keys of GTSAM are kept.
     form : ``npz`` or ``json``.
 
     Raises
@@ -58,6 +59,8 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
         stacks[kind] = {"space": space, "numbers": stack.numbers, "X": stack.X}
         if kind in times:
             stacks[kind]["times"] = np.asarray(times[kind])
+        if report is not None and kind in report.gtsam_kinds:
+            stacks[kind]["ids"] = GTSAM
     fixed_variables(graph.fixed, values)  # refuses one without a value
     numbers: dict[str, list[Any]] = {}
     for keys in graph.fixed:
@@ -147,6 +150,8 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
             if times.dtype.kind != "f" or times.shape != (len(values.stack(kind)),) or not np.isfinite(times).all():
                 raise GraphFileError(f"values of {kind!r:.30}: expected a time for each, in s", path)
             report.vertex_times[kind] = times
+        if stack.get("ids") == GTSAM:
+            report.gtsam_kinds += (kind,)
     return values
 
 
