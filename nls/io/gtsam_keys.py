@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from string import ascii_letters
 
 import numpy as np
 
@@ -30,6 +31,7 @@ __all__ = ["VertexIds", "with_letters"]
 
 BITS = 48  # of the number of a key
 PLAIN = 1 << 56  # ids below have no letter
+LETTERS = list(ascii_letters.encode())
 NAME = re.compile("[A-Za-z]{1,2}")
 SPACES = {SE2: "pose", SE3: "pose", R(2): "point", R(3): "point"}
 
@@ -88,14 +90,12 @@ class VertexIds:
 
     def __init__(self, graph: FactorGraph, values: Values, report: LoadReport | None) -> None:
         self.roles = {kind: role for role, kind in KINDS.items()}
-        self.keyed: set[str] = set()
         plain = set(self.roles) - set(() if report is None else report.gtsam_kinds)
         mounts = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
-        for kind, stack in values.stacks.items():
-            if kind not in plain and NAME.fullmatch(kind) and stack.manifold in SPACES:
-                role = SPACES[stack.manifold]
-                self.keyed.add(kind)
-                self.roles[kind] = "mount" if role == "pose" and kind in mounts else role
+        spaces = {s.kind: SPACES[s.manifold] for s in values.stacks.values() if s.manifold in SPACES}
+        self.keyed = {kind for kind in spaces if kind not in plain and NAME.fullmatch(kind)}
+        for kind in sorted(self.keyed):
+            self.roles[kind] = "mount" if spaces[kind] == "pose" and kind in mounts else spaces[kind]
 
     def of(self, keys: Keys) -> Numbers:
         """Ids (n,) of variables.
@@ -116,13 +116,8 @@ class VertexIds:
 def _heads(ids: Numbers) -> Numbers:
     """Head (n,) of every id."""
     head = ids >> BITS
-    label = head & 255
-    is_key = _is_letter(head >> 8) & ((label == 0) | _is_letter(label))
+    is_key = np.isin(head >> 8, LETTERS) & np.isin(head & 255, [0, *LETTERS])
     return np.where(is_key, head, np.where(ids < PLAIN, 0, -1))
-
-
-def _is_letter(byte: Numbers) -> Mask:
-    return np.asarray((byte | 32 >= ord("a")) & (byte | 32 <= ord("z")))
 
 
 def _name(kind: str, head: int) -> str:
