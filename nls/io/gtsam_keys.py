@@ -9,7 +9,6 @@ Source: F. Dellaert and the GTSAM contributors, GTSAM 4, gtsam/inference/Symbol.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from string import ascii_letters
@@ -27,12 +26,11 @@ from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
-__all__ = ["VertexIds", "with_letters"]
+__all__ = ["VertexIds", "id_text", "with_letters"]
 
 BITS = 48  # of the number of a key
 PLAIN = 1 << 56  # ids below have no letter
 LETTERS = list(ascii_letters.encode())
-NAME = re.compile("[A-Za-z]{1,2}")
 SPACES = {SE2: "pose", SE3: "pose", R(2): "point", R(3): "point"}
 
 
@@ -72,6 +70,18 @@ def with_letters(
     return FactorGraph([part for _, _, part in parts], fixed), Values.of(stacks), report
 
 
+def id_text(number: int) -> str:
+    """An id in words, with its name where it is a key.
+
+    Examples
+    --------
+    >>> id_text(17), id_text(ord("b") << 56 | 2)
+    ('17', 'b2 (7061644215716937730)')
+    """
+    ((_, (key,)),) = _parts(Keys("", [number]))
+    return f"{key!r} ({number})" if key.kind else str(number)
+
+
 class VertexIds:
     """How the variables of a graph stand in a graph text file.
 
@@ -93,7 +103,9 @@ class VertexIds:
         plain = set(self.roles) - set(() if report is None else report.gtsam_kinds)
         mounts = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
         spaces = {s.kind: SPACES[s.manifold] for s in values.stacks.values() if s.manifold in SPACES}
-        self.keyed = {kind for kind in spaces if kind not in plain and NAME.fullmatch(kind)}
+        self.keyed = {
+            kind for kind in spaces if kind not in plain and kind.isascii() and kind.isalpha() and len(kind) < 3
+        }
         for kind in sorted(self.keyed):
             self.roles[kind] = "mount" if spaces[kind] == "pose" and kind in mounts else spaces[kind]
 
