@@ -139,7 +139,7 @@ def _dimension(path: str, values: Values, format: Format, vertex_ids: VertexIds)
             raise GraphError(
                 f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
                 f"points and places of sensors of one dimension: here {expected}; build the graph with these kinds, "
-                "or let `nls convert` rename them, which takes one kind of poses and one of points",
+                "or kinds of one or two letters, or let `nls convert` rename one kind of poses and one of points",
                 advice=[NATIVE],
             )
     variables = [Keys(stack.kind, stack.numbers) for stack in values.stacks.values()]
