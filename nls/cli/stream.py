@@ -178,7 +178,7 @@ class _Reader:
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
-            self._lines += block.splitlines(keepends=True)
+            self._lines += block.splitlines()
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
         if form == "bal":
@@ -252,7 +252,7 @@ class _Reader:
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
         count = line - self._hashed
-        self._hash.update(b"".join(self._lines[:count]))
+        self._hash.update(b"".join(text + b"\n" for text in self._lines[:count]))
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
