@@ -61,15 +61,15 @@ def damaged(data: bytes, how: str, rng: np.random.Generator) -> bytes:
     return data[:at] + byte + data[at + 1 :]
 
 
-def verdict(path: Path, whole: bytes) -> str:
-    """What became of a damaged file."""
+def verdict(path: Path, again_whole: bytes) -> str:
+    """What became of a damaged file; the bytes are those that the undamaged smoother writes when it is read."""
     try:
         again = nls.Incremental.load(path)
     except nls.LeadlineError as error:
         return "refused" if str(path) in str(error) else "refused without its name"
     except Exception as error:  # what must not be: it is counted
         return f"exception {type(error).__name__}"
-    return "the same" if smoother_bytes(again) == whole else "another answer"
+    return "the same" if smoother_bytes(again) == again_whole else "another answer"
 
 
 def damages(count: int, folder: Path) -> list[list[str]]:
@@ -79,10 +79,12 @@ def damages(count: int, folder: Path) -> list[list[str]]:
         for how, options in OPTIONS.items():
             rng, path = np.random.default_rng(len(rows)), folder / "damaged"
             whole = smoother_bytes(driven(make(rng), options))
+            path.write_bytes(whole)
+            again_whole = smoother_bytes(nls.Incremental.load(path))
             found: Counter[str] = Counter()
             for k in range(count // (len(WORLDS) * len(OPTIONS))):
                 path.write_bytes(damaged(whole, DAMAGES[k % len(DAMAGES)], rng))
-                found[verdict(path, whole)] += 1
+                found[verdict(path, again_whole)] += 1
             wrong = sum(found.values()) - found["refused"] - found["the same"]
             row = [f"{name}, {how}", f"{len(whole):,}", *(f"{n}" for n in (found.total(), found["refused"]))]
             rows.append([*row, f"{found['the same']}", f"{wrong}"])
