@@ -84,7 +84,7 @@ def read_smoother(path: str | Path, cls: type[S]) -> tuple[S, dict[str, Any]]:
         raise unreadable(path, error) from error
     arrays = arrays_of(read_bytes(path, archive=True), name, "checkpoint") if packed else {}
     if not {STRUCTURE, CHECKSUM} <= arrays.keys():
-        raise GraphFileError("is no checkpoint of a smoother", name)
+        raise GraphFileError("is no checkpoint; expected what nls.Incremental.save or nls stream wrote", name)
     structure, checksum = (str(arrays.pop(text)) for text in (STRUCTURE, CHECKSUM))
     if _checksum(structure, arrays) != checksum:
         raise GraphFileError("is a damaged checkpoint: its checksum is that of other content", name)
