@@ -106,9 +106,11 @@ def test_a_broken_reader_is_found_out(
 ) -> None:
     (seed,) = [seed for seed in fuzz.seeds() if seed.name == TAGGED and seed.reader == "g2o"]
     given, load = fuzz.readings([seed])[seed.reader, seed.name], nls.load
-    with monkeypatch.context() as patch, pytest.raises(fuzz.Fault) as caught:
+    folder = fuzz.written(tmp_path, seed.files)
+    with monkeypatch.context() as patch:
         patch.setattr(nls, "load", lambda *a, **b: case[0](*load(*a, **b)))
-        fuzz.tried(seed, given, seed.files, 9, fuzz.written(tmp_path, seed.files))
+        with pytest.raises(fuzz.Fault) as caught:
+            fuzz.tried(seed, given, seed.files, 9, folder)
     assert f"{caught.value.end}: {caught.value}".startswith(case[1])
 
 

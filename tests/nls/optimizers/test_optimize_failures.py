@@ -209,7 +209,7 @@ def test_huge_and_tiny_numbers(name: str) -> None:
 
 @ALL
 def test_a_huge_chi2(name: str) -> None:
-    """Units of the residual do not matter: one of 1e90 has the same iterations, and a chi2 whose square is no number."""
+    """Units of the residual do not matter: with one of 1e90 the square of chi2 is no number."""
     results = []
     for unit in (1.0, 1e90):
         graph, start = scalar(
