@@ -17,7 +17,6 @@ import multiprocessing.connection
 import re
 import resource
 import tempfile
-import unicodedata
 import warnings
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -44,6 +43,7 @@ CHUNK = 100  # mutants of a process
 SOME = 10  # one in so many is also saved, and one given to the commands
 ENDS = ("refused", "read", "other exception", "raw character", "other answer", "slow or large")
 TO = ("g2o", "toro", "isam", "pyfg", "bal", "tum", "kitti", "csv", "npz")
+RAW = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class End(NamedTuple):
@@ -94,9 +94,8 @@ def written(folder: Path, files: dict[str, bytes]) -> Path:
 
 
 def refuse_raw(text: str) -> None:
-    """No control character reaches a terminal but the end of a line."""
-    raw = [c for c in text if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") and c not in "\n\t"]
-    if raw:
+    """No character reaches a terminal that it obeys, but tabs and ends of lines."""
+    if raw := RAW.search(text):
         raise Fault("raw character", f"{raw[0]!r} in {text!r:.300}")
 
 
@@ -318,7 +317,8 @@ def main() -> None:
         *markdown(["reader", "seeds", "mutants", *ENDS], rows),
     ]
     if faults:
-        page += ["", "Faults:", "", *(re.sub(r"\s+", " ", f"- {e.reader} {e.number}: {e.fault:.200}") for e in faults)]
+        shown = [re.sub(r"\s+", " ", f"{end.reader} {end.number}: {end.end}: {end.fault:.200}") for end in faults]
+        page += ["", "Faults:", "", "```text", *shown, "```"]
     write_page(page, options.out / "fuzz.md")
 
 

@@ -14,7 +14,7 @@ import tomllib
 import zipfile
 import zlib
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,18 +23,22 @@ from fuzz_seeds import Reading, Seed
 
 __all__ = ["judged"]
 
-VERTEX = re.compile(rb"VERTEX(2|3|_SE2|_XY|_SE3:QUAT|_TRACKXYZ|_XYZ)")
-EDGES = {
-    "g2o": rb"EDGE_(SE2(_XY|_OFFSET|_POINTXY_OFFSET|_CALIB|_XY_CALIB|_PRIOR)?|BEARING_SE2_XY|PRIOR_(SE2(_XY)?|XY|SE3)|"
-    rb"POINTXYZ?(_PRIOR)?|SE3(:QUAT|_TRACKXYZ|_PRIOR(:QUAT)?|_XYZ_PRIOR|_OFFSET|_CALIB))",
-    "toro": rb"EDGE[23]",
-    "graph": rb"EDGE2",
+EDGE = re.compile(rb"EDGE(?!_SWITCH_PRIOR).*|ODOMETRY|Constraint2|LANDMARK.*|POINT3|VERTEX.*:PRIOR")
+VERTEX = re.compile(rb"VERTEX(?!_SWITCH).*")
+BESIDE = re.compile(rb"PARAMS.*|FIX|VERTEX_SWITCH|EDGE_SWITCH_PRIOR")
+USED = {  # tags whose lines are never left out
+    "g2o": rb"VERTEX_(SE2|XY|SE3:QUAT|TRACKXYZ)|FIX|"
+    rb"EDGE_(SE2(_XY|_CALIB|_OFFSET)?|SE3:QUAT|SE3_(TRACKXYZ|CALIB|OFFSET))",
+    "toro": rb"VERTEX[23]|EDGE[23]",
+    "graph": rb"VERTEX2|EDGE2",
     "isam": rb"EDGE[23]|ODOMETRY|Constraint2|LANDMARK|POINT3",
     "isam-covariance": rb"EDGE2|ODOMETRY|LANDMARK",
-    "pyfg": rb"EDGE_(SE2(_XY)?|SE3(:QUAT|_XYZ)|RANGE)|VERTEX_(SE2|XY|SE3:QUAT|XYZ):PRIOR",
+    "pyfg": rb"EDGE_(SE2(_XY)?|SE3(:QUAT|_XYZ)|RANGE)|VERTEX_(SE2|XY|SE3:QUAT|XYZ)(:PRIOR)?",
 }
 ALIASES = {b"ODOMETRY": b"EDGE2", b"Constraint2": b"EDGE2", b"EDGE_SE2_PRIOR": b"EDGE_PRIOR_SE2"}
 ALIASES |= dict.fromkeys((b"EDGE_PRIOR_SE3", b"EDGE_SE3_PRIOR:QUAT"), b"EDGE_SE3_PRIOR")
+ALIASES |= {b"EDGE_SE3": b"EDGE_SE3:QUAT"}
+LINKS = {b"EDGE_SE2": 12, b"EDGE_SE3:QUAT": 31}  # words of lines behind which the type of a link may stand
 SETTINGS = ("anchor", "calibration", "beacons", "dvl_mount")  # what all of their cells say is in the graph
 MEASURED = ("odometry", "zpr", "contacts", "closures", "fixes", "ranges", "usbl")  # tables with a measurement a row
 BLANK = b" \t\v\f\r"
@@ -89,46 +93,74 @@ def _without_places(texts: Counter[str]) -> Counter[str]:
     return Counter(re.sub(r'"o"|^o(?=[0-9-])', lambda o: o[0].replace("o", "x"), text) for text in texts.elements())
 
 
+@dataclass
+class Lines:
+    """What the lines of a graph file are, by their words.
+
+    Attributes
+    ----------
+    edges, vertices, parameters : how often each is there.
+    fixed : numbers behind FIX.
+    fault : a line that is not used although it should be, or without a word about it.
+    """
+
+    edges: Counter[Line] = field(default_factory=Counter)
+    vertices: Counter[Line] = field(default_factory=Counter)
+    parameters: Counter[Line] = field(default_factory=Counter)
+    fixed: set[int] = field(default_factory=set)
+    fault: str = ""
+
+
+def _parts(dialect: str, content: bytes, ignored: list[str]) -> Lines:
+    """The lines of a file but those that the report names as unused."""
+    unused = Counter(tuple(words) for line in ignored for words in lines(line.encode("utf-8", "surrogateescape")))
+    out, used, timed = Lines(), re.compile(USED[dialect]), dialect == "pyfg"
+    for words in lines(content):
+        if unused[tuple(words)]:
+            unused[tuple(words)] -= 1
+            if used.fullmatch(words[0]):
+                out.fault = f"a line of {words[0]!r} is not used"
+            continue
+        tag = ALIASES.get(words[0], words[0])
+        words = words[:-1] if len(words) == LINKS.get(tag, 0) + 1 and words[-1].isdigit() else words
+        line = (tag, *map(value, words[1 + timed * (tag not in (b"VERTEX_XY", b"VERTEX_XYZ")) :]))
+        if EDGE.fullmatch(tag):
+            out.edges[line] += 1
+        elif VERTEX.fullmatch(tag):
+            out.vertices[line] += 1
+        elif tag == b"FIX":
+            out.fixed |= {int(word) for word in words[1:]}
+        elif BESIDE.fullmatch(tag):
+            out.parameters[line] += 1
+        else:
+            out.fault = f"nothing is said about a line of {tag!r}"
+    if unused.total():
+        out.fault = f"{unused.total()} unused lines are not in the file"
+    return out
+
+
 def _tagged(seed: Seed, original: bytes, given: Reading, data: bytes, read: Reading) -> str:
-    edge, timed = re.compile(EDGES[seed.dialect]), seed.dialect == "pyfg"
-
-    def parts(content: bytes) -> tuple[Counter[Line], Counter[Line], Counter[Line], set[int], int]:
-        """Edges, vertices and parameters; ids of FIX; how many other lines there are."""
-        edges, vertices, others, fixed, unknown = Counter[Line](), Counter[Line](), Counter[Line](), set[int](), 0
-        for words in lines(content):
-            tag = ALIASES.get(words[0], words[0])
-            line = (tag, *map(value, words[1 + timed * (tag != b"VERTEX_XY" and tag != b"VERTEX_XYZ") :]))
-            if edge.fullmatch(words[0]):
-                edges[line] += 1
-            elif VERTEX.fullmatch(tag) and seed.dialect not in ("isam", "isam-covariance"):
-                vertices[line] += 1
-            elif tag.startswith(b"PARAMS") and seed.dialect == "g2o":
-                others[line] += 1
-            elif tag == b"FIX" and seed.dialect == "g2o":
-                fixed |= {int(word) for word in words[1:]}
-            else:
-                unknown += 1
-        return edges, vertices, others, fixed, unknown
-
-    old, new = parts(original), parts(data)
+    old, new = (_parts(seed.dialect, content, one.report.ignored) for content, one in ((original, given), (data, read)))
     if seed.dialect == "g2o":
         given, read = (
             replace(r, measurements=_without_places(r.measurements), variables=_without_places(r.variables))
             for r in (given, read)
         )
-    if new[0].total() != read.measurements.total():
-        return f"{new[0].total()} lines of edges, {read.measurements.total()} measurements"
-    if new[1].total() != read.variables.total() and new[1]:
-        return f"{new[1].total()} lines of vertices, {read.variables.total()} variables"
-    if {int(name[1:]) for name in read.fixed} != new[3]:
-        return f"FIX names {sorted(new[3])}, {sorted(read.fixed)} are held"
-    unused = sum(not line.lstrip().startswith("PARAMS") for line in read.report.ignored)
-    if unused != new[4] or bool(unused) > bool(read.report.warnings):
-        return f"{new[4]} lines of unknown tags, {unused} said to be unused"
-    if old[2] == new[2] and difference(old[0], new[0]) != (found := difference(given.measurements, read.measurements)):
-        return f"{difference(old[0], new[0])} lines of edges differ, {found} measurements"
-    expected, found = difference(old[1], new[1]), difference(given.variables, read.variables)
-    if old[1] and new[1] and expected != found:
+    if new.fault:
+        return new.fault
+    if any(not line.lstrip().startswith("PARAMS") for line in read.report.ignored) > bool(read.report.warnings):
+        return "lines are not used, without a warning"
+    if new.edges.total() != read.measurements.total():
+        return f"{new.edges.total()} lines of edges, {read.measurements.total()} measurements"
+    if new.vertices.total() != read.variables.total() and new.vertices:
+        return f"{new.vertices.total()} lines of vertices, {read.variables.total()} variables"
+    if len(read.fixed) != len(new.fixed):
+        return f"FIX names {sorted(new.fixed)}, {sorted(read.fixed)} are held"
+    expected, found = difference(old.edges, new.edges), difference(given.measurements, read.measurements)
+    if old.parameters == new.parameters and expected != found:
+        return f"{expected} lines of edges differ, {found} measurements"
+    expected, found = difference(old.vertices, new.vertices), difference(given.variables, read.variables)
+    if old.vertices and new.vertices and expected != found:
         return f"{expected} lines of vertices differ, {found} variables"
     return ""
 

@@ -127,7 +127,11 @@ def test_other_answers_of_other_forms(fuzz: Any, tmp_path: Path) -> None:
         return str(judged(seed, known[reader, name], files, known[reader, name]))
 
     assert answer("toro", "toro, plane", b"1.1 0.1", b"1.2 0.1").startswith("(1, 1) lines of vertices differ")
-    assert answer("isam", "isam, space", b"POINT3 2", b"POINT9 2").startswith("4 lines of edges, 5")
+    assert answer("isam", "isam, space", b"POINT3 2", b"POINT9 2").startswith(
+        "nothing is said about a line of b'POINT9'"
+    )
+    assert answer("isam", "isam, space", b"POINT3 2", b"# POINT3 2").startswith("4 lines of edges, 5")
+    assert answer("g2o", TAGGED, b"FIX 0", b"FIX 0 1").startswith("FIX names [0, 1], ['x0'] are held")
     assert answer("pyfg", "pyfg", b"7.1 0.04", b"7.2 0.04").startswith("(1, 1) lines of edges differ")
     assert answer("pyfg", "pyfg", b"VERTEX_XY", b"# no\nVERTEX_XY") == ""
     assert answer("bal", "bal", b"10.5", b"10.6").startswith("1 observations differ")
