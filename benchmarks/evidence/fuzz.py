@@ -138,7 +138,7 @@ def tried(seed: Seed, given: Reading, files: dict[str, bytes], number: int, fold
     for _ in range(2):
         try:
             with watched(files):
-                read = seed.read(folder)
+                read = seed.reading(folder)
             answers.append(read.whole)
         except nls.LeadlineError as error:
             answers.append(str(error))
@@ -158,7 +158,7 @@ def tried(seed: Seed, given: Reading, files: dict[str, bytes], number: int, fold
         (name, data), *_ = files.items()
         with watched(files):
             streamed = graph_reading(nls.io.load_stream(io.BytesIO(data), str(folder / name), dialect=seed.dialect))
-        if streamed.whole != read.whole:
+        if streamed.whole.replace(str(folder), "") != read.whole:
             raise Fault("other answer", "a stream of the same bytes has another answer")
     if read.graph is not None and number % SOME == 1:
         commanded(seed, files, folder)
@@ -225,7 +225,7 @@ def readings(all_seeds: list[Seed]) -> Known:
     for seed in all_seeds:
         with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
             warnings.simplefilter("ignore", nls.GraphWarning)
-            known[seed.reader, seed.name] = seed.read(written(Path(name), seed.files))
+            known[seed.reader, seed.name] = seed.reading(written(Path(name), seed.files))
     return known
 
 

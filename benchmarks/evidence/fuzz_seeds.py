@@ -1,4 +1,4 @@
-"""Small valid files of every reader for `fuzz.py`, and what each reader makes of them."""
+"""Small valid files of every reader for `fuzz.py`, most of them those of the tests, and what each reader makes of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -75,6 +75,11 @@ class Seed:
     form: str
     dialect: str = "auto"
 
+    def reading(self, folder: Path) -> Reading:
+        """What is read in this folder, without its name."""
+        read = self.read(folder)
+        return replace(read, whole=read.whole.replace(str(folder), ""))
+
 
 def plain(text: str) -> str:
     """A text of numbers, 0 without a sign."""
@@ -107,6 +112,8 @@ def graph_reading(loaded: tuple[nls.FactorGraph, nls.Values, Any]) -> Reading:
         "measured at": [times.tolist() for _, times in report.factor_times],
         "truth": [[stack.kind, stack.numbers.tolist(), stack.X.tolist()] for stack in stacks],
         "calibrations": sorted(getattr(report, "calibrations", {}).items()),
+        "true keyframes": truth.poses.tolist() if hasattr(truth, "poses") else [],
+        "plane": repr(getattr(report, "plane", None)),
         "drift": str(getattr(report, "drift", "")),
         "points": report.scans.points.tolist() if hasattr(report, "scans") else [],
     }
