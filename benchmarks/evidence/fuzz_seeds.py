@@ -1,4 +1,4 @@
-"""Small valid files of every reader for `fuzz.py`, most of them those of the tests, and what each reader makes of them."""
+"""Small valid files of every reader for `fuzz.py`, most of them from the tests, and what each reader makes of them."""
 
 from __future__ import annotations
 
