@@ -216,7 +216,9 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
             read_smoother(path, Incremental)
     assert not touched.exists()
     save(tmp_path / "graph.npz", FactorGraph(), Values())
-    with pytest.raises(GraphFileError, match=r"is no checkpoint; expected what nls\.Incremental\.save or nls stream wrote"):
+    with pytest.raises(
+        GraphFileError, match=r"is no checkpoint; expected what nls\.Incremental\.save or nls stream wrote"
+    ):
         Incremental.load(tmp_path / "graph.npz")
 
 
