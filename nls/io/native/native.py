@@ -153,7 +153,7 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
     for kind, stack in stacks.items():
         if not isinstance(stack, Mapping) or not {"space", "numbers", "X"} <= stack.keys():
             raise GraphFileError(f"values of {kind!r:.30}: expected a space, numbers and X", path)
-        _refuse_others(stack, {"space", "numbers", "X", "times"}, f"values of {kind!r:.30}", path)
+        _refuse_others(stack, {"space", "numbers", "X", "times", "ids"}, f"values of {kind!r:.30}", path)
         arrays = [stack[name] for name in {"numbers", "X", "times"} & stack.keys()]
         if not all(isinstance(array, np.ndarray) and array.dtype.kind in "if" for array in arrays):
             raise GraphFileError(f"values of {kind!r:.30}: expected arrays of numbers", path)
@@ -165,7 +165,9 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
             if times.dtype.kind != "f" or times.shape != (len(values.stack(kind)),) or not np.isfinite(times).all():
                 raise GraphFileError(f"values of {kind!r:.30}: expected a time for each, in s", path)
             report.vertex_times[kind] = times
-        if stack.get("ids") == GTSAM:
+        if "ids" in stack:
+            if not isinstance(stack["ids"], str) or stack["ids"] != GTSAM:
+                raise GraphFileError(f"values of {kind!r:.30}: ids are {GTSAM!r}, or the entry is missing", path)
             report.gtsam_kinds += (kind,)
     return values
 
