@@ -44,7 +44,8 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
         "--robust": "none" if options.all_contacts else None if wrong else options.robust,
     }
     words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
-    words += ["--repair-information"] * options.repair_information
+    words += ["--repair-information"] * options.repair_information + ["--drop-absent"] * options.drop_absent
+    words += ["--ignore-tags", ",".join(options.ignore_tags)] * bool(options.ignore_tags)
     words += [word for kind in options.hold for word in ("--hold", kind)]
     return shlex.join(words)
 

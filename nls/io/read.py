@@ -8,29 +8,35 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
+from factors.position import Position
+from factors.robust import DCS, Robust
 from models import LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
-from nls.io.dialects import choose, no_information
+from nls.io.dialects import LineOptions, choose, refuse_needless
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record, spaces_of
 from nls.io.report import LoadReport, Source, Statement
-from nls.io.roles import Roles
+from nls.io.roles import Roles, by_role, present
 from nls.io.start import started, unstarted
+from nls.io.switches import Switches
 from nls.io.text import Text, printable
-from nls.io.unused_lines import keep, keep_unknown, note_comments
+from nls.io.unused_lines import keep, keep_unknown, note_comments, refuse_edges
 from nls.io.weights import matrix, noise_of, repaired
 from nls.stages import stage
 from nls.values import Stack, Values
 
 __all__ = ["read_graph"]
+VERTICES = ("pose",), ("point",)  # slots of lines that give a variable
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -42,6 +48,8 @@ def read_graph(
     repair_information: bool = False,
     before: int = 0,
     start: bool = True,
+    ignore_tags: Sequence[str] = (),
+    drop_absent: bool = False,
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, start values and report of the bytes of a graph text file.
 
@@ -53,13 +61,14 @@ def read_graph(
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
     before : lines of the file before these bytes.
     start : without vertices, chain the poses; otherwise the values are none, of the spaces that the edges name.
+    ignore_tags, drop_absent : as for `nls.load`.
 
     Raises
     ------
     GraphFileError
         With the line, for anything that cannot be right.
     OptionError
-        A repair of information in a dialect that has none.
+        A repair of information in a dialect that has none; a tag to ignore that is read.
     """
     check_convention(convention)
     with stage("read words"):
@@ -67,8 +76,8 @@ def read_graph(
         tags = dict(text.tags)
     comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
     format, reason = choose(text, tags, comments, dialect)
-    if repair_information and format.matrix != "information":
-        raise no_information(path, format.name)
+    if format.matrix != "information":
+        refuse_needless(path, format.name, LineOptions(repair_information))
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
     group = _dimension(text, tags, records)
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
@@ -77,6 +86,7 @@ def read_graph(
     if strays := {t: n for t, n in unknown.items() if t not in format.ignored_tags}:
         known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
         refuse_misspelt(text, strays, known)
+    refuse_edges(text, strays, ignore_tags, format.tags)
     keep_unknown(text, unknown, report, format.ignored_tags)
     note_comments(report, len(comments))
 
@@ -84,20 +94,31 @@ def read_graph(
     for tag, record in records.items():
         lines.setdefault(record.tag, []).append(tags[tag])
     with stage("read numbers"):
-        read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
+        read = [
+            read_lines(text, format.tags[tag], np.sort(np.concatenate(at)), format.link_types)
+            for tag, at in lines.items()
+        ]
     edges = [block for block in read if block.record.factor is not None]
-    vertices = [block for block in read if block.record.factor is None and block.record.slots]
+    vertices = [block for block in read if block.record.factor is None and block.record.slots in VERTICES]
+    if drop_absent:
+        edges = present(text, vertices, edges, report)
+    edges = by_role(format, vertices, edges)
     offsets = _Offsets(text, [block for block in read if not block.record.slots], group)
-    roles = Roles(text, vertices, edges, unknown, format.apart)
+    switches = Switches(text, [block for block in read if block.record.slots == ("switch",)], vertices, edges)
+    roles = Roles(text, vertices, edges, unknown, format.apart or any(block.record.apart for block in edges))
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for block in edges:
-            if not block.record.used:
-                name = block.record.tag.decode()
+            name, switched = block.record.tag.decode(), block.record.switched
+            if not (block.record.used or switched):
                 report.notes.append(f"{name} lines name a parameter that their error does not use")
+            if block.record.factor is Position and block.record.foreign:
+                report.notes.append(f"{name} lines of poses are read as positions")
             noises = _matrices(text, block, format, repair_information, report)
-            for mine in roles.kinds_of(block):
-                factor = _factor(text, block, mine, noises, offsets, roles, format, convention, group, report)
+            _note_link_types(block, report)
+            for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
+                named = switches if switched else offsets
+                factor = _factor(text, block, mine, noises, named, roles, format, convention, group, report)
                 bound.append((factor, block))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
     graph = FactorGraph([factor for factor, _ in bound])
@@ -112,13 +133,15 @@ def read_graph(
         for message in turns((block.record.tag.decode(), block.at, block.angles) for block in part_of):
             say(message)
     offsets.keep_unused(report)
+    switches.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
     return graph, values, report
 
 
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
-    """SE2 or SE3, whichever the file is about."""
+    """SE2 or SE3, whichever the file is about; parameters alone say it where there is nothing else."""
+    records = {t: r for t, r in records.items() if r.slots not in ((), ("switch",))} or records
     first = {
         group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
         for group in {record.group for record in records.values()}
@@ -134,6 +157,8 @@ class _Offsets:
 
     def __init__(self, text: Text, lines: list[Lines], group: LieGroup) -> None:
         self.text, self.group = text, group
+        self.others = joined([block.at for block in lines if block.record.group is not group])
+        lines = [block for block in lines if block.record.group is group]
         self.tag = f"PARAMS_{group.name}OFFSET"
         self.ids, order = by_number(text, lines, "parameter")
         self.X = np.concatenate([group.identity(0), *(block.X for block in lines)])[order]
@@ -155,8 +180,7 @@ class _Offsets:
 
     def keep_unused(self, report: LoadReport) -> None:
         """Keep the parameters no edge names as text: a graph has no place for them."""
-        if self.unused.any():
-            lines = self.at[self.unused]
+        if len(lines := np.sort(joined([self.at[self.unused], self.others]))):
             report.notes.append(f"{several(len(lines), 'parameter')} that no edge uses")
             keep(self.text, lines, report)
 
@@ -175,7 +199,8 @@ def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: Lo
                 f"replaced by the nearest semi-definite {noun}"
             )
             rows, columns = block.record.places
-            block.numbers[:, block.record.element.width :] = M[:, rows, columns]
+            width = block.record.element.width
+            block.numbers[:, width : width + len(rows)] = M[:, rows, columns]
     return M
 
 
@@ -184,7 +209,7 @@ def _factor(
     block: Lines,
     mine: Index | slice,
     matrices: Array,
-    offsets: _Offsets,
+    offsets: _Offsets | Switches,
     roles: Roles,
     format: Format,
     convention: str,
@@ -195,11 +220,14 @@ def _factor(
     record, at = block.record, block.at[mine]
     keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, block.ids, strict=True)]
     z, numbers = block.X[mine], block.numbers[mine]
+    all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+    M = matrices[mine] * all_offsets[:, :, 1:2] ** 2 if record.switched else matrices[mine]
     with text.at_lines(at):
-        noise = noise_of(record, format.matrix, matrices[mine], numbers[:, : record.element.width], convention)
+        noise = noise_of(record, format.matrix, M, numbers[:, : record.element.width], convention)
+        if isinstance(offsets, Switches):
+            noise = Robust(noise, DCS(float(offsets.phi[mine][0])))
         shared: list[Array] = []
-        if record.parameters or record.element.angles:
-            all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+        if record.parameters or record.element.angles or record.foreign or block.link_types.size:
             report.statements.append(
                 Statement(noise, record.tag, convention, z, numbers, block.parameters[mine], all_offsets)
             )
@@ -222,6 +250,16 @@ def _vertex_values(vertices: list[Lines], roles: Roles, group: LieGroup) -> Valu
     return Values.of(stacks[kind] for kind in KINDS.values() if kind in stacks)
 
 
+def _note_link_types(block: Lines, report: LoadReport) -> None:
+    if block.link_types.size:
+        types, counts = np.unique(block.link_types, return_counts=True)
+        named = ", ".join(f"{kind:g} ({count})" for kind, count in zip(types, counts, strict=True))
+        report.notes.append(
+            f"{block.record.tag.decode()} lines end in the type of their link, {named}: not used, and only a g2o file "
+            "gets it back"
+        )
+
+
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:
     rounded = joined([block.rounded for block in read])
     if len(rounded):
@@ -238,11 +276,17 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     owner = np.repeat(lines, count)
     numbers = text.whole(owner, 1 + np.concatenate([np.arange(n) for n in count]))
     kinds = roles.all_ids()
+    both = among(numbers, np.intersect1d(roles.poses, roles.points))
+    text.refuse(both, owner, lambda k: f"FIX {numbers[k]} may mean the pose or the point of this number")
     missing = ~np.isin(numbers, np.concatenate(list(kinds.values())))
     if missing.any():
         k = int(np.argmax(missing))
         has_vertices = len(roles.vertex_ids) > 0
-        named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
+        named = " or ".join(
+            t.decode()
+            for t, r in records.items()
+            if (r.factor is None) == has_vertices and r.slots not in ((), ("switch",))
+        )
         raise text.error(
             f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
             int(owner[k]),

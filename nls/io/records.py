@@ -63,11 +63,14 @@ class Record:
     tag : the first word of its lines.
     group : SE2 or SE3, the poses of its dimension.
     slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount``, ``either`` (pose or
-        mount). A mount is a pose of a sensor on the vehicle that is a variable.
+        mount), ``switch`` (no variable). A mount is a pose of a sensor on the vehicle that is a variable.
     element : the value of a vertex or parameter, the measured value.
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.
     used : False where the error of the measurement ignores its parameter.
+    switched : whether its parameter is a switch, see `nls.io.switches`.
+    foreign : whether it is a tag of other programs that is written only where lines were read with it.
+    apart : whether its points have a numbering of their own.
     entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.
     """
 
@@ -78,6 +81,9 @@ class Record:
     factor: type[Factor] | None = None
     parameters: int = 0
     used: bool = True
+    switched: bool = False
+    foreign: bool = False
+    apart: bool = False
     entries: str = ""
 
     @cached_property
@@ -106,7 +112,9 @@ class Record:
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]
         if "point" in self.slots[1:] or "mount" in self.slots:
             names = [f"{slot}{'_j' if k == 1 and slot == 'pose' else ''}" for k, slot in enumerate(self.slots)]
-        names += {0: [], 1: ["parameter"], 2: ["parameter_i", "parameter_j"]}[self.parameters]
+        names += {0: [], 1: ["switch" if self.switched else "parameter"], 2: ["parameter_i", "parameter_j"]}[
+            self.parameters
+        ]
         n = len(self.places[0])
         return " ".join([*names, self.element.columns]) + (f" and {n} entr{'ies' if n > 1 else 'y'}" if n else "")
 
@@ -152,6 +160,7 @@ class Format:
     ignored_tags : tags that belong to it and are not used.
     aliases : other names of tags, which are read and not written.
     apart : whether points have a numbering of their own: there may be a pose 0 and a point 0.
+    link_types : whether lines between two poses may end in a whole number, the type of a link.
     """
 
     name: str
@@ -162,6 +171,7 @@ class Format:
     ignored_tags: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
     apart: bool = False
+    link_types: bool = False
 
     @property
     def holds_values(self) -> bool:
@@ -170,7 +180,7 @@ class Format:
 
     @cached_property
     def tags(self) -> dict[bytes, Record]:
-        """Records by tag and alias."""
+        """Records by tag and alias; the last one of a tag, which reads all of its lines."""
         by_tag = {record.tag: record for record in self.records}
         return by_tag | {alias: by_tag[tag] for alias, tag in self.aliases}
 

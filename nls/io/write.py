@@ -25,6 +25,7 @@ from nls.io.lines import joined
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
+from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
 from nls.io.weights import entries
@@ -101,12 +102,13 @@ class _Content:
         group = _dimension(path, values, format)
         fixed = _fixed(path, graph, values, format)
         self.offsets = _Offsets(appended(report, format.name), group)
+        self.edges: list[tuple[bytes, list[Numbers], Array]] = []
         known = report.statements if report is not None and report.format == format.name else []
         statements = {id(statement.noise): statement for statement in known}
-        self.edges = [
-            _edges(path, factor, values, group, format, self.offsets, statements.get(id(factor.noise)))
-            for factor in graph.factors
-        ]
+        apart = format.apart
+        for factor in graph.factors:
+            apart |= self._add(path, factor, values, group, format, statements.get(id(factor.noise))).apart
+        _refuse_clash(path, graph, values, format, apart)
         _refuse_conventions(path, graph, values)
         _refuse_mounts(path, graph, values)
         self.vertices: list[tuple[bytes, Numbers, np.ndarray, Array]] = []
@@ -123,9 +125,53 @@ class _Content:
             except SingularGeometryError as error:
                 raise GraphError(f"{path}: variables {kind}: {error}") from error
 
+    def _add(
+        self,
+        path: str,
+        factor: Factor,
+        values: Values,
+        group: LieGroup,
+        format: Format,
+        statement: Statement | None,
+    ) -> Record:
+        """Add the tag, ids and numbers of the lines of one factor, and those of its switches."""
+        model, _ = values.gather(factor)
+        fixed = fixed_offsets(factor)
+        n, any_ = len(factor), [group.identity()]
+        record = _record(factor, model.manifolds, format, fixed, b"" if statement is None else statement.tag)
+        if record is None:
+            why = ""
+            if fixed and _record(factor, model.manifolds, format, []):
+                why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
+            raise unwritable(path, factor, a_file(format.name), why)
+        numbers = None if statement is None else statement.numbers_of(factor, record.tag)
+        if numbers is None:
+            try:
+                measured = record.element.encode(model.z)
+                numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
+            except SingularGeometryError as error:
+                message = f"{path}: {factor!r}: {error}"
+                raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
+            except GraphError as error:
+                raise named(path, factor, error) from error
+        ids = [keys.numbers for keys in factor.keys]
+        parameters = np.full((n, record.parameters), -1, dtype=np.int64)
+        stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
+        offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
+        if statement is not None and statement.parameters.shape == parameters.shape:
+            parameters = statement.parameters
+            offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
+        if record.switched:
+            ids.append(parameters[:, 0])
+            self.edges += [(VERTEX, ids[2:], offset[0][:, :1]), (PRIOR, ids[2:], offset[0][:, 1:])]
+        else:
+            ids += [self.offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
+        self.edges.append((record.tag, ids, numbers))
+        return record
+
 
 def _dimension(path: str, values: Values, format: Format) -> LieGroup:
-    """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
+    """SE2 or SE3; every kind in the space the format has for it."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
     spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
@@ -138,9 +184,15 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
                 "or let `nls convert` rename them, which takes one kind of poses and one of points",
                 advice=[NATIVE],
             )
-    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
-    unique, times = np.unique(numbers, return_counts=True)
-    if (times > 1).any() and not format.apart:
+    return group
+
+
+def _refuse_clash(path: str, graph: FactorGraph, values: Values, format: Format, apart: bool) -> None:
+    """Refuse two variables of one number where kinds share a numbering; where not, FIX lines, which share it."""
+    unique, times = np.unique(joined(stack.numbers for stack in values.stacks.values()), return_counts=True)
+    if (times > 1).any() and apart:
+        refuse_held(path, graph, f"{a_file(format.name)} with numbers of points of their own")
+    elif (times > 1).any():
         number = int(unique[np.argmax(times > 1)])
         clash = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
         raise GraphError(
@@ -149,7 +201,6 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
             clash,
             advice=[Advice("renumber"), NATIVE],
         )
-    return group
 
 
 def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.ndarray:
@@ -228,52 +279,14 @@ class _Offsets:
         return _lines(record.tag, [np.array(list(self.rows), dtype=np.int64)], X)
 
 
-def _edges(
-    path: str,
-    factor: Factor,
-    values: Values,
-    group: LieGroup,
-    format: Format,
-    offsets: _Offsets,
-    statement: Statement | None,
-) -> tuple[bytes, list[Numbers], Array]:
-    """The tag, ids and numbers of the lines of one factor."""
-    model, _ = values.gather(factor)
-    fixed = fixed_offsets(factor)
-    n, any_ = len(factor), [group.identity()]
-    record = _record(factor, model.manifolds, format, fixed)
-    if record is None:
-        why = ""
-        if fixed and _record(factor, model.manifolds, format, []):
-            why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
-        raise unwritable(path, factor, a_file(format.name), why)
-    numbers = None if statement is None else statement.numbers_of(factor, record.tag)
-    if numbers is None:
-        try:
-            measured = record.element.encode(model.z)
-            numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
-        except SingularGeometryError as error:
-            message = f"{path}: {factor!r}: {error}"
-            raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
-        except GraphError as error:
-            raise named(path, factor, error) from error
-    ids = [keys.numbers for keys in factor.keys]
-    parameters = np.full((n, record.parameters), -1, dtype=np.int64)
-    stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
-    offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
-    if statement is not None and statement.parameters.shape == parameters.shape:
-        parameters = statement.parameters
-        offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
-    for k in range(record.parameters):
-        ids.append(offsets.ids(np.ascontiguousarray(offset[k]), parameters[:, k]))
-    return record.tag, ids, numbers
-
-
-def _record(factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array]) -> Record | None:
-    """The record whose lines can say this factor, offsets of nothing with a parameter or without."""
+def _record(
+    factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array], tag: bytes = b""
+) -> Record | None:
+    """The record whose lines can say this factor, that of a tag first; offsets of nothing with a parameter or not."""
+    records = sorted((r for r in format.records if not r.foreign or r.tag == tag), key=lambda r: r.tag != tag)
     kinds = [keys.kind for keys in factor.keys]
     for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
-        for record in format.records:
+        for record in records:
             if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
                 ROLES[kind] in (("pose", "mount") if slot == "either" else (slot,))
                 for kind, slot in zip(kinds, record.slots, strict=True)
