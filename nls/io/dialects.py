@@ -224,8 +224,8 @@ def refuse_needless(path: str, format: str, options: LineOptions) -> None:
             raise OptionError(option, value, allowed)
 
 
-def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tuple[Format, str]:
-    """The dialect of a file by its tags, and why.
+def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part: bool = False) -> tuple[Format, str]:
+    """The dialect of a file by its tags, and why; a part of a file whose dialect is named may have no known tag.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tu
     """
     if dialect != "auto":
         format = FORMATS[dialect]
-        if not any(tag in format.tags for tag in tags):
+        if not part and not any(tag in format.tags for tag in tags):
             raise _no_graph(text, tags, comments, [format])
         return format, "as asked for"
     candidates = {tag: READINGS[tag] for tag in tags if tag in READINGS}
@@ -294,6 +294,6 @@ def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) ->
         line, problem = 0, "is empty"
     examples = EXAMPLES
     if len(formats) == 1:
-        named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None)
+        named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None and not r.foreign)
         examples = f"{named} (dialect {formats[0].name})"
     return text.error(f"{problem}; expected lines such as {examples}", line, advice)

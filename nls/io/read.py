@@ -17,7 +17,7 @@ from factors.conventions import check_convention
 from factors.keys import Keys
 from factors.position import Position
 from factors.robust import DCS, Robust
-from models import LieGroup
+from models import SE2, LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
@@ -75,7 +75,7 @@ def read_graph(
         text = Text(data, path, before)
         tags = dict(text.tags)
     comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
-    format, reason = choose(text, tags, comments, dialect)
+    format, reason = choose(text, tags, comments, dialect, part=not start)
     if format.matrix != "information":
         refuse_needless(path, format.name, LineOptions(repair_information))
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
@@ -149,7 +149,7 @@ def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record
     if len(first) == 2:
         line = max(first.values())
         raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
-    return next(iter(first))
+    return next(iter(first), SE2)
 
 
 class _Offsets:
@@ -254,10 +254,8 @@ def _note_link_types(block: Lines, report: LoadReport) -> None:
     if block.link_types.size:
         types, counts = np.unique(block.link_types, return_counts=True)
         named = ", ".join(f"{kind:g} ({count})" for kind, count in zip(types, counts, strict=True))
-        report.notes.append(
-            f"{block.record.tag.decode()} lines end in the type of their link, {named}: not used, and only a g2o file "
-            "gets it back"
-        )
+        tag = block.record.tag.decode()
+        report.warn(f"{tag} lines end in a type of a link, {named}: not used, and only a g2o file gets it back")
 
 
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:

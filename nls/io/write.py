@@ -99,16 +99,18 @@ class _Content:
     def __init__(
         self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
     ) -> None:
-        group = _dimension(path, values, format)
-        fixed = _fixed(path, graph, values, format)
-        self.offsets = _Offsets(appended(report, format.name), group)
-        self.edges: list[tuple[bytes, list[Numbers], Array]] = []
         known = report.statements if report is not None and report.format == format.name else []
         statements = {id(statement.noise): statement for statement in known}
-        apart = format.apart
-        for factor in graph.factors:
-            apart |= self._add(path, factor, values, group, format, statements.get(id(factor.noise))).apart
-        _refuse_clash(path, graph, values, format, apart)
+        stated = [statements.get(id(factor.noise)) for factor in graph.factors]
+        apart = format.apart or any(s is not None and format.tags[s.tag].apart for s in stated)
+        group = _dimension(path, graph, values, format, apart)
+        fixed = _fixed(path, graph, values, format)
+        self.offsets = _Offsets(appended(report, format.name), group)
+        self.edges = [
+            table
+            for factor, statement in zip(graph.factors, stated, strict=True)
+            for table in _edges(path, factor, values, group, format, self.offsets, statement)
+        ]
         _refuse_conventions(path, graph, values)
         _refuse_mounts(path, graph, values)
         self.vertices: list[tuple[bytes, Numbers, np.ndarray, Array]] = []
@@ -125,53 +127,9 @@ class _Content:
             except SingularGeometryError as error:
                 raise GraphError(f"{path}: variables {kind}: {error}") from error
 
-    def _add(
-        self,
-        path: str,
-        factor: Factor,
-        values: Values,
-        group: LieGroup,
-        format: Format,
-        statement: Statement | None,
-    ) -> Record:
-        """Add the tag, ids and numbers of the lines of one factor, and those of its switches."""
-        model, _ = values.gather(factor)
-        fixed = fixed_offsets(factor)
-        n, any_ = len(factor), [group.identity()]
-        record = _record(factor, model.manifolds, format, fixed, b"" if statement is None else statement.tag)
-        if record is None:
-            why = ""
-            if fixed and _record(factor, model.manifolds, format, []):
-                why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
-            raise unwritable(path, factor, a_file(format.name), why)
-        numbers = None if statement is None else statement.numbers_of(factor, record.tag)
-        if numbers is None:
-            try:
-                measured = record.element.encode(model.z)
-                numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
-            except SingularGeometryError as error:
-                message = f"{path}: {factor!r}: {error}"
-                raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
-            except GraphError as error:
-                raise named(path, factor, error) from error
-        ids = [keys.numbers for keys in factor.keys]
-        parameters = np.full((n, record.parameters), -1, dtype=np.int64)
-        stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
-        offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
-        if statement is not None and statement.parameters.shape == parameters.shape:
-            parameters = statement.parameters
-            offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
-        if record.switched:
-            ids.append(parameters[:, 0])
-            self.edges += [(VERTEX, ids[2:], offset[0][:, :1]), (PRIOR, ids[2:], offset[0][:, 1:])]
-        else:
-            ids += [self.offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
-        self.edges.append((record.tag, ids, numbers))
-        return record
 
-
-def _dimension(path: str, values: Values, format: Format) -> LieGroup:
-    """SE2 or SE3; every kind in the space the format has for it."""
+def _dimension(path: str, graph: FactorGraph, values: Values, format: Format, apart: bool) -> LieGroup:
+    """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
     spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
@@ -184,13 +142,9 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
                 "or let `nls convert` rename them, which takes one kind of poses and one of points",
                 advice=[NATIVE],
             )
-    return group
-
-
-def _refuse_clash(path: str, graph: FactorGraph, values: Values, format: Format, apart: bool) -> None:
-    """Refuse two variables of one number where kinds share a numbering; where not, FIX lines, which share it."""
-    unique, times = np.unique(joined(stack.numbers for stack in values.stacks.values()), return_counts=True)
-    if (times > 1).any() and apart:
+    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
+    unique, times = np.unique(numbers, return_counts=True)
+    if (times > 1).any() and apart:  # FIX lines have one numbering
         refuse_held(path, graph, f"{a_file(format.name)} with numbers of points of their own")
     elif (times > 1).any():
         number = int(unique[np.argmax(times > 1)])
@@ -201,6 +155,7 @@ def _refuse_clash(path: str, graph: FactorGraph, values: Values, format: Format,
             clash,
             advice=[Advice("renumber"), NATIVE],
         )
+    return group
 
 
 def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.ndarray:
@@ -277,6 +232,50 @@ class _Offsets:
         assert record is not None
         X = np.frombuffer(b"".join(self.rows.values())).reshape(-1, self.group.size)
         return _lines(record.tag, [np.array(list(self.rows), dtype=np.int64)], X)
+
+
+def _edges(
+    path: str,
+    factor: Factor,
+    values: Values,
+    group: LieGroup,
+    format: Format,
+    offsets: _Offsets,
+    statement: Statement | None,
+) -> list[tuple[bytes, list[Numbers], Array]]:
+    """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
+    model, _ = values.gather(factor)
+    fixed = fixed_offsets(factor)
+    n, any_ = len(factor), [group.identity()]
+    record = _record(factor, model.manifolds, format, fixed, b"" if statement is None else statement.tag)
+    if record is None:
+        why = ""
+        if fixed and _record(factor, model.manifolds, format, []):
+            why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
+        raise unwritable(path, factor, a_file(format.name), why)
+    numbers = None if statement is None else statement.numbers_of(factor, record.tag)
+    if numbers is None:
+        try:
+            measured = record.element.encode(model.z)
+            numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
+        except SingularGeometryError as error:
+            message = f"{path}: {factor!r}: {error}"
+            raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
+        except GraphError as error:
+            raise named(path, factor, error) from error
+    ids = [keys.numbers for keys in factor.keys]
+    parameters = np.full((n, record.parameters), -1, dtype=np.int64)
+    stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
+    offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
+    if statement is not None and statement.parameters.shape == parameters.shape:
+        parameters = statement.parameters
+        offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
+    if record.switched:
+        switch, prior = [parameters[:, 0]], offset[0][:, 1:]
+        tables = [(VERTEX, switch, offset[0][:, :1]), (PRIOR, switch, prior)]
+        return [*tables, (record.tag, ids + switch, numbers)]
+    ids += [offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
+    return [(record.tag, ids, numbers)]
 
 
 def _record(
