@@ -15,6 +15,7 @@ Cholesky factorization", SIAM J. Matrix Anal. Appl. 26(3), 2005.
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,7 @@ from nls.linear.cholesky import cholmod
 from nls.linear.lu import SYMMETRIC
 from nls.linear.singular import SingularSystemError, refuse_vanishing
 from nls.sparse.hessian import Hessian
+from nls.sparse.threads import single_thread
 
 __all__ = ["Preconditioner", "Refactorized", "Updatable", "Updated", "updatable_class"]
 
@@ -149,8 +151,20 @@ class Preconditioner:
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
         data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])
-        H = sp.csc_matrix((data, np.concatenate([hessian.indices, reserve]), indptr), shape=(self.n, self.n))
-        self._factor = updatable_class()(H)
+        self._H = sp.csc_matrix((data, np.concatenate([hessian.indices, reserve]), indptr), shape=(self.n, self.n))
+        self._added: list[sp.csc_matrix] = []
+        self._factor = updatable_class()(self._H)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What the factorization was made of: equal steps make it equal to the bit."""
+        return {name: value for name, value in vars(self).items() if name != "_factor"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        with single_thread():
+            self._factor = updatable_class()(self._H)
+            for C in self._added:
+                self._factor.add(C)
 
     def column(self, d: int) -> int | None:
         """The first of d columns of a new variable; None where no room is left."""
@@ -162,7 +176,8 @@ class Preconditioner:
         self.rows += len(A)
         free = columns < self.n
         indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
-        self._factor.add(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))
+        self._added.append(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))
+        self._factor.add(self._added[-1])
 
     def solve(self, g: Array) -> Array:
         """(A'A)^-1 g (width,), nearly; 0 for what is held."""

@@ -35,8 +35,8 @@ def archived(arrays: Arrays) -> bytes:
     return out.getvalue()
 
 
-def arrays_of(data: bytes, path: str) -> Arrays:
-    """The arrays of a file.
+def arrays_of(data: bytes, path: str, noun: str = "npz file") -> Arrays:
+    """The arrays of a file; the noun says in errors what it should be.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def arrays_of(data: bytes, path: str) -> Arrays:
                 )
             return {i.filename.removesuffix(".npy"): _array(_content(archive, i), i.filename) for i in members}
     except DAMAGES as error:
-        raise GraphFileError(f"is a damaged npz file: {printable(str(error).encode(), 200)}", path) from error
+        raise GraphFileError(f"is a damaged {noun}: {printable(str(error).encode(), 200)}", path) from error
 
 
 def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:

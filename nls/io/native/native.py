@@ -25,7 +25,7 @@ from nls.io.report import LoadReport, Source
 from nls.sparse.singles import Singles
 from nls.values import Values
 
-__all__ = ["native_bytes", "read_native"]
+__all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]
 
 FORMAT, VERSION = "leadline graph", 1
 STRUCTURE = "structure"  # the array of an archive that says what the others are
@@ -52,9 +52,7 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
     times = {} if report is None else report.vertex_times
     stacks: dict[str, Any] = {}
     for kind, stack in values.stacks.items():
-        space = str(stack.manifold)
-        if _space(space) is not stack.manifold:
-            raise GraphError(f"{path}: {kind} is in {space}, a space of your own, which no file holds")
+        space = name_of_space(stack.manifold, f"{path}: {kind}")
         stacks[kind] = {"space": space, "numbers": stack.numbers, "X": stack.X}
         if kind in times:
             stacks[kind]["times"] = np.asarray(times[kind])
@@ -120,7 +118,20 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     return FactorGraph(factors, fixed), values, report
 
 
-def _space(name: object) -> Manifold | None:
+def name_of_space(space: Manifold, subject: str) -> str:
+    """The name of a space, under which `space_named` finds it.
+
+    Raises
+    ------
+    GraphError
+        The library does not have it; the subject, what is in it, begins the message.
+    """
+    if space_named(name := str(space)) is not space:
+        raise GraphError(f"{subject} is in {name}, a space of your own, which no file holds")
+    return name
+
+
+def space_named(name: object) -> Manifold | None:
     """The space of a name; None where the library has none."""
     if not isinstance(name, str):
         return None
@@ -139,7 +150,7 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
             raise GraphFileError(f"values of {kind!r:.30}: expected a space, numbers and X", path)
         if not all(isinstance(stack[name], np.ndarray) for name in ({"numbers", "X", "times"} & stack.keys())):
             raise GraphFileError(f"values of {kind!r:.30}: expected arrays of numbers", path)
-        if (space := _space(stack["space"])) is None:
+        if (space := space_named(stack["space"])) is None:
             raise GraphFileError(f"values of {kind!r:.30}: {stack['space']!r:.30} is no space of this library", path)
         _checked(path, f"values of {kind!r:.30}", _add, values, kind, space, stack["X"], stack["numbers"])
         if "times" in stack:
