@@ -40,12 +40,12 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
         "--dialect": options.dialect if options.dialect != "auto" else None,
         "--convention": options.convention if options.convention != "g2o" else None,
         "--elevation": options.elevation,
+        "--ignore-tags": options.ignore_tags or None,
         "--init": options.init if options.init != "auto" else None,
         "--robust": "none" if options.all_contacts else None if wrong else options.robust,
     }
     words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
     words += ["--repair-information"] * options.repair_information + ["--drop-absent"] * options.drop_absent
-    words += ["--ignore-tags", ",".join(options.ignore_tags)] * bool(options.ignore_tags)
     words += [word for kind in options.hold for word in ("--hold", kind)]
     return shlex.join(words)
 

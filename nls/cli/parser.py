@@ -303,9 +303,7 @@ def _input(command: argparse.ArgumentParser) -> None:
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument(
         "--ignore-tags",
-        action="extend",
-        type=lambda tags: tags.split(","),
-        default=[],
+        default="",
         metavar="TAG,TAG",
         help="leave out lines with unknown tags that begin with EDGE and may join variables; others are refused",
     )

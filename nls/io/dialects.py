@@ -110,7 +110,6 @@ G2O = Format(
         (b"EDGE_SE3_PRIOR:QUAT", b"EDGE_SE3_PRIOR"),
         (b"EDGE_SE3:QUAT_SWITCHABLE", b"EDGE_SE3_SWITCHABLE"),
     ),
-    link_types=True,
 )
 
 TORO_PLANE = (
@@ -162,11 +161,7 @@ READINGS = {  # dialects by tag
     for known in FORMATS.values()
     for tag in (*known.tags, *known.ignored_tags)
 }
-WHAT = {  # options are about
-    "repair_information": "information matrices",
-    "ignore_tags": "tags of lines",
-    "drop_absent": "lines of vertices",
-}
+WHAT = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
 Tags = dict[bytes, Index]

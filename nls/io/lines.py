@@ -68,8 +68,8 @@ class Lines(NamedTuple):
         return self.numbers[:, columns]
 
 
-def read_lines(text: Text, record: Record, at: Index, link_types: bool = False) -> Lines:
-    """The lines of a record; ``link_types``: all may end in one number more, the type of a link between two poses.
+def read_lines(text: Text, record: Record, at: Index) -> Lines:
+    """The lines of a record; all of an edge between two poses may end in one number more, RTAB-Map's type of a link.
 
     Raises
     ------
@@ -77,7 +77,9 @@ def read_lines(text: Text, record: Record, at: Index, link_types: bool = False) 
         A count of numbers, a word or an element that cannot be right; an edge from a vertex to itself.
     """
     lead, width = record.lead, record.element.width
-    typed = link_types and record.slots == ("pose", "pose") and _link_types(text, record, at)
+    last, typed = text.first.take(at + 1) - 1, record.slots == ("pose", "pose") and record.tag.startswith(b"EDGE_SE")
+    typed = typed and bool((last - text.first.take(at) == record.words + 1).all())
+    typed = typed and bool(np.isin(text.numbers(last, at, 1), LINK_TYPES).all())
     numbers = text.table(at, record.words + typed, record.columns, len(record.places[0]))[:, lead:]
     whole = text.whole(at, np.arange(1, 1 + lead)[:, None])
     ids, parameters = list(whole[: lead - record.parameters]), whole[lead - record.parameters :].T
@@ -90,14 +92,6 @@ def read_lines(text: Text, record: Record, at: Index, link_types: bool = False) 
     if len(ids) > 1 and record.slots[0] == record.slots[1]:
         text.refuse(ids[0] == ids[1], at, lambda k: f"the edge joins vertex {ids[0][k]} to itself")
     return Lines(record, at, ids, parameters, X, numbers)
-
-
-def _link_types(text: Text, record: Record, at: Index) -> bool:
-    """Whether all lines of a record end in a type of a link behind their numbers, a small whole number."""
-    last = text.first.take(at + 1) - 1
-    if (last - text.first.take(at) != record.words + 1).any():
-        return False
-    return bool(np.isin(text.numbers(last, at, 1), LINK_TYPES).all())
 
 
 def joined(parts: Iterable[Numbers]) -> Numbers:

@@ -94,15 +94,10 @@ def read_graph(
     for tag, record in records.items():
         lines.setdefault(record.tag, []).append(tags[tag])
     with stage("read numbers"):
-        read = [
-            read_lines(text, format.tags[tag], np.sort(np.concatenate(at)), format.link_types)
-            for tag, at in lines.items()
-        ]
+        read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
     vertices = [block for block in read if block.record.factor is None and block.record.slots in VERTICES]
-    if drop_absent:
-        edges = present(text, vertices, edges, report)
-    edges = by_role(format, vertices, edges)
+    edges = by_role(format, vertices, present(text, vertices, edges, report) if drop_absent else edges)
     offsets = _Offsets(text, [block for block in read if not block.record.slots], group)
     switches = Switches(text, [block for block in read if block.record.slots == ("switch",)], vertices, edges)
     roles = Roles(text, vertices, edges, unknown, format.apart or any(block.record.apart for block in edges))

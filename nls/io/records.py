@@ -160,7 +160,6 @@ class Format:
     ignored_tags : tags that belong to it and are not used.
     aliases : other names of tags, which are read and not written.
     apart : whether points have a numbering of their own: there may be a pose 0 and a point 0.
-    link_types : whether lines between two poses may end in a whole number, the type of a link.
     """
 
     name: str
@@ -171,7 +170,6 @@ class Format:
     ignored_tags: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
     apart: bool = False
-    link_types: bool = False
 
     @property
     def holds_values(self) -> bool:

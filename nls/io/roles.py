@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from models.advice import Advice
-from models.algebra import Index, Mask, Numbers
+from models.algebra import Index, Numbers
 from models.listing import several
 from nls.io.lines import Lines, among, by_number, different, joined
 from nls.io.records import KINDS, Format
@@ -21,28 +21,28 @@ ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 def by_role(format: Format, vertices: list[Lines], edges: list[Lines]) -> list[Lines]:
     """The edges, with lines of a tag for points apart that are about poses, where the format has a record of these."""
     of_poses = {r.tag: r for r in format.records if r.foreign and r.slots == ("either",)}
-    if not any(block.record.tag in of_poses for block in edges):
-        return edges
-    poses = different(_ids(vertices or edges, "pose"))
-    out = []
+    out: list[Lines] = []
     for block in edges:
-        record = of_poses.get(block.record.tag, block.record)
-        is_pose: Mask = among(block.ids[0], poses) & (record is not block.record)
-        out += [block.only(~is_pose, block.record), block.only(is_pose, record)] if is_pose.any() else [block]
-    return [block for block in out if len(block.at)]
+        if record := of_poses.get(block.record.tag):
+            is_pose = among(block.ids[0], different(_ids(vertices or edges, "pose")))
+            parts = block.only(~is_pose, block.record), block.only(is_pose, record)
+            out += [part for part in parts if len(part.at)]
+        else:
+            out.append(block)
+    return out
 
 
 def present(text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport) -> list[Lines]:
     """The edges without those to vertices that no line gives, which are kept as text; all of them without vertices."""
-    given = different(joined([block.ids[0] for block in vertices]))
-    masks = [np.all([among(ids, given) for ids in block.ids], axis=0) for block in edges if len(given)]
-    parts = list(zip(edges, masks, strict=False)) if masks else []
-    if not len(absent := np.sort(joined([block.at[~mask] for block, mask in parts]))):
+    given = different(joined(block.ids[0] for block in vertices))
+    if not len(given):
         return edges
-    count = several(len(absent), "edge")
-    report.warn(f"{count} to vertices that no line gives left out, first on line {absent[0] + 1}")
-    keep(text, absent, report)
-    return [block.only(mask, block.record) for block, mask in parts if mask.any()]
+    masks = [np.all([among(ids, given) for ids in block.ids], axis=0) for block in edges]
+    if len(absent := np.sort(joined(block.at[~mask] for block, mask in zip(edges, masks, strict=True)))):
+        count, line = several(len(absent), "edge"), text.first_number + absent[0]
+        report.warn(f"{count} to vertices that no line gives left out, first on line {line}")
+        keep(text, absent, report)
+    return [block.only(mask, block.record) for block, mask in zip(edges, masks, strict=True) if mask.any()]
 
 
 def _ids(lines: list[Lines], slot: str) -> Numbers:

@@ -14,13 +14,11 @@ its program vertigo; P. Agarwal et al., "Robust map optimization using dynamic c
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from models.algebra import Array, Index, Numbers
-from models.listing import several
-from nls.io.lines import Lines, among, by_number, joined
+from models.algebra import Array, Index
+from models.listing import several, some
+from nls.io.lines import NONE, Lines, among, by_number, joined
 from nls.io.report import LoadReport
 from nls.io.text import Text
 from nls.io.unused_lines import keep
@@ -39,6 +37,7 @@ class Switches:
     Attributes
     ----------
     rows : (n, 1, 3) start value, prior value and information of the switch of every switchable edge.
+    phi : (n,) the parameters of their kernels.
 
     Raises
     ------
@@ -48,67 +47,55 @@ class Switches:
 
     def __init__(self, text: Text, lines: list[Lines], vertices: list[Lines], edges: list[Lines]) -> None:
         self.text, self.lines = text, lines
-        values = [block for block in lines if block.record.tag == VERTEX]
-        by_number(text, [*vertices, *values], "vertex")
-        self.named, self.rows = np.zeros(0, dtype=np.int64), np.zeros((0, 1, 3))
-        for block in edges:
-            if block.record.switched:
-                self.named = np.sort(block.parameters[:, 0])
-                value = self._of(block, VERTEX, values, "1")
-                prior = self._of(block, PRIOR, [other for other in lines if other.record.tag == PRIOR], "1 1")
-                self.rows = np.hstack([value, prior])[:, None]
-                self._refuse(block)
+        if starts := self._tagged(VERTEX):
+            by_number(text, [*vertices, *starts], "vertex")
+        block = next((block for block in edges if block.record.switched), None)
+        self.named = NONE if block is None else block.parameters[:, 0]
+        if block is None:
+            return
+        self.rows = np.hstack([self._of(block, tag) for tag in (VERTEX, PRIOR)])[:, None]
+        _, gamma, xi = self.rows[:, 0].T
+        self.phi: Array = gamma * gamma * xi
+        text.refuse(
+            ~((gamma > 0) & (self.phi > 0) & (0 < self.phi**2) & (self.phi**2 < np.inf)),
+            block.at,
+            lambda k: (
+                f"switch {self.named[k]} has the prior {gamma[k]:g} with information {xi[k]:g}; expected two "
+                "numbers above 0"
+            ),
+        )
+        text.once(self.named, block.at, "a kernel weighs one edge alone: an edge of switch ")
 
-    def _of(self, block: Lines, tag: bytes, lines: list[Lines], example: str) -> Array:
+    def _tagged(self, tag: bytes) -> list[Lines]:
+        return [block for block in self.lines if block.record.tag == tag]
+
+    def _of(self, block: Lines, tag: bytes) -> Array:
         """The numbers (n, k) of the lines with a tag that belong to the switches of an edge."""
-        ids, order = by_number(self.text, lines, f"{tag.decode()} ")
-        wanted = block.parameters[:, 0]
-        self.text.refuse(
-            ~among(wanted, ids),
-            block.at,
-            lambda k: (
-                f"the edge has switch {wanted[k]}, and no {tag.decode()} line says how far it is on; add one, "
-                f"such as {tag.decode()} {wanted[k]} {example}"
-            ),
-        )
-        return np.asarray(np.concatenate([other.X for other in lines])[order[np.searchsorted(ids, wanted)]])
+        name, lines = tag.decode(), self._tagged(tag)
+        ids, order = by_number(self.text, lines, name)
 
-    def _refuse(self, block: Lines) -> None:
-        wanted, (_, gamma, xi), phi = block.parameters[:, 0], self.rows[:, 0].T, self.phi
-        self.text.refuse(
-            ~((gamma > 0) & (xi > 0) & (0 < phi * phi) & (phi * phi < np.inf)),
-            block.at,
-            lambda k: (
-                f"the prior of switch {wanted[k]} is {gamma[k]:g} with information {xi[k]:g}; expected two "
-                "numbers above 0 whose squares are finite"
-            ),
-        )
-        self.text.once(wanted, block.at, "a kernel weighs one edge alone: an edge of switch ")
+        def problem(k: int) -> str:
+            return f"the edge needs switch {self.named[k]} for itself alone, which no {name} line gives; add one"
 
-    @property
-    def phi(self) -> Array:
-        """(n,) the parameters of the kernels."""
-        return np.asarray(self.rows[:, 0, 1] ** 2 * self.rows[:, 0, 2])
+        self.text.refuse(~among(self.named, ids), block.at, problem)
+        return np.asarray(np.concatenate([other.X for other in lines])[order[np.searchsorted(ids, self.named)]])
 
     def of(self, block: Lines) -> Array:
         """Values (n, 1, 3) of the switches that the lines of an edge name."""
         return self.rows[: len(block.at)]
 
-    def kinds_of(self, block: Lines, report: LoadReport) -> Iterator[Index]:
+    def kinds_of(self, block: Lines, report: LoadReport) -> list[Index]:
         """The lines of an edge apart by the parameter of their kernel, which a note states."""
         order = np.argsort(self.phi, kind="stable")
         parts = np.split(order, 1 + np.flatnonzero(np.diff(self.phi[order])))
-        kernels = [f"dcs:{self.phi[part[0]]:g} ({len(part)})" for part in parts]
-        report.notes.append(
-            f"{block.record.tag.decode()} lines are edges under the kernel {', '.join(kernels)}, by the priors of "
-            "their switches, which only a g2o file gets back"
-        )
-        yield from parts
+        kernels = some([f"dcs:{self.phi[part[0]]:g} ({len(part)})" for part in parts])
+        name = block.record.tag.decode()
+        report.notes.append(f"{name} lines are closures under {kernels}, by the priors of their switches")
+        return parts
 
     def keep_unused(self, report: LoadReport) -> None:
         """Keep lines of switches and priors that no edge names as text."""
-        unused: list[Numbers] = [block.at[~among(block.ids[0], self.named)] for block in self.lines]
-        if len(lines := np.sort(joined(unused))):
-            tags = "VERTEX_SWITCH or EDGE_SWITCH_PRIOR"
-            report.notes.append(f"{several(len(lines), 'line')} {tags} that no edge uses")
+        named = np.sort(self.named)
+        if len(lines := np.sort(joined(block.at[~among(block.ids[0], named)] for block in self.lines))):
+            report.notes.append(f"{several(len(lines), 'line')} of switches that no edge uses")
             keep(self.text, lines, report)

@@ -32,7 +32,7 @@ def refuse_edges(
     ----------
     text : the file.
     unknown : lines (from 0) by tags that are not known.
-    ignore_tags : those whose lines may be left out; one with commas may be given in parts, as the command line does.
+    ignore_tags : those whose lines may be left out, see `tags_to_ignore`.
     known : tags that are read.
 
     Raises
@@ -45,33 +45,21 @@ def refuse_edges(
     names = tags_to_ignore(ignore_tags)
     if read := sorted(names & {printable(tag) for tag in known}):
         raise OptionError("ignore_tags", read[0], "tags that are not read; delete lines of this one that are wrong")
-    edges = {
-        printable(tag): lines
-        for tag, lines in unknown.items()
-        if tag[:4].upper() == b"EDGE" and not names.issuperset(printable(tag).split(","))
-    }
+    edges = {printable(tag): lines for tag, lines in unknown.items() if tag[:4].upper() == b"EDGE"}
+    edges = {tag: lines for tag, lines in edges.items() if not names.issuperset(tag.split(","))}
     if edges:
         counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
         option = (shlex.quote(",".join(edges)), repr(list(edges)))
         raise text.error(
-            f"tags that are not known and may join variables: {counts}; without these lines the rest may be another "
-            "graph",
+            f"tags that are not known and may join variables: {counts}; the rest may be another graph",
             min(int(lines[0]) for lines in edges.values()),
             [Advice("ignore tags", option)] * (len(option[0]) <= LONGEST),
         )
 
 
 def tags_to_ignore(ignore_tags: Sequence[str]) -> set[str]:
-    """The tags that may be left out, those with commas in parts.
-
-    Raises
-    ------
-    OptionError
-        One text instead of a sequence of them.
-    """
-    if isinstance(ignore_tags, str):
-        raise OptionError("ignore_tags", ignore_tags, f"a sequence of tags, such as [{ignore_tags!r}]")
-    return set(",".join(ignore_tags).split(",")) if ignore_tags else set()
+    """The tags that may be left out, those with commas in parts; one text is a list with commas, as of a command."""
+    return set(filter(None, ",".join([ignore_tags] if isinstance(ignore_tags, str) else ignore_tags).split(",")))
 
 
 def not_there(ignore_tags: Sequence[str], tags: Collection[str]) -> list[str]:
