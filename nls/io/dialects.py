@@ -95,8 +95,8 @@ G2O_SPACE = (
     Record(b"EDGE_SE3_SWITCHABLE", SE3, POSES, POSE3, Between, 1, used=False, switched=True, foreign=True),
 )
 SWITCHES = (
-    Record(b"VERTEX_SWITCH", SE2, ("switch",), Element(R(1), "value")),
-    Record(b"EDGE_SWITCH_PRIOR", SE2, ("switch",), Element(R(2), "value information")),
+    Record(b"VERTEX_SWITCH", SE2, (), Element(R(1), "value"), switched=True),
+    Record(b"EDGE_SWITCH_PRIOR", SE2, (), Element(R(2), "value information"), switched=True),
 )
 G2O = Format(
     "g2o",

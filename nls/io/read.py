@@ -8,6 +8,7 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -36,7 +37,6 @@ from nls.stages import stage
 from nls.values import Stack, Values
 
 __all__ = ["read_graph"]
-VERTICES = ("pose",), ("point",)  # slots of lines that give a variable
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -96,24 +96,21 @@ def read_graph(
     with stage("read numbers"):
         read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
-    vertices = [block for block in read if block.record.factor is None and block.record.slots in VERTICES]
+    vertices = [block for block in read if block.record.factor is None and block.record.slots]
     edges = by_role(format, vertices, present(text, vertices, edges, report) if drop_absent else edges)
-    offsets = _Offsets(text, [block for block in read if not block.record.slots], group)
-    switches = Switches(text, [block for block in read if block.record.slots == ("switch",)], vertices, edges)
+    named = [block for block in read if not block.record.slots]
+    offsets = _Offsets(text, [block for block in named if not block.record.switched], group)
+    switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
     roles = Roles(text, vertices, edges, unknown, format.apart or any(block.record.apart for block in edges))
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for block in edges:
-            name, switched = block.record.tag.decode(), block.record.switched
-            if not (block.record.used or switched):
-                report.notes.append(f"{name} lines name a parameter that their error does not use")
-            if block.record.factor is Position and block.record.foreign:
-                report.notes.append(f"{name} lines of poses are read as positions")
+            switched = block.record.switched
+            _note_use(block, report)
             noises = _matrices(text, block, format, repair_information, report)
-            _note_link_types(block, report)
+            parameters = switches if switched else offsets
             for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
-                named = switches if switched else offsets
-                factor = _factor(text, block, mine, noises, named, roles, format, convention, group, report)
+                factor = _factor(text, block, mine, noises, parameters, roles, format, convention, group, report)
                 bound.append((factor, block))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
     graph = FactorGraph([factor for factor, _ in bound])
@@ -136,7 +133,7 @@ def read_graph(
 
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
     """SE2 or SE3, whichever the file is about; parameters alone say it where there is nothing else."""
-    records = {t: r for t, r in records.items() if r.slots not in ((), ("switch",))} or records
+    records = {t: r for t, r in records.items() if r.slots} or records
     first = {
         group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
         for group in {record.group for record in records.values()}
@@ -245,12 +242,15 @@ def _vertex_values(vertices: list[Lines], roles: Roles, group: LieGroup) -> Valu
     return Values.of(stacks[kind] for kind in KINDS.values() if kind in stacks)
 
 
-def _note_link_types(block: Lines, report: LoadReport) -> None:
+def _note_use(block: Lines, report: LoadReport) -> None:
+    record, name = block.record, block.record.tag.decode()
+    if not (record.used or record.switched):
+        report.notes.append(f"{name} lines name a parameter that their error does not use")
+    if record.foreign and record.factor is Position:
+        report.notes.append(f"{name} lines of poses are read as positions")
     if block.link_types.size:
-        types, counts = np.unique(block.link_types, return_counts=True)
-        named = ", ".join(f"{kind:g} ({count})" for kind, count in zip(types, counts, strict=True))
-        tag = block.record.tag.decode()
-        report.warn(f"{tag} lines end in a type of a link, {named}: not used, and only a g2o file gets it back")
+        named = ", ".join(f"{kind:g} ({count})" for kind, count in sorted(Counter(block.link_types[:, 0]).items()))
+        report.warn(f"{name} lines end in a type of a link, {named}: not used, and only a g2o file gets it back")
 
 
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:
@@ -275,11 +275,7 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     if missing.any():
         k = int(np.argmax(missing))
         has_vertices = len(roles.vertex_ids) > 0
-        named = " or ".join(
-            t.decode()
-            for t, r in records.items()
-            if (r.factor is None) == has_vertices and r.slots not in ((), ("switch",))
-        )
+        named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
         raise text.error(
             f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
             int(owner[k]),

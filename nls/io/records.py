@@ -63,12 +63,12 @@ class Record:
     tag : the first word of its lines.
     group : SE2 or SE3, the poses of its dimension.
     slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount``, ``either`` (pose or
-        mount), ``switch`` (no variable). A mount is a pose of a sensor on the vehicle that is a variable.
+        mount). A mount is a pose of a sensor on the vehicle that is a variable.
     element : the value of a vertex or parameter, the measured value.
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.
     used : False where the error of the measurement ignores its parameter.
-    switched : whether its parameter is a switch, see `nls.io.switches`.
+    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.switches`.
     foreign : whether it is a tag of other programs that is written only where lines were read with it.
     apart : whether its points have a numbering of their own.
     entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.
