@@ -161,7 +161,7 @@ READINGS = {  # dialects by tag
     for known in FORMATS.values()
     for tag in (*known.tags, *known.ignored_tags)
 }
-WHAT = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
+SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
 Tags = dict[bytes, Index]
@@ -207,7 +207,7 @@ class LineOptions(NamedTuple):
 
 
 def refuse_needless(path: str, format: str, options: LineOptions) -> None:
-    """Refuse options about `WHAT` a format does not have.
+    """Refuse options about `SUBJECTS` a format does not have.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def refuse_needless(path: str, format: str, options: LineOptions) -> None:
     """
     for option, value in options._asdict().items():
         if value:
-            allowed = f"{type(value)()!r}: {path} is in the format {format}, which has no {WHAT[option]}"
+            allowed = f"{type(value)()!r}: {path} is in the format {format}, which has no {SUBJECTS[option]}"
             raise OptionError(option, value, allowed)
 
 

@@ -46,38 +46,28 @@ class Switches:
     """
 
     def __init__(self, text: Text, lines: list[Lines], vertices: list[Lines], edges: list[Lines]) -> None:
-        self.text, self.lines = text, lines
-        if starts := self._tagged(VERTEX):
+        self.text, self.lines, self.named = text, lines, NONE
+        if starts := [block for block in lines if block.record.tag == VERTEX]:
             by_number(text, [*vertices, *starts], "vertex")
-        block = next((block for block in edges if block.record.switched), None)
-        self.named = NONE if block is None else block.parameters[:, 0]
-        if block is None:
-            return
-        self.rows = np.hstack([self._of(block, tag) for tag in (VERTEX, PRIOR)])[:, None]
-        _, gamma, xi = self.rows[:, 0].T
-        self.phi: Array = gamma * gamma * xi
-        text.refuse(
-            ~((gamma > 0) & (self.phi > 0) & (0 < self.phi**2) & (self.phi**2 < np.inf)),
-            block.at,
-            lambda k: (
-                f"switch {self.named[k]} has the prior {gamma[k]:g} with information {xi[k]:g}; expected two "
-                "numbers above 0"
-            ),
-        )
-        text.once(self.named, block.at, "a kernel weighs one edge alone: an edge of switch ")
-
-    def _tagged(self, tag: bytes) -> list[Lines]:
-        return [block for block in self.lines if block.record.tag == tag]
+        for block in (block for block in edges if block.record.switched):
+            self.named = block.parameters[:, 0]
+            self.rows = np.hstack([self._of(block, tag) for tag in (VERTEX, PRIOR)])[:, None]
+            _, gamma, xi = self.rows[:, 0].T
+            self.phi: Array = gamma * gamma * xi
+            good = (gamma > 0) & (self.phi > 0) & (0 < self.phi**2) & (self.phi**2 < np.inf)
+            if not good.all():
+                k = int(np.argmin(good))
+                says = f"value {gamma[k]:g} and information {xi[k]:g}; expected two numbers above 0"
+                raise text.error(f"the prior of switch {self.named[k]} has {says}", int(block.at[k]))
+            text.once(self.named, block.at, "a kernel weighs one edge alone: an edge of switch ")
 
     def _of(self, block: Lines, tag: bytes) -> Array:
         """The numbers (n, k) of the lines with a tag that belong to the switches of an edge."""
-        name, lines = tag.decode(), self._tagged(tag)
+        name, lines = tag.decode(), [other for other in self.lines if other.record.tag == tag]
         ids, order = by_number(self.text, lines, name)
-
-        def problem(k: int) -> str:
-            return f"the edge needs switch {self.named[k]} for itself alone, which no {name} line gives; add one"
-
-        self.text.refuse(~among(self.named, ids), block.at, problem)
+        problem = f"for itself alone, which no {name} line gives; add one"
+        missing = ~among(self.named, ids)
+        self.text.refuse(missing, block.at, lambda k: f"the edge needs switch {self.named[k]} {problem}")
         return np.asarray(np.concatenate([other.X for other in lines])[order[np.searchsorted(ids, self.named)]])
 
     def of(self, block: Lines) -> Array:

@@ -172,8 +172,8 @@ def test_switches_that_say_no_kernel_are_refused_with_the_line() -> None:
     for old, new, line, words in (
         ("EDGE_SWITCH_PRIOR 3 1 2\n", "", 7, "switch 3 for itself alone, which no EDGE_SWITCH_PRIOR line"),
         ("VERTEX_SWITCH 3 1\n", "", 7, "switch 3 for itself alone, which no VERTEX_SWITCH line"),
-        ("PRIOR 3 1 2", "PRIOR 3 0 2", 8, "prior 0 with information 2"),
-        ("PRIOR 3 1 2", "PRIOR 3 1 -2", 8, "prior 1 with information -2"),
+        ("PRIOR 3 1 2", "PRIOR 3 0 2", 8, "value 0 and information 2"),
+        ("PRIOR 3 1 2", "PRIOR 3 1 -2", 8, "value 1 and information -2"),
         ("PRIOR 3 1 2", "PRIOR 3 1 1e200", 8, "expected two numbers above 0"),
         ("VERTEX_SWITCH 3 1", "VERTEX_SWITCH 2 1", 6, "vertex 2 was given before"),
         (
