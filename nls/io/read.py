@@ -83,10 +83,10 @@ def read_graph(
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
+    known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
     if strays := {t: n for t, n in unknown.items() if t not in format.ignored_tags}:
-        known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
         refuse_misspelt(text, strays, known)
-    refuse_edges(text, strays, ignore_tags, format.tags)
+    refuse_edges(text, strays, ignore_tags, known)
     keep_unknown(text, unknown, report, format.ignored_tags)
     note_comments(report, len(comments))
 

@@ -80,7 +80,8 @@ class Switches:
         parts = np.split(order, 1 + np.flatnonzero(np.diff(self.phi[order])))
         kernels = some([f"dcs:{self.phi[part[0]]:g} ({len(part)})" for part in parts])
         name = block.record.tag.decode()
-        report.notes.append(f"{name} lines are closures under {kernels}, by the priors of their switches")
+        only = "by the priors of their switches, which only a g2o file gets back"
+        report.notes.append(f"{name} lines are closures under {kernels}, {only}")
         return parts
 
     def keep_unused(self, report: LoadReport) -> None:
