@@ -46,11 +46,13 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     import nls
     from nls.io import load_stream
-    from nls.io.dialects import no_information
+    from nls.io.dialects import LineOptions, refuse_needless
     from nls.io.trajectory import TRAJECTORIES, load_trajectory
 
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
-    how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
+    of_lines = LineOptions(options.repair_information, options.ignore_tags, options.drop_absent)
+    elevation = getattr(options, "elevation", None)
+    how = options.convention, options.dialect, of_lines.repair_information, elevation, *of_lines[1:]
     if dives := getattr(options, "dives", []):
         return nls.load([options.file, *dives], *how)
     if options.file == "-":
@@ -59,8 +61,7 @@ def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]
         return load_stream(sys.stdin.buffer, input_name(options.file), *how)
     if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
         return nls.load(options.file, *how)
-    if options.repair_information:
-        raise no_information(options.file, form)
+    refuse_needless(options.file, form, of_lines)
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
 
 

@@ -26,6 +26,7 @@ from nls.io.lines import joined
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
+from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
 from nls.io.weights import entries
@@ -100,15 +101,18 @@ class _Content:
     def __init__(
         self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
     ) -> None:
-        vertex_ids = VertexIds(graph, values, report)
-        group = _dimension(path, values, format, vertex_ids)
-        fixed = _fixed(path, graph, values, format)
-        self.offsets = _Offsets(appended(report, format.name), group)
         known = report.statements if report is not None and report.format == format.name else []
         statements = {id(statement.noise): statement for statement in known}
+        stated = [statements.get(id(factor.noise)) for factor in graph.factors]
+        apart = format.apart or any(s is not None and format.tags[s.tag].apart for s in stated)
+        vertex_ids = VertexIds(graph, values, report)
+        group = _dimension(path, graph, values, format, vertex_ids, apart)
+        fixed = _fixed(path, graph, values, format)
+        self.offsets = _Offsets(appended(report, format.name), group)
         self.edges = [
-            _edges(path, factor, values, group, format, vertex_ids, self.offsets, statements.get(id(factor.noise)))
-            for factor in graph.factors
+            table
+            for factor, statement in zip(graph.factors, stated, strict=True)
+            for table in _edges(path, factor, values, group, format, vertex_ids, self.offsets, statement)
         ]
         _refuse_conventions(path, graph, values)
         _refuse_mounts(path, graph, values)
@@ -128,7 +132,9 @@ class _Content:
                 raise GraphError(f"{path}: variables {kind}: {error}") from error
 
 
-def _dimension(path: str, values: Values, format: Format, vertex_ids: VertexIds) -> LieGroup:
+def _dimension(
+    path: str, graph: FactorGraph, values: Values, format: Format, vertex_ids: VertexIds, apart: bool
+) -> LieGroup:
     """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
@@ -145,7 +151,9 @@ def _dimension(path: str, values: Values, format: Format, vertex_ids: VertexIds)
     variables = [Keys(stack.kind, stack.numbers) for stack in values.stacks.values()]
     ids = [vertex_ids.of(keys) for keys in variables]
     unique, times = np.unique(joined(ids), return_counts=True)
-    if (times > 1).any() and not format.apart:
+    if (times > 1).any() and apart:  # FIX lines have one numbering
+        refuse_held(path, graph, f"{a_file(format.name)} with numbers of points of their own")
+    elif (times > 1).any():
         number = int(unique[np.argmax(times > 1)])
         clash = [keys[n == number] for keys, n in zip(variables, ids, strict=True) if number in n]
         raise GraphError(
@@ -242,12 +250,13 @@ def _edges(
     vertex_ids: VertexIds,
     offsets: _Offsets,
     statement: Statement | None,
-) -> tuple[bytes, list[Numbers], Array]:
-    """The tag, ids and numbers of the lines of one factor."""
+) -> list[tuple[bytes, list[Numbers], Array]]:
+    """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
     model, _ = values.gather(factor)
     fixed = fixed_offsets(factor)
     n, any_ = len(factor), [group.identity()]
-    record = _record(factor, model.manifolds, format, fixed, vertex_ids.roles)
+    tag = b"" if statement is None else statement.tag
+    record = _record(factor, model.manifolds, format, fixed, vertex_ids.roles, tag)
     if record is None:
         why = ""
         if fixed and _record(factor, model.manifolds, format, [], vertex_ids.roles):
@@ -270,18 +279,27 @@ def _edges(
     if statement is not None and statement.parameters.shape == parameters.shape:
         parameters = statement.parameters
         offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
-    for k in range(record.parameters):
-        ids.append(offsets.ids(np.ascontiguousarray(offset[k]), parameters[:, k]))
-    return record.tag, ids, numbers
+    if record.switched:
+        switch, prior = [parameters[:, 0]], offset[0][:, 1:]
+        tables = [(VERTEX, switch, offset[0][:, :1]), (PRIOR, switch, prior)]
+        return [*tables, (record.tag, ids + switch, numbers)]
+    ids += [offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
+    return [(record.tag, ids, numbers)]
 
 
 def _record(
-    factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array], roles: dict[str, str]
+    factor: Factor,
+    manifolds: tuple[object, ...],
+    format: Format,
+    fixed: list[Array],
+    roles: dict[str, str],
+    tag: bytes = b"",
 ) -> Record | None:
-    """The record whose lines can say this factor, offsets of nothing with a parameter or without."""
+    """The record whose lines can say this factor, that of a tag first; offsets of nothing with a parameter or not."""
+    records = sorted((r for r in format.records if not r.foreign or r.tag == tag), key=lambda r: r.tag != tag)
     kinds = [keys.kind for keys in factor.keys]
     for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
-        for record in format.records:
+        for record in records:
             if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
                 roles[kind] in (("pose", "mount") if slot == "either" else (slot,))
                 for kind, slot in zip(kinds, record.slots, strict=True)

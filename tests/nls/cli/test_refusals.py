@@ -19,6 +19,8 @@ FILES = {
     "wrong.g2o": PLANE + "EDGE_SE2 0 1 1\n",
     "nan.g2o": PLANE.replace("EDGE_SE2 1 2 1.01", "EDGE_SE2 1 2 nan"),
     "negative.g2o": PLANE + "EDGE_SE2 1 3 0 2 3 500 0 0 400 0 -3\n",
+    "edge.g2o": PLANE + "EDGE_A,B 1 2\n",
+    "absent.g2o": PLANE + f"EDGE_SE2 3 77 1 0 0 {INFORMATION_2}\n",
     "pose.g2o": "VERTEX_SE2 0 0 0 0\n",
     "fixed.g2o": PLANE + "FIX 1\n",
     "chain.g2o": "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n",
@@ -77,6 +79,11 @@ explain nan.g2o => nan.g2o:6: .*nan
 {solve|info} lines.txt => name the dialect
 info {a.pyfg|t.tum} --repair-information => --repair-information: True is not .* (a.pyfg|t.tum) is in the format
 solve graph.g2o --elevation free => no folder of a mission
+{solve|explain|info|stream} edge.g2o => ^nls: edge.g2o:9: .* EDGE_A,B (.|\n)*-> leave .*: --ignore-tags EDGE_A,B$
+{solve|explain|info|stream} edge.g2o --ignore-tags EDGE_SE2 => --ignore-tags: 'EDGE_SE2' is not .* tags that are not re
+{solve|explain|info} absent.g2o => absent.g2o:9: .* vertex 77, (.|\n)*-> leave such edges out: --drop-absent$
+{info t.tum|explain m} {--drop-absent|--ignore-tags EDGE_X} => --(drop-absent|ignore-tags): .* has no (tags|vertices)
+stream graph.g2o --drop-absent => unrecognized arguments: --drop-absent
 solve alone => is a folder, but no mission: (.|\n)*-> read the file in it: .*alone/survey.g2o$
 solve log.csv => -> give the folder, if the table belongs to a mission
 
