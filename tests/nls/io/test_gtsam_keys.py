@@ -12,7 +12,7 @@ from factors import Between, BetweenSensors, Isotropic, Landmark
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Kind, Values, kinds
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import PLANE, again, read, same
+from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same
 from tests.nls.io.robots import LABEL, ROBOTS, STEP, A, B, L, X, numbers, renamed, without
 
 
@@ -112,3 +112,23 @@ def test_graphs_made_in_python_get_keys_where_g2o_has_no_ids(tmp_path: Path) -> 
         nls.save(tmp_path / "b.g2o", FactorGraph(), Values({a: (SE2, poses, [1, 1 << 48])}))
     with pytest.raises(nls.GraphError, match="x0 and l0 have one number"):
         nls.save(tmp_path / "b.g2o", FactorGraph(), Values({x: (SE2, poses), l: (R(2), [[0.0, 0.0]])}))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"EDGE_SE2 {A | 44} {B | 9} {STEP}", f"the edge needs vertex b9 ({B | 9}), which no VERTEX_SE2 line has"),
+        (f"FIX {B | 9}", f"FIX names vertex b9 ({B | 9})"),
+        (f"EDGE_SE2 {A | 44} {L | 3} {STEP}", f"vertex l3 ({L | 3}) is a point"),
+    ],
+)
+def test_refusals_name_the_keys(line: str, words: str) -> None:
+    assert_refused(15, words, read, ROBOTS + line + "\n")
+
+
+def test_the_tracks_of_two_robots_are_told_apart_in_a_picture() -> None:
+    pytest.importorskip("matplotlib")
+    axes = nls.plot.trajectory(*read(ROBOTS)[:2]).axes[0]
+    tracks = [line for line in axes.lines if str(line.get_label()).startswith("trajectory")]
+    assert [line.get_label() for line in tracks] == ["trajectory a", "trajectory b"]
+    assert len({line.get_color() for line in tracks}) == 2
