@@ -20,6 +20,7 @@ from typing import Any, cast
 
 import nls
 from factors.base import Factor
+from factors.definite import diagonal
 from factors.replaced import replaced
 from factors.robust import kernel_from_text
 from models import SE2, SE3, LieGroup
@@ -178,7 +179,7 @@ class _Reader:
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
-            self._lines += block.splitlines(keepends=True)
+            self._lines += block.splitlines()
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
         if form == "bal":
@@ -234,8 +235,7 @@ class _Reader:
         kinds = poses or [s.kind for s in moved if isinstance(s.manifold, LieGroup)][:1] or ["x"]
         lines = [source.lines for source in report.sources] if report.has_lines else None
         for arrived in self._new(graph.factors, lines, kinds):
-            # alone, as in a longer file: the whitener of a batch depends on all that it holds
-            arrived = replace(arrived, factors=[replaced(factor) for factor in arrived.factors])
+            arrived = replace(arrived, factors=[*map(_alone, arrived.factors)])
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
 
@@ -263,10 +263,17 @@ class _Reader:
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
         count = line - self._hashed
-        self._hash.update(b"".join(self._lines[:count]))
+        self._hash.update(b"".join(text + b"\n" for text in self._lines[:count]))
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
+
+
+def _alone(factor: Factor) -> Factor:
+    """Measurements as in a file of their own: one full matrix in a file makes the whiteners of all full."""
+    model = factor._model
+    full = model is None or (model.W.ndim == 3 and diagonal(model.W) is not None)
+    return replaced(factor) if full else factor
 
 
 def _begun(options: argparse.Namespace) -> Session:

@@ -75,3 +75,11 @@ def test_new_numbers_leave_keys_alone(shell: Shell) -> None:
     out = shell("convert graph.g2o out.g2o --renumber")
     assert len(rows(out, "note")) == 1
     assert (shell / "out.g2o").read_bytes() == (shell / "graph.g2o").read_bytes()
+
+
+def test_a_native_file_says_nothing_else_of_ids(shell: Shell) -> None:
+    shell.file(ROBOTS)
+    shell("convert graph.g2o a.json")
+    for other in ('"keys of gtsam"', "7", "[7]", "null"):
+        shell.file((shell / "a.json").read_text().replace('"keys of GTSAM"', other), "b.json")
+        assert "values of 'a': " in shell.refused("convert b.json c.g2o")

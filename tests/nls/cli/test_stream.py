@@ -146,7 +146,7 @@ def test_a_shorter_file_and_then_the_whole_are_equal_to_the_bit(
     within = [k for k in edges[1:] if lines[k].split()[2] == lines[k - 1].split()[2]]
     for k in [edges[1], *within[::5], *edges[97::31]]:
         state = tmp_path / f"state{k}"
-        short.write_text("".join(lines[:k]))
+        short.write_text("".join(lines[:k]).removesuffix("\n" * (k % 2)))
         before, *_ = run(short, "--checkpoint", state, *options)
         assert without_time(before[:-1]) == steps[: len(before) - 1]
         assert run(short, "--checkpoint", state, *options) == ([], "", 0)
