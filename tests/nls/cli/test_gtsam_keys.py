@@ -47,8 +47,8 @@ def test_commands_show_the_names(shell: Shell) -> None:
     assert "a,44,2.0,0.125,0.0" in (shell / "out.csv").read_text().splitlines()
     assert shell.report("explain graph.g2o")["gauge"] is not None
     steps = [json.loads(line) for line in shell("stream graph.g2o").splitlines()]
-    assert [step["variable"] for step in steps] == ["a1", "a44", "a1"]
-    assert steps[0]["waiting"] == ["b0", "b1", "l3"]
+    assert [step["variable"] for step in steps] == ["a1", "b1", "a44", "b0", "a1"]
+    assert [step.get("waiting") for step in steps] == [None, *[["b0", "b1", "l3"]] * 2, None, None]
     assert steps[-1]["chi2"] == pytest.approx(shell.report("solve graph.g2o")["chi2_final"], rel=1e-3)
 
 
