@@ -30,7 +30,7 @@ class Arrived:
 
 
 def steps(
-    factors: Sequence[Factor], lines: Sequence[Index] | None = None, kinds: Sequence[str] = ("x",)
+    factors: Sequence[Factor], lines: Sequence[Index] | None = None, kind: str | Sequence[str] = "x"
 ) -> Iterator[Arrived]:
     """The measurements of a graph in the order in which they arrive.
 
@@ -38,8 +38,8 @@ def steps(
     ----------
     factors : of a graph.
     lines : of a file, (n,) for every factor: they arrive in this order. When omitted, in the order of the newest pose.
-    kinds : of the poses, whose numbers rise with time. Between two kinds the second is the newest. A measurement of
-        none arrives with the one before it.
+    kind : of the poses, whose numbers rise with time, or several. Between two kinds the second pose is the newest. A
+        measurement of none arrives with the one before it.
 
     Raises
     ------
@@ -59,6 +59,7 @@ def steps(
     x1 [Between(x0, x1)]
     x2 [Between(x1, x2), Landmark(x2, l0)]
     """
+    kinds = [kind] if isinstance(kind, str) else [*kind]
     factors = [factor for factor in factors if len(factor)]
     of = np.repeat(np.arange(len(factors)), [len(factor) for factor in factors])
     row = np.concatenate([np.arange(len(factor)) for factor in factors]) if factors else of
@@ -73,10 +74,10 @@ def steps(
     newest, kind_of = newest[before], kind_of[before]
     begins = np.flatnonzero(np.r_[True, (np.diff(newest) != 0) | (np.diff(kind_of) != 0)])
     runs = zip(newest[begins].tolist(), kind_of[begins].tolist(), np.split(order, begins[1:]), strict=True)
-    for step, (number, kind, run) in enumerate(runs, 1):
+    for step, (number, of_kind, run) in enumerate(runs, 1):
         arrived = [(k, row[run[of[run] == k]]) for k in np.unique(of[run]).tolist()]
         parts = [factors[k] if len(rows) == len(factors[k]) else factors[k][rows] for k, rows in arrived]
-        yield Arrived(Keys(kinds[kind], number), parts, step if lines is None else int(at[run].max()))
+        yield Arrived(Keys(kinds[of_kind], number), parts, step if lines is None else int(at[run].max()))
 
 
 def _newest(factor: Factor, kinds: Sequence[str]) -> Index:
