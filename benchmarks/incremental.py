@@ -67,7 +67,7 @@ def drive(name: str, out: str) -> None:
 
     graph, values, kind = problem_of(name)
     graph.pattern(values)  # bound, as GTSAM's factors are when they are read
-    arriving = list(steps(graph.factors, kind=kind))
+    arriving = list(steps(graph.factors, kinds=[kind]))
     smoother = nls.Incremental(TOL)
     first = nls.Keys(kind, values.stack(kind).numbers.min())
     smoother.update([], values.spaces().extended(first, values[first][None]))

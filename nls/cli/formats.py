@@ -90,7 +90,7 @@ def rendered(
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
-    with _renamed(graph, values, renumber) as (graph, values, changes):
+    with _renamed(graph, values, report, renumber) as (graph, values, changes):
         data, notes = io.rendered(path, graph, values, report, form)
     return data, changes + notes
 
@@ -110,21 +110,25 @@ def refuse_unwritable_graph(
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
-    with _renamed(graph, values, renumber) as (graph, values, _):
+    with _renamed(graph, values, report, renumber) as (graph, values, _):
         refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
 
 
 @contextmanager
-def _renamed(graph: FactorGraph, values: Values, renumber: bool) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+def _renamed(
+    graph: FactorGraph, values: Values, report: LoadReport, renumber: bool
+) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
     from nls.io.renumbering import renumbered, with_known_kinds
 
     before = values.stacks
-    graph, values, changes = with_known_kinds(graph, values)
+    changes: list[str] = []
+    if not report.gtsam_kinds:
+        graph, values, changes = with_known_kinds(graph, values)
     if renumber:
         names = dict(zip(values.stacks, before, strict=True))
-        graph, values, numbers = renumbered(graph, values, names)
+        graph, values, numbers = renumbered(graph, values, report, names)
         changes = changes + numbers
     try:
         yield graph, values, changes

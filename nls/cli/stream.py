@@ -23,7 +23,7 @@ from factors.base import Factor
 from factors.definite import diagonal
 from factors.replaced import replaced
 from factors.robust import kernel_from_text
-from models import LieGroup
+from models import SE2, SE3, LieGroup
 from models.algebra import Index
 from models.finite import finite_or_none
 from nls.cli.outputs import input_name, refuse_unwritable
@@ -173,6 +173,7 @@ class _Reader:
         self._switches = b""  # of edges to come
         self.tags: set[str] = set()
         self._fixed: set[bytes] = set()
+        self._keyed, self._plain = set[str](), set[str]()  # kinds by their ids, in all blocks
         self._lines: list[bytes] = []  # that are not in the digest yet, where one is wanted
         self._hash, self._hashed = hashlib.sha256(), 0
 
@@ -207,6 +208,13 @@ class _Reader:
         self.dialect = report.format
         unused = "\n".join([*report.ignored, ""]).encode("utf-8", "surrogateescape")
         self._switches = b"".join(SWITCH.findall(unused))
+        self._keyed |= set(report.gtsam_kinds)
+        self._plain |= set(values.stacks) - set(report.gtsam_kinds)
+        if both := self._keyed & self._plain:
+            raise nls.GraphFileError(
+                f"has {min(both)} as ids and as keys of GTSAM: two things of one name; give the file, not a pipe",
+                self.name,
+            )
         yield from self._arriving(graph, values, report)
 
     def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
@@ -232,22 +240,25 @@ class _Reader:
             warnings.warn(f"{self.name}: {note}", nls.GraphWarning, stacklevel=2)
         if self.options.robust is not None:
             graph = graph.robust(kernel_from_text(self.options.robust))
-        kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
+        places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
+        moved = [stack for stack in values.stacks.values() if stack.kind not in places]
+        poses = [s.kind for s in moved if s.manifold in (SE2, SE3)]
+        kinds = poses or [s.kind for s in moved if isinstance(s.manifold, LieGroup)][:1] or ["x"]
         lines = [source.lines for source in report.sources] if report.has_lines else None
-        for arrived in self._new(graph.factors, lines, kind):
+        for arrived in self._new(graph.factors, lines, kinds):
             arrived = replace(arrived, factors=[*map(_alone, arrived.factors)])
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
 
-    def _new(self, factors: list[Factor], lines: list[Index] | None, kind: str) -> Iterator[Arrived]:
+    def _new(self, factors: list[Factor], lines: list[Index] | None, kinds: list[str]) -> Iterator[Arrived]:
         """The steps of measurements that are not in the estimate yet."""
         if lines is None:
-            yield from dropwhile(lambda arrived: arrived.line <= self._done, steps(factors, None, kind))
+            yield from dropwhile(lambda arrived: arrived.line <= self._done, steps(factors, None, kinds))
             return
         masks = [at > self._done for at in lines]
         rest = [(factor[new], at[new]) for factor, at, new in zip(factors, lines, masks, strict=True) if new.any()]
         if rest:
-            yield from steps([factor for factor, _ in rest], [at for _, at in rest], kind)
+            yield from steps([factor for factor, _ in rest], [at for _, at in rest], kinds)
 
     def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
         """The first pose of a stream: as its vertex has it, otherwise in the origin."""

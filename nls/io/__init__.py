@@ -302,7 +302,7 @@ def rendered(
         from nls.io.renumbering import check_renumber, renumbered
 
         check_renumber(dialect)
-        graph, values, changes = renumbered(graph, values)
+        graph, values, changes = renumbered(graph, values, report)
         notes += changes
     if dialect == "bal":
         from nls.io.bal import bal_text

@@ -23,6 +23,7 @@ from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import LineOptions, choose, refuse_needless
+from nls.io.gtsam_keys import id_text, with_letters
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record, spaces_of
@@ -128,7 +129,7 @@ def read_graph(
     switches.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
-    return graph, values, report
+    return with_letters(graph, values, report, roles.all_ids())
 
 
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
@@ -277,7 +278,7 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
         has_vertices = len(roles.vertex_ids) > 0
         named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
         raise text.error(
-            f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
+            f"FIX names vertex {id_text(numbers[k])}, which no {named} line has; add one, or take {numbers[k]} out",
             int(owner[k]),
         )
     fixed = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]

@@ -9,6 +9,7 @@ import numpy as np
 from models.advice import Advice
 from models.algebra import Index, Numbers
 from models.listing import several
+from nls.io.gtsam_keys import id_text
 from nls.io.lines import Lines, among, by_number, different, joined
 from nls.io.records import KINDS, Format
 from nls.io.report import LoadReport
@@ -138,7 +139,7 @@ class Roles:
             if line < other_line:
                 line, other_line, use, other_use = other_line, line, other_use, use
             raise self.text.error(
-                f"vertex {number} is used as {use} here, and as {other_use} on line {other_line + 1}", line
+                f"vertex {id_text(number)} is used as {use} here, and as {other_use} on line {other_line + 1}", line
             )
 
     def _refuse_missing(self, lines: dict[str, Lines]) -> None:
@@ -152,13 +153,13 @@ class Roles:
                 k = int(np.argmin(is_known))
                 if other_role in lines and (ids[k] == lines[other_role].ids[0]).any():
                     line = int(lines[other_role].at[np.argmax(lines[other_role].ids[0] == ids[k])])
-                    message = f"the edge needs a {role}, vertex {ids[k]} is a {other_role} (line {line + 1})"
+                    message = f"the edge needs a {role}, vertex {id_text(ids[k])} is a {other_role} (line {line + 1})"
                     raise self.text.error(message, int(block.at[k]))
                 tag = lines[role].record.tag.decode() if role in lines else f"{role} vertex"
                 self._refuse_unknown(int(ids[k]), int(block.at[k]), tag)
                 raise self.text.error(
-                    f"the edge needs vertex {ids[k]}, which no {tag} line has (others are there); add it, or take out "
-                    "all vertices to have poses chained along the edges",
+                    f"the edge needs vertex {id_text(ids[k])}, which no {tag} line has (others are there); add it, or "
+                    "take out all vertices to have poses chained along the edges",
                     int(block.at[k]),
                     [Advice("drop absent")],
                 )

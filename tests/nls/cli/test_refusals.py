@@ -29,6 +29,7 @@ FILES = {
     "lines.txt": "".join(f"EDGE2 {k} {k + 1} 1 0 0.1 100 0 50 200 0 0\n" for k in range(3)),
     "a.pyfg": PYFG,
     "kinds.pyfg": PYFG.replace("A1", "B1"),
+    "names.pyfg": PYFG.replace("A0", "AUV0").replace("A1", "ROV1"),
     "t.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
     "bad": "0 1 2 3 0 0 0 2\n",
     "empty": "",
@@ -111,7 +112,8 @@ solve a.pyfg -o out.g2o => cannot be written to a g2o file; poses A are written 
 convert b.bal out.g2o => out.g2o: .
 convert b.bal out.pyfg => variables c in .wx.* have no line in a PyFactorGraph file
 convert {b.bal|kinds.pyfg} out.tum => poses of one kind, this graph has (none|A, B)
-convert kinds.pyfg out.g2o => or let `nls convert` rename them, which takes one kind of poses
+convert kinds.pyfg out.g2o => Range.A0, L3. cannot be written to a g2o file
+convert names.pyfg out.g2o => or kinds of one or two letters, or let `nls convert` rename one kind of poses
 convert empty out.tum => empty:1: is empty
 convert bad out.g2o => is no graph
 
