@@ -72,8 +72,8 @@ def load(
         a warning) instead of refusing the file; for the dialects g2o and toro.
     elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see
         `factors.sonar_factors`.
-    ignore_tags : of a file with tags, unknown ones that begin with ``EDGE`` and may be left out (with a warning).
-        Others are refused: lines that join variables are not read past in silence.
+    ignore_tags : of a file with tags, unknown ones that begin with ``EDGE`` and may be left out (with a warning), also
+        as one text with commas. Others are refused: lines that join variables are not read past in silence.
     drop_absent : leave out edges to vertices that no line gives (with a warning) instead of refusing the file; of g2o
         and TORO files that give vertices.
 
