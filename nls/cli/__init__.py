@@ -105,7 +105,9 @@ def _failed(error: Exception, phase: Phase, options: argparse.Namespace | None) 
 
 
 def _one_line_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"nls: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    from nls.cli.outputs import say
+
+    say(f"nls: warning: {' '.join(str(message).split())}", error=True)
 
 
 def _version() -> int:

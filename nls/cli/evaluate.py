@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nls.cli.outputs import refuse_unwritable, write_json
+from nls.cli.outputs import refuse_unwritable, say, write_json
 
 if TYPE_CHECKING:
     from models.algebra import Array, Index
@@ -34,7 +34,7 @@ def evaluate(options: argparse.Namespace) -> int:
     options.phase.now("while writing the report")
     write_json(record, options.json)
     if options.json != "-":
-        print("\n".join(lines(record)))
+        say("\n".join(lines(record)))
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from importlib import import_module
 from typing import Any, NoReturn
@@ -21,6 +20,7 @@ from nls.cli.choices import (
     STARTS,
     TREATMENTS,
 )
+from nls.cli.outputs import say
 
 __all__ = ["parser"]
 
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
     """Says what is wrong with the arguments in one line."""
 
     def error(self, message: str) -> NoReturn:
-        print(f"nls: {message}; see '{self.prog} --help'", file=sys.stderr)
+        say(f"nls: {message}; see '{self.prog} --help'", error=True)
         raise SystemExit(2)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from models.visible import CONTROLS
 from nls.io.importing.bags import Bag, is_bag, refuse_no_log
 from nls.io.importing.guess import guess, guesses, plain
 from nls.io.importing.quantities import LARGEST
@@ -211,7 +212,8 @@ def _is_acoustic(chosen: dict[str, str]) -> bool:
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:
     """A line of a mapping; says which unit is taken where the log names none."""
     name = chosen[column]
-    quoted, words = json.dumps(name, ensure_ascii=False), set(plain(name).split())
+    quoted = CONTROLS.sub(lambda control: f"\\u{ord(control[0]):04x}", json.dumps(name, ensure_ascii=False))
+    words = set(plain(name).split())
     kind, own = mission_unit(column)
     if column == "z_m" and {"altitude", "height", "alt"} & words:
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
