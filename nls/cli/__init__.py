@@ -96,7 +96,7 @@ def _failed(error: Exception, phase: Phase, options: argparse.Namespace | None) 
 
     if isinstance(error, OSError) and error.filename is None and error.strerror:
         return phase.unprinted(error)  # every file has an error of its own
-    known = isinstance(error, LeadlineError | OSError | MemoryError)
+    known = isinstance(error, LeadlineError | OSError | MemoryError | Warning)  # as PYTHONWARNINGS=error raises
     if isinstance(error, LeadlineError):
         given = vars(options).items() if options is not None else ()
         error.leave_out({f"--{name.replace('_', '-')} {value}" for name, value in given})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
     from factors.base import Factor
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.io.report import Source
     from nls.optimizers import Result
     from nls.robust import Robustified
+    from nls.robust.graduated import Rejected
     from nls.values import Values
 
 __all__ = ["choice_of", "record", "without_rejected"]
@@ -104,8 +107,13 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     return choice
 
 
-def record(choice: Robustified) -> dict[str, Any]:
-    """For programs."""
+def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
+    """For programs; with the file and the line of what was rejected, where the factors as read have some."""
+
+    def rejected(r: Rejected) -> dict[str, Any]:
+        path, lines = sources[r.number]
+        return {"factor": r.factor, "sigmas": r.sigmas, "file": path, "line": int(lines[r.measurement]) or None}
+
     return {
         "doubted": choice.doubted,
         "probability": choice.probability,
@@ -114,7 +122,7 @@ def record(choice: Robustified) -> dict[str, Any]:
         "sigma0_between_neighbors": choice.local,
         "strain": choice.strain,
         "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
-        "rejected": [{"factor": measurement.factor, "sigmas": measurement.sigmas} for measurement in choice.rejected],
+        "rejected": [rejected(r) for r in choice.rejected],
         "doubts": [
             {"kind": d.kind.name, "part": d.fraction, "sentence": str(d)} | {name: getattr(d, name) for name in NUMBERS}
             for d in choice.doubts

@@ -144,7 +144,7 @@ def refuse_name(option: str, name: str | None, suffixes: Sequence[str]) -> None:
     """
     from models.errors import OptionError
 
-    if name and Path(name).suffix.lower() not in suffixes:
+    if name and not (Path(name).suffix and name.lower().endswith(tuple(suffixes))):
         raise OptionError(option, name, "a file name ending in " + ", ".join(suffixes))
 
 

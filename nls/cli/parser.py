@@ -252,8 +252,12 @@ def parser() -> Parser:
     )
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)
-    evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
-    evaluate.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument(
+        "file",
+        metavar="ESTIMATE",
+        help="a trajectory: tum, kitti, csv as trajectory.csv, a graph, or the folder of a solution",
+    )
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: as ESTIMATE, or the folder of a mission")
     evaluate.add_argument(
         "--align",
         default="none",

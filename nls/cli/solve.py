@@ -61,6 +61,8 @@ def _checked(options: argparse.Namespace) -> Job:
         if (select := selection_of(options)) is not None:
             job.select, options.robust, options.init = select, None, "file"
     refuse(options.sigmas, options.robust, options.improve)
+    if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
+        refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
@@ -144,6 +146,7 @@ def _take(job: Job, choice: Robustified, name: str) -> None:
     from nls.cli import outliers
 
     job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
+    job.sources = job.report.sources
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.values = outliers.without_left(job.values, choice.result.values)
     if job.form and (count := len(choice.rejected)):

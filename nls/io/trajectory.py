@@ -19,14 +19,14 @@ from models import SE2, SE3
 from models.algebra import Array
 from models.errors import GraphError
 from models.finite import numbers
-from models.listing import several
+from models.listing import several, some
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import measurements_left_out, note_comments
-from nls.values import Values
+from nls.values import Stack, Values
 
 __all__ = [
     "TRAJECTORIES",
@@ -199,15 +199,27 @@ def _text(table: Array) -> bytes:
     return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
 
 
+def track_of(path: str | Path, values: Values) -> Stack:
+    """The poses of a graph: those of its only kind of poses, or of the kind x.
+
+    Raises
+    ------
+    GraphError
+        No poses, or several kinds without x.
+    """
+    poses = {stack.kind: stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)}
+    if len(poses) != 1 and "x" not in poses:
+        raise GraphError(
+            f"{path}: a trajectory is of the poses of one kind, this graph has {some(list(poses)) or 'none'}"
+        )
+    return poses.get("x") or next(iter(poses.values()))
+
+
 def trajectory_text(
     path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> tuple[bytes, list[str]]:
     """Poses in the order of their times or numbers."""
-    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
-    if len(poses) != 1:
-        names = ", ".join(stack.kind for stack in poses) or "none"
-        raise GraphError(f"{path}: a trajectory file holds the poses of one kind, this graph has {names}")
-    (stack,) = poses
+    stack = track_of(path, values)
     known = {} if report is None else report.vertex_times
     timed = stack.kind in known
     times = known[stack.kind] if timed else stack.numbers.astype(float)

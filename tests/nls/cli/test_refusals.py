@@ -54,6 +54,7 @@ solve graph.g2o {--update-tol|--chi2-rtol} {nan|-1|inf} => --(update-tol|chi2-rt
 stream graph.g2o --lag {-1|0} => --lag: (-1|0) is not possible; expected a whole number of poses of at least 1$
 {solve|explain|info} graph.g2o {--json ''|--json alone} => --json: '(|alone)' is not possible; expected
 solve graph.g2o {-o|--covariance|--plot|--report} '' => (-o|--covariance|--plot|--report): '' is not possible
+solve graph.g2o --covariance {c.xlsx|c|c.zip} => --covariance: 'c.*' is not possible; expected a file name ending in .csv
 {plot|convert} graph.g2o '' => ^nls: OUT: '' is not possible
 stream m => m: is a folder; expected a file or a pipe: nls convert m m.npz writes one$
 stream graph.g2o --checkpoint '' => --checkpoint: '' is not possible
