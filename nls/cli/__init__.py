@@ -99,6 +99,10 @@ def _failed(error: Exception, phase: Phase, options: argparse.Namespace | None) 
     known = isinstance(error, LeadlineError | OSError | MemoryError | Warning)  # as PYTHONWARNINGS=error raises
     if isinstance(error, LeadlineError):
         given = vars(options).items() if options is not None else ()
+        if phase.as_read is not None:
+            from nls.cli.formats import name_lines
+
+            name_lines(error, *phase.as_read)
         error.leave_out({f"--{name.replace('_', '-')} {value}" for name, value in given})
     complain(error if known else f"internal error, please report it (--debug shows where): {error!r}")
     return 1 if isinstance(error, UnderconstrainedError) else 2

@@ -56,7 +56,7 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     except ValueError as error:
         raise nls.OptionError("--robust", robust, allowed) from error
     if loss not in LOSSES or not 0 < probability < 1:
-        raise nls.OptionError("--robust", robust, allowed + did_you_mean(f"{PREFIX}{loss}", GNC))
+        raise nls.OptionError("--robust", robust, allowed + did_you_mean(robust.partition(":")[0], GNC))
     if init != "auto":
         raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
     if not (contacts := contacts_of(graph)):

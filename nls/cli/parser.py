@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from functools import partial
 from importlib import import_module
 from typing import Any, NoReturn
@@ -86,7 +87,14 @@ threads: one while a graph is solved; elsewhere one, unless the environment says
 class Parser(argparse.ArgumentParser):
     """Says what is wrong with the arguments in one line."""
 
+    words: list[str]
+
     def error(self, message: str) -> NoReturn:
+        if "arguments are required" in message:
+            given = [word for word in self.words if word.startswith("--")]
+            names = tuple(self._option_string_actions)
+            if unknown := [word for word in given if not any(n.startswith(word.partition("=")[0]) for n in names)]:
+                self._refuse(unknown)
         say(f"nls: {message}; see '{self.prog} --help'", error=True)
         raise SystemExit(2)
 
@@ -99,22 +107,21 @@ class Parser(argparse.ArgumentParser):
             error.message += did_you_mean(value, action.choices or ())
             raise
 
-    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        options, unknown = self.parse_known_args(args, namespace)
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.words = sys.argv[1:] if args is None else list(args)
+        options, unknown = super().parse_known_args(self.words, namespace)
         if unknown:
-            from models.options import did_you_mean
+            self._refuse(unknown)
+        return options, unknown
 
-            command = getattr(options, "command", None)
-            known = self.choices_of(command)
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{did_you_mean(unknown[0].split('=')[0], known)}")
-        return options
+    def _refuse(self, unknown: list[str]) -> NoReturn:
+        """Refuse words that are no options of this command; says which one is near."""
+        from models.options import did_you_mean
 
-    def choices_of(self, command: str | None) -> list[str]:
-        """Names of the options of a command; of the program where there is none."""
-        for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction) and command in action.choices:
-                return [name for option in action.choices[command]._actions for name in option.option_strings]
-        return [name for option in self._actions for name in option.option_strings]
+        known = [name[2:] for name in self._option_string_actions if name.startswith("--")]
+        word = unknown[0].partition("=")[0] if unknown[0].startswith("--") else ""
+        near = did_you_mean(word[2:], known).replace("'", "'--", 1)
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
 
 
 class Once(argparse.Action):
@@ -309,7 +316,7 @@ def _input(command: argparse.ArgumentParser) -> None:
 
 def _dives(command: argparse.ArgumentParser) -> None:
     """Further missions, which are one graph with the first."""
-    command.add_argument("dives", metavar="DIVE", nargs="*", help="folders of further missions at the same place")
+    command.add_argument("dives", metavar="DIVE", nargs="*", default=[], help="folders of further missions there")
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:

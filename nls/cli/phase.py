@@ -29,11 +29,13 @@ class Phase:
     ----------
     doing : the activity of this moment, such as ``while reading survey.g2o``.
     written : files that are complete.
+    as_read : the graph and its report, once they are read; an error may be about one of the measurements.
     """
 
     def __init__(self, program: str) -> None:
         self.program, self.doing = program, "at its start"
         self.written: list[str] = []
+        self.as_read: Any = None
 
     def __str__(self) -> str:
         written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.io.importing.dates import EXAMPLE, NANOSECONDS, formats, since_1970
+from nls.io.importing.dates import EXAMPLE, LATEST, NANOSECONDS, YEARS, formats, since_1970
 from nls.io.importing.mapping import Section
 from nls.io.importing.quantities import unit_of
 from nls.io.importing.text_log import MISSING, Log, is_number
@@ -16,7 +16,6 @@ from nls.io.importing.units import factor
 
 __all__ = ["DAY", "WEEK", "Stamps", "stamps"]
 
-LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
 DAY, WEEK = 86_400 * NANOSECONDS, 604_800 * NANOSECONDS
@@ -131,6 +130,10 @@ def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[s
 def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], present: Mask, notes: list[str]) -> Index:
     """Times (n,) of texts, ns since 1970; without a zone they are of UTC, which is noted."""
     cell, options, rows = section.cells[column], section.options, np.flatnonzero(present)
+    if not abs(cell.offset) < LATEST:
+        raise section.error(
+            column, f"offset is {cell.offset:g} s; expected less than {LATEST:g}, which is {YEARS[-1] + 1}"
+        )
     day, texts = ONE_DAY if "date" in options else "", [words[k] for k in rows.tolist()]
     since = np.zeros(len(words), dtype=np.int64)
     try:
