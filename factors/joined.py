@@ -16,7 +16,7 @@ from factors.robust import Robust
 from factors.slices import below
 from models.algebra import Array
 
-__all__ = ["alike", "batch_of", "bound_batch", "grouped", "joined", "joined_noise", "sort_of"]
+__all__ = ["alike", "batch_of", "bound_batch", "form_of", "grouped", "joined", "joined_noise", "sort_of"]
 
 
 def joined(models: Sequence[Model]) -> list[Factor]:
@@ -125,7 +125,7 @@ def joined_noise(noises: Sequence[Noise], counts: Sequence[int]) -> Noise | None
     (Isotropic([0.1, 0.2, 0.3]), Isotropic(0.1))
     """
     first = noises[0]
-    if len({id(noise) for noise in noises}) > 1 and len({_form(noise) for noise in noises}) > 1:
+    if len({id(noise) for noise in noises}) > 1 and len({form_of(noise) for noise in noises}) > 1:
         return None
     whole = copy(first)
     for name, value in vars(first).items():
@@ -134,13 +134,13 @@ def joined_noise(noises: Sequence[Noise], counts: Sequence[int]) -> Noise | None
     return whole
 
 
-def _form(value: Any) -> Hashable:
+def form_of(value: Any) -> Hashable:
     """Types, names, and the shapes of what a measurement has."""
     if isinstance(value, np.ndarray):
         trailing: tuple[int, ...] = value.shape[1:]
         return trailing
     if isinstance(value, Noise):
-        return type(value), _form(vars(value))
+        return type(value), form_of(vars(value))
     if isinstance(value, dict):
-        return tuple((name, _form(item)) for name, item in value.items())
+        return tuple((name, form_of(item)) for name, item in value.items())
     return _hashable(value)

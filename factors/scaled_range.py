@@ -7,13 +7,15 @@ import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
-from factors.noise import Noise
+from factors.noise import Isotropic, Noise
 from factors.range import Range
 from models import Manifold, Measured, R
 from models.algebra import Array
 from models.errors import GraphError
 
 __all__ = ["ScaledRange"]
+
+UNIT = Isotropic(1.0)  # of a prediction, which has no noise
 
 
 class ScaledRange(Factor):
@@ -77,20 +79,20 @@ class ScaledRange(Factor):
         super().__init__([pose, target, scale], z, noise)
         self.offset = Range(pose, target, z, noise, offset).offset  # which refuses what is no range or offset
 
-    def unscaled(self) -> Range:
-        """The same measurements, with the scale taken to be 0."""
+    def unscaled(self, noise: Noise | None = None) -> Range:
+        """The same measurements, with the scale taken to be 0, and another noise where one is given."""
         assert not isinstance(self.offset, Keys)
-        return Range(self.keys[0], self.keys[1], self.z, self.noise, self.offset)
+        return Range(self.keys[0], self.keys[1], self.z, noise or self.noise, self.offset)
 
     def sizes(self) -> tuple[int, ...]:
         return (1,)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        self.unscaled().space(manifolds[:2])
+        self.unscaled(UNIT).space(manifolds[:2])
         return Measured("range")
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        r, H = self.unscaled().predict(manifolds[:2], *X[:2])
+        r, H = self.unscaled(UNIT).predict(manifolds[:2], *X[:2])
         assert H is not None
         scale = 1 + X[2]
         H_X, H_l = (scale[:, :, None] * np.asarray(block) for block in H)

@@ -255,7 +255,7 @@ def parser() -> Parser:
     stream.add_argument(
         "--checkpoint",
         metavar="STATE",
-        help="file of the state, written every 100 steps; the next run goes on from it (a pickle: load only your own)",
+        help="file of the state, written every 100 steps; the next run goes on from it, equal to the bit",
     )
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)

@@ -6,13 +6,12 @@ import argparse
 import hashlib
 import json
 import os
-import pickle
 import re
 import shlex
 import sys
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BufferedReader
 from itertools import chain, dropwhile
@@ -20,11 +19,16 @@ from time import perf_counter
 from typing import Any, cast
 
 import nls
+from factors.base import Factor
+from factors.definite import diagonal
+from factors.replaced import replaced
 from factors.robust import kernel_from_text
 from models import LieGroup
+from models.algebra import Index
 from models.finite import finite_or_none
 from nls.cli.outputs import input_name, refuse_unwritable
 from nls.gauge import fixed_variables
+from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.steps import Arrived, steps
 from nls.io import NATIVE, foreign
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
@@ -35,7 +39,6 @@ from nls.io.report import LoadReport
 
 __all__ = ["stream"]
 
-HEAD = b"checkpoint of nls stream, version 1\n"
 EVERY = 100  # steps from one checkpoint to the next
 AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
 PARAMETERS, VERTEX, FIX = (
@@ -49,18 +52,20 @@ SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair
 class Session:
     """How far a stream is.
 
+    The last step of a file may go on in a longer one: a checkpoint at the end has the estimate before it.
+
     Attributes
     ----------
     smoother : the estimate.
-    settings : the options that it depends on.
-    step, line : the last ones.
+    step, line : the last ones that are in it.
+    printed : line up to which steps were printed.
     digest : of all lines up to that one.
     """
 
     smoother: nls.Incremental
-    settings: dict[str, Any]
     step: int = 0
     line: int = 0
+    printed: int = 0
     digest: str = ""
 
 
@@ -74,26 +79,43 @@ def stream(options: argparse.Namespace) -> int:
         raise nls.GraphFileError(f"is a folder; expected a file or a pipe: {cure}", options.file)
     session, name = _begun(options), input_name(options.file)
     options.phase.now(f"while streaming {name}")
-    reader = _Reader(options)
-    arrivals = chain.from_iterable(map(reader.steps, _blocks(options)))
+    reader = _Reader(options, session)
     same = False
-    for arrived, values in dropwhile(lambda arrival: arrival[0].line <= session.line, arrivals):
-        if not same:
+    for arrived, values, last in _arrivals(options, reader):
+        if not same and arrived.line >= session.printed:
             _refuse_other(options, session, reader)
             same = True
+        state = _checkpoint(options, session, reader, arrived.line) if last else b""
         began = perf_counter()
         session.smoother.update(arrived.factors, values)
         session.step, session.line = session.step + 1, arrived.line
-        print(json.dumps(finite_or_none(_facts(session, arrived, 1e3 * (perf_counter() - began)))), flush=True)
-        if options.checkpoint is not None and session.step % EVERY == 0:
-            _save(options, session, reader)
+        if arrived.line > session.printed:
+            facts = _facts(session, arrived, 1e3 * (perf_counter() - began))
+            print(json.dumps(finite_or_none(facts)), flush=True)
+            session.printed = arrived.line
+        if session.step % EVERY == 0 and same and not last:
+            state = _checkpoint(options, session, reader, arrived.line)
+        if state:
+            write_bytes(options.checkpoint, state)
     if not session.step:
         raise nls.GraphFileError("has no measurement: nothing to stream", name)
-    if options.checkpoint is not None:
-        if not same:
-            _refuse_other(options, session, reader)
-        _save(options, session, reader)
+    if not same:
+        _refuse_other(options, session, reader)
+    if options.checkpoint is not None and options.file == "-":
+        write_bytes(options.checkpoint, _checkpoint(options, session, reader, session.line))
     return 0
+
+
+def _arrivals(options: argparse.Namespace, reader: _Reader) -> Iterator[tuple[Arrived, nls.Values, bool]]:
+    """Steps, what is said of their variables, and whether a step is the last: of a file, nobody knows it of a pipe."""
+    arrivals = chain.from_iterable(map(reader.steps, _blocks(options)))
+    if options.file == "-":
+        yield from ((arrived, values, False) for arrived, values in arrivals)
+        return
+    ahead = next(arrivals, None)
+    while ahead is not None:
+        (arrived, values), ahead = ahead, next(arrivals, None)
+        yield arrived, values, ahead is None
 
 
 def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str, Any]:
@@ -140,9 +162,10 @@ def _blocks(options: argparse.Namespace) -> Iterator[bytes]:
 class _Reader:
     """The steps of blocks of lines, which are numbered from the first block on."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: argparse.Namespace, session: Session) -> None:
         self.options, self.name, self.dialect = options, input_name(options.file), options.dialect
-        self.before, self._parameters, self._vertices, self._begun = 0, b"", b"", False
+        self._done = session.line  # the last that is in the estimate
+        self.before, self._parameters, self._vertices, self._begun = 0, b"", b"", session.step > 0
         self._fixed: set[bytes] = set()
         self._lines: list[bytes] = []  # that are not in the digest yet, where one is wanted
         self._hash, self._hashed = hashlib.sha256(), 0
@@ -155,7 +178,7 @@ class _Reader:
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
-            self._lines += block.splitlines(keepends=True)
+            self._lines += block.splitlines()
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
         if form == "bal":
@@ -200,9 +223,20 @@ class _Reader:
             graph = graph.robust(kernel_from_text(self.options.robust))
         kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
         lines = [source.lines for source in report.sources] if report.has_lines else None
-        for arrived in steps(graph.factors, lines, kind) if graph.factors else ():
+        for arrived in self._new(graph.factors, lines, kind):
+            arrived = replace(arrived, factors=[*map(_alone, arrived.factors)])
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
+
+    def _new(self, factors: list[Factor], lines: list[Index] | None, kind: str) -> Iterator[Arrived]:
+        """The steps of measurements that are not in the estimate yet."""
+        if lines is None:
+            yield from dropwhile(lambda arrived: arrived.line <= self._done, steps(factors, None, kind))
+            return
+        masks = [at > self._done for at in lines]
+        rest = [(factor[new], at[new]) for factor, at, new in zip(factors, lines, masks, strict=True) if new.any()]
+        if rest:
+            yield from steps([factor for factor, _ in rest], [at for _, at in rest], kind)
 
     def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
         """The first pose of a stream: as its vertex has it, otherwise in the origin."""
@@ -218,10 +252,17 @@ class _Reader:
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
         count = line - self._hashed
-        self._hash.update(b"".join(self._lines[:count]))
+        self._hash.update(b"".join(text + b"\n" for text in self._lines[:count]))
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
+
+
+def _alone(factor: Factor) -> Factor:
+    """Measurements as in a file of their own: one full matrix in a file makes the whiteners of all full."""
+    model = factor._model
+    full = model is None or (model.W.ndim == 3 and diagonal(model.W) is not None)
+    return replaced(factor) if full else factor
 
 
 def _begun(options: argparse.Namespace) -> Session:
@@ -232,39 +273,35 @@ def _begun(options: argparse.Namespace) -> Session:
     GraphFileError
         No checkpoint, or one of other options.
     """
-    settings = {name: getattr(options, name) for name in SETTINGS}
     path = options.checkpoint
     if path is None or not os.path.exists(path):
-        return Session(nls.Incremental(options.tol, options.lag, options.landmarks), settings)
-    with open(path, "rb") as file:
-        data = file.read()
-    if not data.startswith(HEAD):
-        raise nls.GraphFileError("is no checkpoint of this version of nls stream; give --checkpoint another name", path)
-    try:
-        session = pickle.loads(data[len(HEAD) :])
-    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError) as error:
-        raise nls.GraphFileError("is a damaged checkpoint; remove it to begin anew", path) from error
-    assert isinstance(session, Session)
-    for name, value in session.settings.items():
-        if settings[name] != value:
+        return Session(nls.Incremental(options.tol, options.lag, options.landmarks))
+    smoother, about = read_smoother(path, nls.Incremental)
+    if not about:
+        raise nls.GraphFileError("is a smoother that no stream wrote; give --checkpoint another name", path)
+    for name, value in about.pop("settings").items():
+        if (given := getattr(options, name)) != value:
             option = name.replace("_", "-")
             raise nls.GraphFileError(
-                f"was made with --{option} {value}, not {settings[name]}; give the same options, or remove it", path
+                f"was made with --{option} {value}, not {given}; give the same options, or remove it", path
             )
-    return session
+    return Session(smoother, **about)
 
 
-def _save(options: argparse.Namespace, session: Session, reader: _Reader) -> None:
-    """Write the checkpoint, whole or not at all."""
-    session.digest = reader.digest(session.line)
-    write_bytes(options.checkpoint, HEAD + pickle.dumps(session))
+def _checkpoint(options: argparse.Namespace, session: Session, reader: _Reader, line: int) -> bytes:
+    """The bytes of a checkpoint whose steps are printed up to a line; none where none is wanted."""
+    if options.checkpoint is None:
+        return b""
+    settings = {name: getattr(options, name) for name in SETTINGS}
+    how_far = {"step": session.step, "line": session.line, "printed": line, "digest": reader.digest(line)}
+    return smoother_bytes(session.smoother, {"settings": settings, **how_far})
 
 
 def _refuse_other(options: argparse.Namespace, session: Session, reader: _Reader) -> None:
     """Refuse an input that does not begin with the lines a checkpoint was made of."""
-    if session.step and reader.digest(session.line) != session.digest:
+    if session.printed and reader.digest(session.printed) != session.digest:
         raise nls.GraphFileError(
-            f"its first {session.line} lines are not those that {options.checkpoint} was made of; give the same input "
-            "from its begin, or remove the checkpoint",
+            f"its first {session.printed} lines are not those that {options.checkpoint} was made of; give the same "
+            "input from its begin, or remove the checkpoint",
             input_name(options.file),
         )

@@ -12,15 +12,17 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.sighting import Sighting
 from models import LieGroup, Manifold, R
+from models.advice import Advice
 from models.algebra import Mask
 from models.errors import GraphError, LeadlineError
+from models.listing import some
 from models.manifolds.rn import Vectors
 from nls.incremental.beginnings import Known, New, Variable, alone, part, points, together
 from nls.incremental.growing import Variables
 from nls.incremental.window import Window
 from nls.values import Values
 
-__all__ = ["Arrivals", "Ready", "is_about"]
+__all__ = ["Arrivals", "Ready", "blame", "refuse_others"]
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,26 @@ class Arrivals:
             if isinstance(factor, Sighting) and slot == 1 and isinstance(pose, LieGroup):
                 return R(pose.point_dim)
         return None
+
+
+def blame(error: LeadlineError, came: list[Factor], given: list[Factor]) -> None:
+    """Name the measurements that an error is about: those that came, or else those that were given before."""
+    for action, here in (("leave out", came), ("take out", given)):
+        if blamed := [factor for factor in here if is_about(error, factor)]:
+            error.advise(Advice(action, (some([repr(factor) for factor in blamed]),)))
+            return
+
+
+def refuse_others(factors: Sequence[Factor], given: Sequence[Factor]) -> None:
+    """Refuse to remove what was not given."""
+    known = {id(factor) for factor in given}
+    for factor in factors:
+        if not isinstance(factor, Factor):
+            raise GraphError(f"Incremental.remove: expected factors that were given to update, got {factor!r:.80}")
+        if id(factor) not in known:
+            like = any(type(other) is type(factor) and other.keys == factor.keys for other in given)
+            cure = ". Another object of its type and variables is: pass that one" if like else ""
+            raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
 
 
 def is_about(error: LeadlineError, factor: Factor) -> bool:

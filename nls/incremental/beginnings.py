@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,11 +21,14 @@ from models.errors import EvaluationError, SingularGeometryError, Underconstrain
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
 from nls.incremental.growing import Variables
+from nls.optimizers import LevenbergMarquardt, Stop
+from nls.starts import odometry
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import DETERMINED, locate_points
 from nls.values import Stack, Values
 
-__all__ = ["Known", "New", "Variable", "alone", "part", "points", "together"]
+__all__ = ["LIMIT", "Known", "New", "Variable", "alone", "lower_start", "part", "points", "together"]
+LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on
 
 Variable = tuple[str, int]  # kind, number
 
@@ -207,3 +211,13 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
             new = [Keys(kind, n) for kind, n in starts if kind in stacks and n in stacks[kind].numbers]
             return [New(key, stacks[key.kind].manifold, result.values[key[0]]) for key in new]
     return []
+
+
+def lower_start(graph: FactorGraph, values: Values, chi2: float) -> Values | None:
+    """The optimum that a start from the measurements alone leads to, where its chi2 is lower."""
+    nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in values.stacks.items()}
+    with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
+        result = graph.optimize(odometry(graph, values.replaced(nothing)), LevenbergMarquardt(LIMIT))
+        if result.chi2_final < chi2:
+            return result.values
+    return None

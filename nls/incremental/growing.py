@@ -23,6 +23,15 @@ class Growing:
         self._order: Literal["C", "F"] = order
         self._room, self._n = np.array(rows, order=order), len(rows)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The rows, and for how many there is room: those that come later stand in memory as they would have."""
+        return {"rows": self.rows, "room": len(self._room), "order": self._order}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        rows, self._order, self._n = state["rows"], state["order"], len(state["rows"])
+        self._room = np.empty((state["room"], *rows.shape[1:]), rows.dtype, self._order)
+        self._room[: self._n] = rows
+
     def __len__(self) -> int:
         return self._n
 

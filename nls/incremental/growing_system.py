@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from factors.base import Factor
+from factors.base import Factor, Model
 from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
@@ -19,7 +19,7 @@ from models.errors import EvaluationError, SingularGeometryError, Underconstrain
 from nls.gauge import choose_gauge, touched_variables
 from nls.incremental.batch import BatchMark, GrowingBatch, touched
 from nls.incremental.growing import Variables
-from nls.incremental.marginal import MarginalPrior, priors_left
+from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
@@ -31,6 +31,8 @@ from nls.values import Values
 
 __all__ = ["GrowingSystem"]
 
+HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
+SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
 ROUGHLY = 0.1  # of the fall of a step, where another one follows anyway
 OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
 AGED = 20  # iterations beyond the first of every solution, after which the preconditioner is made anew
@@ -62,10 +64,6 @@ class GrowingSystem:
         self.held: list[Keys] = []
         self._part = 1.0  # of the last step
 
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the factor, which is made anew."""
-        return {**vars(self), "_preconditioner": None}
-
     @property
     def values(self) -> Values:
         """A copy of the estimate."""
@@ -87,6 +85,17 @@ class GrowingSystem:
         """Whether a kernel weighs some measurements."""
         return any(batch.kernel for batch in self.batches)
 
+    def bound(self, fall: float, last: float = 0.0) -> float:
+        """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
+        if not self.robust:
+            return HONEST * fall
+        rate = min(fall / last, SLOWEST) if last > 0 else SLOW
+        return fall * max(HONEST, 1 / (1 - rate))
+
+    def model(self, factor: Factor) -> Model:
+        """A factor in the spaces of its variables."""
+        return factor.bind(*(self.variables[keys.kind].manifold for keys in factor.keys))
+
     def put(self, values: Values) -> None:
         """Take other values."""
         for kind, stack in values.stacks.items():
@@ -106,8 +115,7 @@ class GrowingSystem:
 
     def enter(self, factor: Factor, given: Factor) -> None:
         """Add measurements of variables that are there, of a factor that was given."""
-        variables = [self.variables[keys.kind] for keys in factor.keys]
-        model = factor.bind(*(v.manifold for v in variables))
+        model, variables = self.model(factor), [self.variables[keys.kind] for keys in factor.keys]
         batch = next((batch for batch in self.batches if batch.takes(model)), None)
         if batch is None:
             batch = GrowingBatch(model, variables)
@@ -159,8 +167,8 @@ class GrowingSystem:
         self._entered = [len(batch) for batch in self.batches]
         self.renew()
 
-    def marginalize(self, gone: dict[str, Mask]) -> list[MarginalPrior]:
-        """Take out variables (n,) by kind, and the measurements of them; what these say of the others.
+    def marginalize(self, gone: dict[str, Mask]) -> None:
+        """Take out variables (n,) by kind, and the measurements of them; what these say of the others enters.
 
         Raises
         ------
@@ -173,7 +181,9 @@ class GrowingSystem:
         priors = priors_left(factors, self.values, leaving)
         self.drop(rows)
         self.leave(gone)
-        return priors
+        for prior in priors:
+            self.enter(prior, prior)
+        self.catch_up()
 
     def leave(self, gone: dict[str, Mask]) -> None:
         """Take out variables (n,) by kind that no measurement is about."""

@@ -24,40 +24,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import Any, Literal
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, Self
 
 import numpy as np
 
-from factors.base import Factor, Model
+from factors.base import Factor
 from factors.joined import joined
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array
-from models.errors import EvaluationError, GraphError, LeadlineError, SingularGeometryError, UnderconstrainedError
+from models.errors import GraphError, LeadlineError, UnderconstrainedError
 from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals, is_about
-from nls.incremental.beginnings import New, part
+from nls.incremental.arrivals import Arrivals, blame, refuse_others
+from nls.incremental.beginnings import LIMIT, New, lower_start, part
 from nls.incremental.decision import Decision
-from nls.incremental.growing_system import GrowingSystem
+from nls.incremental.growing_system import HONEST, GrowingSystem
 from nls.incremental.window import Window
 from nls.linear.updatable import updatable_class
-from nls.optimizers import Fit, LevenbergMarquardt, Stop
+from nls.optimizers import Fit, LevenbergMarquardt
 from nls.robust import Robustified
 from nls.sparse.threads import single_thread
-from nls.starts import odometry
 from nls.values import Values
 
 __all__ = ["Incremental"]
 
-HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 SETTLED = 0.8  # of the tolerance: a smaller gap is no reason for another step
 PASSES = 30
-LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on
-SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
 
 
 class Incremental:
@@ -134,7 +131,7 @@ class Incremental:
                 if self._decision.is_due(factors):
                     self.decide()
             except LeadlineError as error:
-                self._blame(error, factors)
+                blame(error, factors, [given for given, _ in self._system.given])
                 raise
 
     def _use(self, factors: list[Factor], values: Values | None) -> None:
@@ -156,12 +153,9 @@ class Incremental:
         self.gap += self._system.catch_up()
         stacks = [self._system.variables[kind].stack(mask) for kind, mask in gone.items()]
         try:
-            priors = self._system.marginalize(gone)
+            self._system.marginalize(gone)
         except UnderconstrainedError:
             return  # not determined yet: it stays for another step
-        for prior in priors:
-            self._system.enter(prior, prior)
-        self._system.catch_up()
         self._window.leave(stacks)
         self._arrivals.reach()
 
@@ -177,13 +171,6 @@ class Incremental:
                 part.back_to(mark)
             self.gap, self._undecided = numbers
             raise
-
-    def _blame(self, error: LeadlineError, factors: list[Factor]) -> None:
-        """Name the measurements that an error is about: those that came, or else those that were given before."""
-        for action, here in (("leave out", factors), ("take out", [given for given, _ in self._system.given])):
-            if blamed := [factor for factor in here if is_about(error, factor)]:
-                error.advise(Advice(action, (some([repr(factor) for factor in blamed]),)))
-                return
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.
@@ -207,7 +194,7 @@ class Incremental:
         pairs = [*old, *self._decision.rejected]
         suspect = None if doubted is None else np.isin([id(g) for g, _ in pairs], [id(factor) for factor in doubted])
         with self._unless_it_fails():
-            models = [self._bound_model(factor) for _, factor in pairs]
+            models = [self._system.model(factor) for _, factor in pairs]
             decided, keeps = self._decision.judge(models, self.values, suspect)
             parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
             self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
@@ -252,7 +239,7 @@ class Incremental:
         for share in (1.0, *(SETTLED,) * PASSES):
             self.passes += 1
             dx, fall = self._system.step(self._allowed(SETTLED) / HONEST)
-            self.gap = self._bound(fall, last)
+            self.gap = self._system.bound(fall, last)
             if self.gap <= self._allowed(share):
                 return
             if math.isinf(fall) or not self._system.move(dx, fall):
@@ -260,20 +247,13 @@ class Incremental:
             last = fall
         self._solve_batch()
 
-    def _bound(self, fall: float, last: float = 0.0) -> float:
-        """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
-        if not self._system.robust:
-            return HONEST * fall
-        rate = min(fall / last, SLOWEST) if last > 0 else SLOW
-        return fall * max(HONEST, 1 / (1 - rate))
-
     def _solve_batch(self) -> None:
         """Solve the whole graph by damped steps from the present values, where these steps do not arrive."""
         self.batch_solutions += 1
         result = self.graph.optimize(self.values, LevenbergMarquardt(LIMIT))
         self._system.put(result.values)
         _, fall = self._system.step(self._allowed(SETTLED) / HONEST)
-        self.gap = self._bound(min(fall, LIMIT.in_force.chi2_rtol * self.chi2) if result.converged else fall)
+        self.gap = self._system.bound(min(fall, LIMIT.in_force.chi2_rtol * self.chi2) if result.converged else fall)
 
     def remove(self, factors: Factor | Sequence[Factor]) -> None:
         """Take out measurements that were given, all or none of them, and settle.
@@ -293,14 +273,8 @@ class Incremental:
         """
         factors = [factors] if isinstance(factors, Factor) else list(factors)
         here = [*self.pending, *(given for given, _ in [*self._system.given, *self._decision.rejected])]
-        given, out = {id(factor) for factor in here}, {id(factor) for factor in factors}
-        for factor in factors:
-            if not isinstance(factor, Factor):
-                raise GraphError(f"Incremental.remove: expected factors that were given to update, got {factor!r:.80}")
-            if id(factor) not in given:
-                like = any(type(other) is type(factor) and other.keys == factor.keys for other in here)
-                cure = ". Another object of its type and variables is: pass that one" if like else ""
-                raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
+        refuse_others(factors, here)
+        out = {id(factor) for factor in factors}
         with self._unless_it_fails():
             self._undecided = [factor for factor in self._undecided if id(factor) not in out]
             self._decision.rejected = [pair for pair in self._decision.rejected if id(pair[0]) not in out]
@@ -317,17 +291,9 @@ class Incremental:
                 cut = f"Incremental.remove: nothing else joins {apart[-1]} to the rest of the map; join it first"
                 raise UnderconstrainedError(cut, apart[-1:])
             if self.batch_solutions > batches or self._system.fit is not Fit.PLAUSIBLE:  # the map was bent far
-                self._begin_anew()
-
-    def _begin_anew(self) -> None:
-        """Go to the optimum that a start from the measurements alone leads to, where that is lower."""
-        graph, values = self.graph, self.values
-        nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in values.stacks.items()}
-        with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
-            result = graph.optimize(odometry(graph, values.replaced(nothing)), LevenbergMarquardt(LIMIT))
-            if result.chi2_final < self.chi2:
-                self._system.put(result.values)
-        self._solve_batch()
+                if (lower := lower_start(self.graph, self.values, self.chi2)) is not None:
+                    self._system.put(lower)
+                self._solve_batch()
 
     @property
     def values(self) -> Values:
@@ -350,11 +316,7 @@ class Incremental:
     @property
     def graph(self) -> FactorGraph:
         """The measurements that are in the estimate."""
-        return FactorGraph(joined([self._bound_model(factor) for _, factor in self._system.given]))
-
-    def _bound_model(self, factor: Factor) -> Model:
-        """A factor in the spaces of its variables."""
-        return factor.bind(*(self._system.variables[keys.kind].manifold for keys in factor.keys))
+        return FactorGraph(joined([self._system.model(factor) for _, factor in self._system.given]))
 
     @property
     def rejected(self) -> tuple[Factor, ...]:
@@ -393,6 +355,42 @@ class Incremental:
     def linear_solver(self) -> str:
         """How the factor of A'A takes new rows."""
         return updatable_class().name
+
+    def save(self, path: str | Path) -> None:
+        """Write the estimate and all that it goes on from; `load` gives a smoother that is equal to the bit.
+
+        Raises
+        ------
+        GraphError
+            A factor made of a function, of a class without a name, `nls.io.register`, or in a space of your own.
+        GraphFileError
+            The file cannot be written. It is replaced whole or not at all.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     Incremental(lag=50).save(f"{folder}/state")
+        ...     Incremental.load(f"{folder}/state")
+        Incremental(0 variables, 0 factors, chi2 0, gap 0)
+        """
+        from nls.incremental.checkpoint import smoother_bytes
+        from nls.io.files import write_bytes
+
+        write_bytes(path, smoother_bytes(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The smoother of a file that `save` or ``nls stream --checkpoint`` wrote.
+
+        Raises
+        ------
+        GraphFileError
+            It is no such file, of another version, or damaged.
+        """
+        from nls.incremental.checkpoint import read_smoother
+
+        return read_smoother(path, cls)[0]
 
     def __repr__(self) -> str:
         counts = sum(map(len, self._system.variables.values())), len(self._system.given)

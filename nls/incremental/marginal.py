@@ -91,6 +91,7 @@ class MarginalPrior(Factor):
     """
 
     damped = True
+    cached = ("_charts",)  # follows from the other attributes
 
     def __init__(
         self,

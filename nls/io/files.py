@@ -316,6 +316,8 @@ def _write_all(files: Mapping[str, bytes]) -> None:
             with open(temporary, "xb") as file:
                 moves.append((name, temporary, target))
                 file.write(content)
+                file.flush()
+                os.fsync(file.fileno())  # before it replaces what was there
             if mode is not None:
                 os.chmod(temporary, stat.S_IMODE(mode))
         for place, temporary, target in moves:

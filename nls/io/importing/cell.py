@@ -106,7 +106,7 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     if not isinstance(value.get("equals", ""), str | bool | int | float):
         raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
     unit = value.get("unit", "")
-    if unit != "" and (not kind or not isinstance(unit, str) or dimension(unit) != kind):
+    if unit != "" and (not kind or dimension(str(unit)) != kind):
         pressure = "; of a pressure give scale, such as 9.94e-5 for Pa in sea water, and offset"
         cure = pressure if dimension(str(unit)) == "pressure" and column == "z_m" else ""
         raise refuse(f"unit {unit!r} is not one of {known_units(kind)}{cure}")
@@ -131,7 +131,7 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
         raise refuse("several columns; only a date and a time are joined, and a latitude or longitude with its side")
     return Cell(
         names,
-        unit=unit,
+        unit=str(unit),
         scale=scale * (-1.0 if value.get("up") else float(value.get("sign", 1))),
         offset=offset,
         scaled="scale" in value,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.io.importing.dates import EXAMPLE, LATEST, NANOSECONDS, YEARS, formats, since_1970
+from nls.io.importing.dates import EXAMPLE, LATEST, NANOSECONDS, formats, since_1970
 from nls.io.importing.mapping import Section
 from nls.io.importing.quantities import unit_of
 from nls.io.importing.text_log import MISSING, Log, is_number
@@ -85,18 +85,23 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
     present = np.isfinite(numbers)
     unit, scale = _unit(section, log, column, numbers[present], notes)
     seconds = np.where(present, numbers * scale * cell.scale + cell.offset, 0.0)
-    if (late := np.abs(seconds) >= LATEST).any():
-        k = int(np.argmax(late))
-        raise log.error(
-            k,
-            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit of {column} in "
-            f"[{section.table}] of the mapping",
-        )
+    _refuse_late(section, log, column, seconds)
     days = np.floor(seconds)
     ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         ns = np.where(present, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS), 0)
     return Stamps(present, ns, bool(np.abs(seconds).max(initial=0.0) >= EPOCH))
+
+
+def _refuse_late(section: Section, log: Log, column: str, seconds: Array) -> None:
+    """Refuse seconds (n,) that no log has; as nanoseconds they may be no whole numbers of 64 bits."""
+    if (late := np.abs(seconds) >= LATEST).any():
+        k, name = int(np.argmax(late)), section.cells[column].columns[-1]
+        raise log.error(
+            k,
+            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit and offset of "
+            f"{column} in [{section.table}] of the mapping",
+        )
 
 
 def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
@@ -130,10 +135,6 @@ def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[s
 def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], present: Mask, notes: list[str]) -> Index:
     """Times (n,) of texts, ns since 1970; without a zone they are of UTC, which is noted."""
     cell, options, rows = section.cells[column], section.options, np.flatnonzero(present)
-    if not abs(cell.offset) < LATEST:
-        raise section.error(
-            column, f"offset is {cell.offset:g} s; expected less than {LATEST:g}, which is {YEARS[-1] + 1}"
-        )
     day, texts = ONE_DAY if "date" in options else "", [words[k] for k in rows.tolist()]
     since = np.zeros(len(words), dtype=np.int64)
     try:
@@ -143,6 +144,7 @@ def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], pre
         raise log.error(int(rows[k]), f"{texts[k][:40]!r} {problem}; {_cure(section, texts, k, day)}") from error
     if not zoned:
         notes.append(f"{log.title}: {cell.columns[-1]!r} names no zone; its times are taken to be UTC")
+    _refuse_late(section, log, column, np.where(present, since / NANOSECONDS + cell.offset, 0.0))
     return since + round(cell.offset * NANOSECONDS)
 
 

@@ -25,9 +25,10 @@ from nls.io.report import LoadReport, Source
 from nls.sparse.singles import Singles
 from nls.values import Values
 
-__all__ = ["native_bytes", "read_native"]
+__all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]
 
 FORMAT, VERSION = "leadline graph", 1
+PARTS = ("values", "fixed", "factors")
 STRUCTURE = "structure"  # the array of an archive that says what the others are
 SPACES = {space.name: space for space in (SO2, SE2, SO3, SE3, LINE)}
 VECTORS = re.compile(r"R\(([1-9][0-9]{0,4})\)")
@@ -52,9 +53,7 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
     times = {} if report is None else report.vertex_times
     stacks: dict[str, Any] = {}
     for kind, stack in values.stacks.items():
-        space = str(stack.manifold)
-        if _space(space) is not stack.manifold:
-            raise GraphError(f"{path}: {kind} is in {space}, a space of your own, which no file holds")
+        space = name_of_space(stack.manifold, f"{path}: {kind}")
         stacks[kind] = {"space": space, "numbers": stack.numbers, "X": stack.X}
         if kind in times:
             stacks[kind]["times"] = np.asarray(times[kind])
@@ -100,9 +99,10 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     version = plain.get("version")
     if type(version) is not int or version != VERSION:
         raise GraphFileError(f"has version {version!r:.20}, this library reads {VERSION}; update it", path)
-    for name in ("values", "fixed", "factors"):
+    for name in PARTS:
         if not isinstance(plain.get(name), Mapping):
             raise GraphFileError(f"its {name} are missing", path)
+    _refuse_others(plain, {"format", "version", *PARTS}, "the file", path)
     report = LoadReport(path, form, "", "", reason=f"it says that it is a {FORMAT}")
     values = _values(plain["values"], path, report)
     factors = [_factor(item, name, values, path) for name, item in plain["factors"].items()]
@@ -120,7 +120,20 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     return FactorGraph(factors, fixed), values, report
 
 
-def _space(name: object) -> Manifold | None:
+def name_of_space(space: Manifold, subject: str) -> str:
+    """The name of a space, under which `space_named` finds it.
+
+    Raises
+    ------
+    GraphError
+        The library does not have it; the subject, what is in it, begins the message.
+    """
+    if space_named(name := str(space)) is not space:
+        raise GraphError(f"{subject} is in {name}, a space of your own, which no file holds")
+    return name
+
+
+def space_named(name: object) -> Manifold | None:
     """The space of a name; None where the library has none."""
     if not isinstance(name, str):
         return None
@@ -137,9 +150,11 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
     for kind, stack in stacks.items():
         if not isinstance(stack, Mapping) or not {"space", "numbers", "X"} <= stack.keys():
             raise GraphFileError(f"values of {kind!r:.30}: expected a space, numbers and X", path)
-        if not all(isinstance(stack[name], np.ndarray) for name in ({"numbers", "X", "times"} & stack.keys())):
+        _refuse_others(stack, {"space", "numbers", "X", "times"}, f"values of {kind!r:.30}", path)
+        arrays = [stack[name] for name in {"numbers", "X", "times"} & stack.keys()]
+        if not all(isinstance(array, np.ndarray) and array.dtype.kind in "if" for array in arrays):
             raise GraphFileError(f"values of {kind!r:.30}: expected arrays of numbers", path)
-        if (space := _space(stack["space"])) is None:
+        if (space := space_named(stack["space"])) is None:
             raise GraphFileError(f"values of {kind!r:.30}: {stack['space']!r:.30} is no space of this library", path)
         _checked(path, f"values of {kind!r:.30}", _add, values, kind, space, stack["X"], stack["numbers"])
         if "times" in stack:
@@ -148,6 +163,12 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
                 raise GraphFileError(f"values of {kind!r:.30}: expected a time for each, in s", path)
             report.vertex_times[kind] = times
     return values
+
+
+def _refuse_others(entries: Mapping[str, Any], known: set[str], where: str, path: str) -> None:
+    """Refuse an entry that would be lost."""
+    if others := sorted(entries.keys() - known):
+        raise GraphFileError(f"{where}: {others[0]!r:.30} is no entry here; expected {', '.join(sorted(known))}", path)
 
 
 def _add(values: Values, kind: str, space: Manifold, X: Any, numbers: Any) -> None:
