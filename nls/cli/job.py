@@ -202,14 +202,9 @@ class Solution(ABC):
 
     def tum(self) -> bytes:
         """trajectory.tum: the poses in the order of their times or numbers."""
-        import numpy as np
+        from nls.io.trajectory import trajectory_text
 
-        from nls.io.trajectory import tum_text
-
-        stack = self.values.stack("x")
-        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
-        order = np.argsort(times, kind="stable")
-        return tum_text("trajectory.tum", times[order], np.asarray(stack.X)[order])
+        return trajectory_text("trajectory.tum", "tum", self.graph, self.values, self.report)[0]
 
 
 def covariances(

@@ -37,13 +37,11 @@ EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
-  nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
   nls solve floor --robust none                        a mission with all its contacts, also wrong ones
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
-  nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve survey.g2o --improve                       the same; where it is not, go on from the lower one
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
@@ -51,22 +49,17 @@ EXAMPLES = """examples:
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls solve harbor -o harbor/solved                    a scan mission: keyframes and scans, matched to a map
   nls explain survey.g2o                               what is free, what does not fit, and what helps
-  nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
-  nls evaluate solved/trajectory.csv dive/truth.csv    how far a trajectory is from the true one
+  nls evaluate solved dive                             how far a trajectory is from the true one
   nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
-  nls stream - < survey.g2o                            from a pipe, as lines come
   nls solve - < survey.g2o                             from a pipe or standard input, also compressed
-  nls explain - < survey.g2o
-  nls info - < survey.g2o
   nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls convert - survey.toro < survey.g2o
-  nls plot - survey.png < survey.g2o
   nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
   nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
