@@ -27,6 +27,7 @@ PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 NUMBERS = ("count", "total", "number", "meters", "radians", "sigmas")  # of a doubt
+OF_CHOICE = ("doubted", "probability", "expected_by_chance", "sigma0", "strain")
 OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that nothing verifies
 
 
@@ -115,12 +116,8 @@ def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
         return {"factor": r.factor, "sigmas": r.sigmas, "file": path, "line": int(lines[r.measurement]) or None}
 
     return {
-        "doubted": choice.doubted,
-        "probability": choice.probability,
-        "expected_by_chance": choice.expected_by_chance,
-        "sigma0": choice.sigma0,
+        **{name: getattr(choice, name) for name in OF_CHOICE},
         "sigma0_between_neighbors": choice.local,
-        "strain": choice.strain,
         "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
         "rejected": [rejected(r) for r in choice.rejected],
         "doubts": [
