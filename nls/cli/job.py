@@ -203,8 +203,10 @@ class Solution(ABC):
     def tum(self) -> bytes:
         """trajectory.tum: the poses in the order of their times or numbers."""
         from nls.io.trajectory import trajectory_text
+        from nls.values import Values
 
-        return trajectory_text("trajectory.tum", "tum", self.graph, self.values, self.report)[0]
+        poses = Values.of([self.values.stack("x")])
+        return trajectory_text("trajectory.tum", "tum", self.graph, poses, self.report)[0]
 
 
 def covariances(

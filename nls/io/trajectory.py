@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from models import SE2, SE3
+from models.advice import Advice
 from models.algebra import Array
 from models.errors import GraphError
 from models.finite import numbers
-from models.listing import several, some
+from models.listing import several
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
@@ -199,31 +200,35 @@ def _text(table: Array) -> bytes:
     return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
 
 
-def track_of(path: str | Path, values: Values) -> Stack:
-    """The poses of a graph: those of its only kind of poses, or of the kind x.
+def track_of(path: str | Path, values: Values, form: str = "tum") -> Stack:
+    """The poses of a graph, which are of one kind besides places of sensors, o; the form is for the cure.
 
     Raises
     ------
     GraphError
-        No poses, or several kinds without x.
+        No poses, or several kinds.
     """
-    poses = {stack.kind: stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)}
-    if len(poses) != 1 and "x" not in poses:
-        raise GraphError(
-            f"{path}: a trajectory is of the poses of one kind, this graph has {some(list(poses)) or 'none'}"
-        )
-    return poses.get("x") or next(iter(poses.values()))
+    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3) and stack.kind != "o"]
+    if len(poses) != 1:
+        names = ", ".join(stack.kind for stack in poses) or "none"
+        advice = [Advice("one kind", (stack.kind, form)) for stack in poses[:1]] + [Advice("table"), Advice("native")]
+        message = f"{path}: a trajectory file holds the poses of one kind, this graph has {names}"
+        raise GraphError(message, advice=advice)
+    return poses[0]
 
 
 def trajectory_text(
     path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> tuple[bytes, list[str]]:
     """Poses in the order of their times or numbers."""
-    stack = track_of(path, values)
+    stack = track_of(path, values, form)
     known = {} if report is None else report.vertex_times
     timed = stack.kind in known
     times = known[stack.kind] if timed else stack.numbers.astype(float)
     order = np.argsort(times, kind="stable")
+    if form == "tum" and not timed and (np.diff(times[order]) == 0).any():
+        message = f"{path}: the numbers of the poses stand for times, and are too large to tell them apart as such"
+        raise GraphError(message, advice=[Advice("table"), Advice("native")])
     X = np.array(stack.X)[order]
     data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
     notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]

@@ -128,7 +128,7 @@ def test_refusals(shell: Shell) -> None:
         ("n.csv lost.csv", "lost.csv"),
         ("n.csv graph.txt", "a folder, or a file ending in .g2o, .toro, "),
         ("n.csv lost.g2o", "lost.g2o: cannot be read"),
-        ("n.csv b.bal", "a trajectory is of the poses of one kind, this graph has none"),
+        ("n.csv b.bal", "holds the poses of one kind, this graph has none"),
         ("empty n.csv", "expected a folder with trajectory.csv, as nls solve empty -o OUT writes"),
         ("n.csv empty", "expected a folder with truth.csv or truth.npz or trajectory.csv"),
         ("n.csv n.csv --distances 0,5", "meters above 0 with commas between"),
