@@ -231,7 +231,7 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
 
     def problem(k: int) -> str:
         word = printable(text.token(int(tokens[k])), LONGEST)
-        return f"name {word!r}: expected letters and a number of at most {DIGITS} digits, such as A17"
+        return f"name '{word}': expected letters and a number of at most {DIGITS} digits, such as A17"
 
     text.refuse(bad, lines, problem)
     number = np.zeros(len(C), dtype=np.int64)

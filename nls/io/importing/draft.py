@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from models.visible import CONTROLS
 from nls.io.importing.bags import Bag, is_bag, refuse_no_log
 from nls.io.importing.guess import guess, guesses, plain
 from nls.io.importing.quantities import LARGEST
 from nls.io.importing.templates import NOISE, example
 from nls.io.importing.text_log import Log, TextLog
-from nls.io.importing.units import dimension, header_unit, mission_unit
+from nls.io.importing.units import header_unit, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, OPTIONAL, PLACE, VELOCITY
 
 __all__ = ["draft"]
@@ -211,12 +212,13 @@ def _is_acoustic(chosen: dict[str, str]) -> bool:
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:
     """A line of a mapping; says which unit is taken where the log names none."""
     name = chosen[column]
-    quoted, words = json.dumps(name, ensure_ascii=False), set(plain(name).split())
+    quoted = CONTROLS.sub(lambda control: f"\\u{ord(control[0]):04x}", json.dumps(name, ensure_ascii=False))
+    words = set(plain(name).split())
     kind, own = mission_unit(column)
     if column == "z_m" and {"altitude", "height", "alt"} & words:
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
     keys, remarks = f"column = {quoted}", ""
-    if kind and kind != "time" and not dimension(header_unit(name)[0]):
+    if kind and kind != "time" and not (log.units.get(name) or header_unit(name)[0]):
         unit, why = ("deg", BY_SIZE) if own == "rad" and _in_degrees(chosen, log) else (own, NO_UNIT)
         if column in LARGEST and np.nanmax(np.abs(log.numbers(name)), initial=0.0) > LARGEST[column]:
             unit, why = "ddmm", "by the size of its numbers: degrees and minutes"

@@ -135,7 +135,7 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, no
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
         if mission_unit(column)[1] == "rad" and abs(cell.constant) > FULL_TURN:
-            radians, wrapped = (f"{column} = {float(f(cell.constant)):.4g}" for f in (np.radians, wrap))
+            radians, wrapped = (f"{column} = {float(f(float(cell.constant))):.4g}" for f in (np.radians, wrap))
             raise section.error(
                 column,
                 f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {radians}; or wrap "

@@ -214,7 +214,7 @@ class TextLog(Log):
             self.lines, self.rows = self.lines[chosen], [cells[k] for k in chosen]
             self.names = names if head else names[: len(self.rows[0])]
         if line:
-            self.units = {name: unit for name, unit in units.items() if dimension(unit)}
+            self.units = {name: unit for name, unit in units.items() if any(map(str.isalpha, unit)) or dimension(unit)}
             self.notes.append(f"{self.title}:{line} is taken for a row of units")
         self._refuse_counts()
         self.decimal = decimal or self._decimal(sign)

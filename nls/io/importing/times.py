@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.io.importing.dates import EXAMPLE, NANOSECONDS, formats, since_1970
+from nls.io.importing.dates import EXAMPLE, LATEST, NANOSECONDS, formats, since_1970
 from nls.io.importing.mapping import Section
 from nls.io.importing.quantities import unit_of
 from nls.io.importing.text_log import MISSING, Log, is_number
@@ -16,7 +16,6 @@ from nls.io.importing.units import factor
 
 __all__ = ["DAY", "WEEK", "Stamps", "stamps"]
 
-LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
 DAY, WEEK = 86_400 * NANOSECONDS, 604_800 * NANOSECONDS
