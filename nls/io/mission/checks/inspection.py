@@ -8,9 +8,8 @@ import numpy as np
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.acoustics import sound_speeds
 from nls.io.mission.checks.agreement import of_way_down
-from nls.io.mission.checks.alone import ALONE
+from nls.io.mission.checks.alone import ALONE, sound_speeds
 from nls.io.mission.checks.clocks import of_clocks
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.fixes import jumping, of_fixes

@@ -91,7 +91,7 @@ def explained(
     center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
     tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     whole = _mission(tables, elevation, chi2, dof)
-    few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
+    few = {name: t.part(slice(None, None, -(-len(t) // MOST))) if name in TIMED else t for name, t in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
     mission = _mission(few, elevation) if thinned else whole
     trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings(mission.tables))]
