@@ -274,9 +274,9 @@ def _refuse_sigmas(rows: Rows) -> None:
     for column, cell in section.cells.items():
         if not cell.columns or column not in rows.numbers:
             continue
-        bad = sigmas_out(column, rows.numbers[column]) & (
-            rows.numbers["valid"] == 1 if section.table == "dvl" else True
-        )
+        bad = sigmas_out(column, rows.numbers[column])
+        if section.table == "dvl":
+            bad &= rows.numbers["valid"] == 1
         if bad.any():
             k = int(np.argmax(bad))
             number, write = float(rows.numbers[column][k]), f"missing = NUMBER in [{section.table}] of the mapping"
@@ -298,9 +298,7 @@ def _order(rows: Rows) -> None:
         _take(rows, order)
         t = t[order]
     late = t[1:] < t[:-1]
-    if late.any():
-        k = int(np.argmax(late)) + 1
-        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {_cure_of_fall(rows, t, k)}")
+    log.refuse(late, rows.rows[1:], lambda k: f"the time falls from the row before; {_cure_of_fall(rows, t, k + 1)}")
     if section.table not in STRICT:
         return
     again = np.append(False, t[1:] == t[:-1])
@@ -310,13 +308,9 @@ def _order(rows: Rows) -> None:
             f"{log.place(int(rows.rows[np.argmax(again)]))} the first: left out"
         )
         _take(rows, np.flatnonzero(~again))
-    elif again.any():
-        k = int(np.argmax(again))
-        raise log.error(
-            int(rows.rows[k]),
-            f'the time is that of the row before; write duplicates = "first" in [{section.table}] of the mapping to '
-            "leave such rows out",
-        )
+    else:
+        cure = f'write duplicates = "first" in [{section.table}] of the mapping to leave such rows out'
+        log.refuse(again, rows.rows, lambda _: f"the time is that of the row before; {cure}")
 
 
 def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:

@@ -86,13 +86,9 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
     present = np.isfinite(numbers)
     unit, scale = _unit(section, log, column, numbers[present], notes)
     seconds = np.where(present, numbers * scale * cell.scale + cell.offset, 0.0)
-    if (late := np.abs(seconds) >= LATEST).any():
-        k = int(np.argmax(late))
-        raise log.error(
-            k,
-            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit of {column} in "
-            f"[{section.table}] of the mapping",
-        )
+    cure = f"give the right unit of {column} in [{section.table}] of the mapping"
+    late, rows = np.abs(seconds) >= LATEST, np.arange(len(log))
+    log.refuse(late, rows, lambda k: f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; {cure}")
     days = np.floor(seconds)
     ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
@@ -165,10 +161,8 @@ def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stam
     rows = np.flatnonzero(stamp.present)
     ns = stamp.ns[rows]
     period = DAY if ns.max(initial=0) <= DAY else WEEK
-    if (late := np.abs(ns) > period).any():
-        k = int(np.argmax(late))
-        cure = f"leave date out of [{section.table}] of the mapping"
-        raise log.error(int(rows[k]), f"{ns[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; {cure}")
+    problem = f"is later than a day or a week of GPS; leave date out of [{section.table}] of the mapping"
+    log.refuse(np.abs(ns) > period, rows, lambda k: f"{ns[k] / NANOSECONDS:.10g} s {problem}")
     if (falls := np.diff(ns) < -period // 2).any():
         place = log.place(int(rows[1:][np.argmax(falls)]))
         notes.append(f"{section.table}: the times begin anew at {place}, {period // NANOSECONDS} s later")

@@ -160,9 +160,7 @@ def turn_covariance(xyh: Array, q: Array) -> Array:
     return np.asarray(q[:, None, None] * Sigma)
 
 
-def gyro_biases(
-    b: Array, noise: dict[str, float], table: Table, calibrations: Calibrations, report: MissionReport
-) -> tuple[Index, list[Factor]]:
+def gyro_biases(b: Array, noise: dict[str, float], calibrations: Calibrations) -> tuple[Index, list[Factor]]:
     """The bias (n - 1,) of every leg between poses at times b (n,), by number, and what is known of the biases."""
     legs = ((b[:-1] - b[0]) / MINUTE).astype(int)
     numbers, minute = np.unique(legs, return_inverse=True)
@@ -173,5 +171,4 @@ def gyro_biases(
         walk = noise[GYRO[2]] * np.sqrt(MINUTE * np.diff(numbers))
         k = np.arange(count)
         known.append(Between(BIAS[k[:-1]], BIAS[k[1:]], np.zeros((count - 1, 1)), Isotropic(walk)))
-    report.sources += [table.source(np.zeros(len(factor), dtype=np.intp)) for factor in known]
     return minute, known

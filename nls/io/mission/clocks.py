@@ -19,10 +19,7 @@ from factors.keys import Keys, kinds
 from factors.replaced import replaced
 from models import SE3
 from models.algebra import Array, apply
-from nls.graph import FactorGraph
-from nls.io.mission.calibration import Calibrations
-from nls.io.mission.report import MissionReport
-from nls.io.mission.table import Table
+from nls.io.mission.assembly import Assembly
 from nls.io.mission.timeline import Timeline
 from nls.values import Values
 
@@ -32,33 +29,26 @@ CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
 
 
-def shift_clocks(
-    graph: FactorGraph,
-    report: MissionReport,
-    start: Values,
-    tables: dict[str, Table],
-    timeline: Timeline,
-    calibrations: Calibrations,
-    ship: Array,
-) -> None:
-    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable.
+def shift_clocks(mission: Assembly, timeline: Timeline, start: Values, ship: Array) -> None:
+    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable, each in its place.
 
     Parameters
     ----------
-    graph : its factors are replaced, each in its place.
+    mission, timeline : whose factors are replaced.
     start : poses whose track gives the rates.
     ship : (k, 6) twists of the ship at its poses, in its own axes.
     """
     moving = {s.name: ship}
     for name in CLOCKED:
-        clock = calibrations.variable(f"{name}_clock_s") if name in timeline.rows else None
+        clock = mission.calibrations.variable(f"{name}_clock_s") if name in mission.times else None
         if clock is None:
             continue
         if x.name not in moving:
             moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
-        for k, source in enumerate(report.sources):
-            if source.path == tables[name].path:
-                graph.factors[k] = _shifted(graph.factors[k], start, moving, clock)
+        factors = mission.graph.factors
+        for k, source in enumerate(mission.report.sources):
+            if source.path == mission.tables[name].path:
+                factors[k] = _shifted(factors[k], start, moving, clock)
 
 
 def _shifted(factor: Factor, start: Values, moving: dict[str, Array], clock: Keys) -> Shifted:

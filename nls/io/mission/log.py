@@ -46,6 +46,7 @@ from models.dead_reckoning import Legs, integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.sensors import levelled
+from nls.io.mission.assembly import Assembly
 from nls.io.mission.attitude import (
     BIAS,
     CLOCK,
@@ -57,7 +58,6 @@ from nls.io.mission.attitude import (
     turn_variance,
 )
 from nls.io.mission.bottom_lock import bottom_lock
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
@@ -74,12 +74,8 @@ MOST = 10_000_000  # such poses: four months, or times that are no seconds
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 
 
-def integrated(
-    tables: dict[str, Table], report: MissionReport, calibrations: Calibrations, times: Times | None = None
-) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising in time, and their steps, `ZPR` and what is known of the heading.
-
-    `times` are those of other files, see `nls.io.mission.timeline`.
+def integrated(mission: Assembly) -> Numbers:
+    """Numbers of the poses, rising in time; adds their steps, `ZPR` and what is known of the heading.
 
     Raises
     ------
@@ -87,13 +83,14 @@ def integrated(
         Times that do not rise, a pose before or after the log, a log that cannot be integrated; a hole in the attitude
         or depth that nothing tells how to bridge.
     """
+    tables, report, calibrations = mission.tables, mission.report, mission.calibrations
     used = dict.fromkeys(GYRO, "gyro") if "gyro" in tables else {"sigma_yaw_rad": "ahrs"}
     noise, mount = noise_of(tables["noise"], used), _mount(tables, report)
     attitude = attitude_of(tables, calibrations)
     ahrs, gyro = attitude.ahrs, attitude.gyro
     depth, t_z, depths = depths_of(tables, report)
     dvl = tables["dvl"]
-    velocity = velocities(dvl, attitude, mount, noise, calibrations, report)
+    velocity = velocities(mission, attitude, mount, noise)
     t_v, valid = velocity.t, velocity.valid
     if dvl.has("altitude_m"):
         bottom = bottom_lock(dvl, [])
@@ -103,7 +100,7 @@ def integrated(
         {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
         t_v[valid],
         report,
-        times or {},
+        mission.times,
     )
     roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
     effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
@@ -155,14 +152,11 @@ def integrated(
 
     (x,) = kinds("x")
     Sigma = H_j @ legs.Sigma @ H_j.mT
-    in_log, measured_turn = ~turning.inside, None
-    if gyro is not None:
-        measured_turn = turn_covariance(xyh, turn_variance(attitude, b, noise[GYRO[0]], report))
-        in_log[:] = False
     try:
-        if measured_turn is None:
+        if gyro is None:
             W = _given_the_yaw(Sigma, noise["sigma_yaw_rad"], legs.unturned > 0, turning.inside)
         else:
+            measured_turn = turn_covariance(xyh, turn_variance(attitude, b, noise[GYRO[0]], report))
             W = np.linalg.inv(np.linalg.cholesky(0.5 * (Sigma + Sigma.mT) + measured_turn))
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
@@ -178,19 +172,21 @@ def integrated(
     by_row = ~turning.inside
     alike = poses_of_rows(attitude.t_a, b[by_row])
     tilts[by_row, 1:] *= alike[:, None]
-    zpr: Factor = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
-    report.sources += [dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))]
+    zpr = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
+    of_legs, of_poses = dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))
     if gyro is not None:
-        minute, known = gyro_biases(b, noise, tables["noise"], calibrations, report)
-        steps = Shifted(steps, np.diff(b)[:, None, None] * [[0.0], [0.0], [1.0]], BIAS[minute])
-        return np.sort(numbers), [steps, zpr, *known]
-    tilting = attitude.rates(b)[:, [1, 0]]
-    report.sources.append(ahrs.source(_latest(attitude.t_a, b[in_log])))
-    return np.sort(numbers), [
-        calibrations.shifted(steps, CLOCK, -turns),
-        calibrations.shifted(zpr, CLOCK, -np.column_stack([np.zeros(len(b)), tilting])),
-        headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"] * alike, calibrations),
-    ]
+        minute, known = gyro_biases(b, noise, calibrations)
+        mission.add(Shifted(steps, np.diff(b)[:, None, None] * [[0.0], [0.0], [1.0]], BIAS[minute]), of_legs)
+        mission.add(zpr, of_poses)
+        for factor in known:
+            mission.add(factor, tables["noise"].source(np.zeros(len(factor), dtype=np.intp)))
+        return np.sort(numbers)
+    tilting = np.column_stack([np.zeros(len(b)), attitude.rates(b)[:, [1, 0]]])
+    mission.add(calibrations.shifted(steps, CLOCK, -turns), of_legs)
+    mission.add(calibrations.shifted(zpr, CLOCK, -tilting), of_poses)
+    heading = headings(attitude, x[numbers[by_row]], b[by_row], noise["sigma_yaw_rad"] * alike, calibrations)
+    mission.add(heading, ahrs.source(_latest(attitude.t_a, b[by_row])))
+    return np.sort(numbers)
 
 
 def _tilted(roll: Array, pitch: Array) -> Array:

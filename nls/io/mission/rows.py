@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from factors.base import Factor
 from factors.robust import Kernel, kernel_from_text
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Mask
 from models.errors import NoiseModelError, OptionError
 from models.geodesy import REACH, LocalPlane
 from nls.graph import FactorGraph
@@ -84,14 +84,8 @@ def arms(table: Table) -> Array | None:
     return a if a.any() else None
 
 
-def add_rows(
-    graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, make: Callable[[Index], Factor]
-) -> None:
-    """Add factors of the rows that count, one for each robust kernel in the order of the file; note their lines.
-
-    Parameters
-    ----------
-    make : the factor of some rows.
+def add_rows(graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, factor: Factor) -> None:
+    """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
 
     Raises
     ------
@@ -112,8 +106,7 @@ def add_rows(
     column = np.array(words)
     for word, kernel in kernels.items():
         if len(some := index[column[index] == word]):
-            factor = make(some)
-            graph.add(factor if kernel is None else factor.robust(kernel))
+            graph.add(factor[some] if kernel is None else factor[some].robust(kernel))
             report.sources.append(table.source(some))
 
 
