@@ -18,9 +18,8 @@ from factors.keys import Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Index, Mask, Numbers
 from models.listing import some as listed
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.columns import ANGLES, PLACE, USBL, suffixed
-from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
+from nls.io.mission.rows import Assembly, add_rows, arms, columns_together, horizontal
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, leave_out, one_of
 

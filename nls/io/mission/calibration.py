@@ -103,7 +103,8 @@ class Calibrations:
         """Measurements z (n, m) as believed, which change by G (n, m) with a calibration; the same where it is held."""
         if (variable := self.variable(name)) is None:
             return factor
-        return Shifted(replaced(factor, z=factor.z + G * self.value(name)), G[:, :, None], variable)
+        z = np.reshape(factor.z, G.shape) + G * self.value(name)
+        return Shifted(replaced(factor, z=z), G[:, :, None], variable)
 
     def add(self, kind: Kind, count: int, sigma: float) -> None:
         """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""

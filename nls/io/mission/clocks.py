@@ -13,13 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Shifted
 from factors.base import Factor
-from factors.keys import Keys, kinds
-from factors.replaced import replaced
+from factors.keys import kinds
 from models import SE3
 from models.algebra import Array, apply
-from nls.io.mission.assembly import Assembly
+from nls.io.mission.rows import Assembly
 from nls.io.mission.timeline import Timeline
 from nls.values import Values
 
@@ -40,21 +38,16 @@ def shift_clocks(mission: Assembly, timeline: Timeline, start: Values, ship: Arr
     """
     moving = {s.name: ship}
     for name in CLOCKED:
-        clock = mission.calibrations.variable(f"{name}_clock_s") if name in mission.times else None
-        if clock is None:
+        clock = f"{name}_clock_s"
+        if name not in mission.times or mission.calibrations.variable(clock) is None:
             continue
         if x.name not in moving:
             moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
         factors = mission.graph.factors
         for k, source in enumerate(mission.report.sources):
             if source.path == mission.tables[name].path:
-                factors[k] = _shifted(factors[k], start, moving, clock)
-
-
-def _shifted(factor: Factor, start: Values, moving: dict[str, Array], clock: Keys) -> Shifted:
-    """A factor whose rows are late by the clock."""
-    G = -total(rates_by_time(factor, start, moving))
-    return Shifted(replaced(factor, z=start.gather(factor)[0].z + G * start[clock]), G[:, :, None], clock)
+                G = -total(rates_by_time(factors[k], start, moving))
+                factors[k] = mission.calibrations.shifted(factors[k], clock, G)
 
 
 def rates_by_time(factor: Factor, values: Values, moving: dict[str, Array]) -> dict[str, Array]:

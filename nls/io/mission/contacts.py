@@ -12,8 +12,8 @@ from models import R, euler
 from models.algebra import Array, Index, Numbers
 from models.errors import OptionError
 from models.sensors import ImagingSonar
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
 from nls.stages import announce, stage

@@ -7,9 +7,8 @@ import numpy as np
 from factors import XYH, Between, Diagonal, Position
 from factors.keys import Keys, kinds
 from models import euler
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.columns import ANGLES, LEVEL, PLACE, UPRIGHT, suffixed
-from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
+from nls.io.mission.rows import Assembly, add_rows, arms, columns_together, horizontal
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
 

@@ -46,7 +46,6 @@ from models.dead_reckoning import Legs, integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.sensors import levelled
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.attitude import (
     BIAS,
     CLOCK,
@@ -62,7 +61,7 @@ from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import noise_of, one_row
+from nls.io.mission.rows import Assembly, noise_of, one_row
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Times, poses_of_rows, united
 from nls.io.mission.velocity import Velocities, orientation, quarter, velocities

@@ -23,13 +23,12 @@ from factors.keys import kinds
 from models import SE3
 from models.algebra import Array, Numbers
 from models.dead_reckoning.drop_outs import longest_step
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.attitude import CLOCK, attitude_of, headings
 from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import noise_of, one_row
+from nls.io.mission.rows import Assembly, noise_of, one_row
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
 from nls.io.report import Source

@@ -15,7 +15,6 @@ from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.calibration import Calibrations, Compass
 from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import LEVEL, suffixed
@@ -24,6 +23,7 @@ from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
 from nls.io.mission.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
 from nls.io.mission.tracks import track
@@ -88,11 +88,7 @@ def read_mission(
 
 
 def graph_of(
-    tables: dict[str, Table],
-    report: MissionReport,
-    elevation: str = "hinge",
-    anchored: bool = True,
-    alone: bool = True,
+    tables: dict[str, Table], report: MissionReport, elevation: str, anchored: bool = True, alone: bool = True
 ) -> tuple[FactorGraph, Values]:
     """The graph of the tables of a mission and its start; the report gets what they say besides, see `read_mission`.
 
@@ -179,9 +175,7 @@ def _start(
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
-    tilt = next((factor for factor in graph.factors if factor.states("tilts")), None)
-    if tilt is None:
-        return np.zeros(len(numbers))
+    tilt = next(factor for factor in graph.factors if factor.states("tilts"))  # every track has them
     order = np.argsort(tilt.keys[0].numbers)
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
 

@@ -1,8 +1,9 @@
-"""Columns that several files of a mission share: places in meters or degrees, lever arms, robust kernels; sigmas."""
+"""What the files of a mission share: the graph they add to, and columns: places, lever arms, robust kernels, sigmas."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,14 +13,41 @@ from models.algebra import Array, Mask
 from models.errors import NoiseModelError, OptionError
 from models.geodesy import REACH, LocalPlane
 from nls.graph import FactorGraph
+from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ARM, GEODETIC, MAY_BE_0
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import one_of
+from nls.io.mission.timeline import Times, one_of
+from nls.io.report import Source
 
-__all__ = ["add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
+__all__ = ["Assembly", "add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
 
 NO_KERNEL = "none"
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The tables of a mission, and the graph that is made of them.
+
+    Attributes
+    ----------
+    tables : by name.
+    report : gets notes, and the lines of the factors.
+    calibrations : of calibration.csv.
+    times : of the rows of files, see `nls.io.mission.timeline`.
+    graph : gets the factors.
+    """
+
+    tables: dict[str, Table]
+    report: MissionReport
+    calibrations: Calibrations
+    times: Times
+    graph: FactorGraph = field(default_factory=FactorGraph)
+
+    def add(self, factor: Factor, source: Source) -> None:
+        """Add a factor, with the lines that it was read from."""
+        self.graph.add(factor)
+        self.report.sources.append(source)
 
 
 def horizontal(table: Table, plane: LocalPlane | None) -> Array:

@@ -17,10 +17,9 @@ from factors.keys import kinds
 from models import euler
 from models.algebra import Array, Numbers, wrap
 from models.sensors import levelled
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.columns import ANGLES, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.motion import walking
-from nls.io.mission.rows import columns_together
+from nls.io.mission.rows import Assembly, columns_together
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import poses_of_rows, united
 from nls.sparse.components import connected

@@ -27,11 +27,11 @@ from models.algebra import Array, Mask, apply
 from models.errors import GraphFileError
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
-from nls.io.mission.assembly import Assembly
 from nls.io.mission.attitude import Attitude
 from nls.io.mission.bottom_lock import bottom_lock, locked_rows
 from nls.io.mission.columns import VELOCITY
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 
 __all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]

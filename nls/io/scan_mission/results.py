@@ -16,10 +16,8 @@ __all__ = ["CLOSURES", "MAP", "TRAJECTORY", "WORDS", "closures_text", "map_text"
 
 POSE = ("x_m", "y_m", "yaw_rad")
 SIGMAS = tuple(f"sigma_{name}" for name in POSE)
-TRAJECTORY = (
-    *("keyframe", "time_s", *POSE, *SIGMAS),
-    *("correlation_x_y", "correlation_x_yaw", "correlation_y_yaw"),
-)
+CORRELATIONS = ("correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
+TRAJECTORY = ("keyframe", "time_s", *POSE, *SIGMAS, *CORRELATIONS)
 MAP = ("x_m", "y_m", "keyframe", "intensity")
 CLOSURES = ("keyframe_i", "keyframe_j", *POSE, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
 WORDS = {
