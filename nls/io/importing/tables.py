@@ -84,7 +84,7 @@ def rows_of(section: Section, log: Log) -> Rows:
         elif column in WORDS:
             own = [log.words(name, cell.missing) for name in _known(section, column, cell, log).columns]
             rows.words[column] = own[0] if own else [str(cell.constant)] * count
-        else:
+        elif cell.row is None:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
     for source, values in section.together:
         cells = log.words(source) if source in log.names else [str(source)]
@@ -95,10 +95,8 @@ def rows_of(section: Section, log: Log) -> Rows:
     if "time_s" in rows.times:
         _order(rows)
     for column, cell in section.cells.items():
-        if cell.row is not None:
-            rows.numbers[column] = np.asarray(
-                (cell.row + np.arange(len(rows.rows))) * cell.scale + cell.offset, dtype=np.float64
-            )
+        if cell.row is not None:  # numbered when it is known which rows there are
+            rows.numbers[column] = (cell.row + np.arange(float(len(rows.rows)))) * cell.scale + cell.offset
     _refuse_sigmas(rows)
     _turned(rows)
     return rows
@@ -129,8 +127,6 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
 
 def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, notes: list[str]) -> Array:
     """The numbers (n,) of a column in the unit of the mission; nan where there is none."""
-    if cell.row is not None:
-        return np.arange(count, dtype=float)  # numbered when it is known which rows there are
     if not cell.columns:
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
