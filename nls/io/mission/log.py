@@ -46,16 +46,7 @@ from models.dead_reckoning import Legs, integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.sensors import levelled
-from nls.io.mission.attitude import (
-    BIAS,
-    CLOCK,
-    Attitude,
-    attitude_of,
-    gyro_biases,
-    headings,
-    turn_covariance,
-    turn_variance,
-)
+from nls.io.mission.attitude import BIAS, CLOCK, Attitude, attitude_of, gyro_biases, headings, turn_covariance
 from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
@@ -155,7 +146,7 @@ def integrated(mission: Assembly) -> Numbers:
         if gyro is None:
             W = _given_the_yaw(Sigma, noise["sigma_yaw_rad"], legs.unturned > 0, turning.inside)
         else:
-            measured_turn = turn_covariance(xyh, turn_variance(attitude, b, noise[GYRO[0]], report))
+            measured_turn = turn_covariance(attitude, b, xyh, noise[GYRO[0]], report)
             W = np.linalg.inv(np.linalg.cholesky(0.5 * (Sigma + Sigma.mT) + measured_turn))
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error

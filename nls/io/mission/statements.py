@@ -17,7 +17,7 @@ from nls.io.mission.columns import ANGLES, ARM, COLUMNS, PLACE, suffixed
 from nls.io.mission.rows import NO_KERNEL
 from nls.io.mission.table import csv_text
 
-__all__ = ["Columns", "measured", "positioned", "positioned_rows", "table_text"]
+__all__ = ["Columns", "measured", "positioned_rows", "table_text"]
 
 Columns = dict[str, npt.ArrayLike]
 PLACES = (None, ("x", "y"), ("x", "y", "z"))
@@ -87,7 +87,7 @@ def _says_nothing(name: str, whole: dict[str, npt.NDArray[Any]]) -> bool:
 # --- fixes, beacons, ranges and closures ------------------------------------------------------------------------------
 
 
-def positioned(factors: list[Factor]) -> dict[int, str]:
+def _positioned(factors: list[Factor]) -> dict[int, str]:
     """Which of some factors, by their place, are rows of which of these tables."""
     headings = [factor.keys for factor in factors if isinstance(factor, Heading)]
     out = {}
@@ -104,12 +104,8 @@ def positioned(factors: list[Factor]) -> dict[int, str]:
     return out
 
 
-def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[str, list[Columns]]:
-    """The rows of the tables of these factors, by the names of the tables.
-
-    Parameters
-    ----------
-    factors, of_tables : those of a graph, and which of them are of which table, see `positioned`.
+def positioned_rows(factors: list[Factor]) -> tuple[dict[str, list[Columns]], list[Factor]]:
+    """The rows of these tables, by their names, and the factors that are of none of them.
 
     Raises
     ------
@@ -117,6 +113,7 @@ def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[st
         Factors of one table with other columns; noise with correlations; a kernel where there is no column for it.
     """
     tables: dict[str, list[Columns]] = {}
+    of_tables = _positioned(factors)
     for k, name in of_tables.items():
         columns = ROWS[name](factors[k])
         rows = tables.setdefault(name, [])
@@ -129,7 +126,7 @@ def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[st
         rows.append(columns)
     if "beacons" in tables and len(np.unique(beacons := joined(tables["beacons"])["beacon"])) < len(beacons):
         raise GraphError("write_mission: a beacon has two priors, and beacons.csv one row for each")
-    return tables
+    return tables, [factor for k, factor in enumerate(factors) if k not in of_tables]
 
 
 def _kernel(factor: Factor) -> str:

@@ -24,7 +24,6 @@ from nls.io.mission.statements import (
     joined,
     measured,
     no_file,
-    positioned,
     positioned_rows,
     table_text,
 )
@@ -129,9 +128,7 @@ def mission_files(
             "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
             [first],
         )
-    of_tables = positioned(factors)
-    tables = positioned_rows(factors, of_tables)
-    factors = [factor for k, factor in enumerate(factors) if k not in of_tables]
+    tables, factors = positioned_rows(factors)
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
             rows.setdefault(name, []).append(measured(factor, *MEASURED[name]))

@@ -185,9 +185,8 @@ def _note_others(report: ScanReport, names: list[str], read: set[str]) -> None:
 def _keyframes(table: Table) -> tuple[Numbers, Array, Array]:
     """Numbers (n,), times (n,) and reckoned poses (n, 3) of the keyframes."""
     numbers, times = table.unique("keyframe", "keyframe"), table.rising("time")
-    if (falls := np.diff(numbers) < 0).any():
-        k = int(np.argmax(falls)) + 1
-        raise table.at(k, f"keyframe {numbers[k]} after {numbers[k - 1]}; expected numbers that rise, sort the rows")
+    falls, rise = np.append(False, np.diff(numbers) < 0), "expected numbers that rise, sort the rows"
+    table.refuse_rows(falls, lambda k: f"keyframe {numbers[k]} after {numbers[k - 1]}; {rise}")
     if len(numbers) < LEAST:
         raise table.at(0, "is the only keyframe; expected two or more")
     table.within(FAR, "meters, within 1e9", "x", "y")
