@@ -56,20 +56,20 @@ class Acoustics:
     """
 
     def __init__(self, mission: Assembly, timeline: Timeline, depth: Array) -> None:
-        tables, self._tables, self._report = mission.tables, mission.tables, mission.report
         self._mission, self._timeline = mission, timeline
-        ranges, usbl = tables.get("ranges"), tables.get("usbl")
-        self._rows = {t: timeline.poses(name, t) for name in ("ranges", "usbl") if (t := tables.get(name)) is not None}
+        self._report, self._tables = mission.report, mission.tables
+        measured = {name: mission.tables[name] for name in ("ranges", "usbl") if name in mission.tables}
+        self._rows = {table: timeline.poses(name, table) for name, table in measured.items()}
         beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
         self.places = np.full((len(self.numbers), 3), np.nan)
         self._shifts: list[str] = []
         self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
-        self._beacons(tables.get("beacons"))
-        if ranges is not None:
-            self._ranges(ranges, depth)
-        if usbl is not None:
-            self._usbl(usbl)
+        self._beacons(self._tables.get("beacons"))
+        if "ranges" in measured:
+            self._ranges(measured["ranges"], depth)
+        if "usbl" in measured:
+            self._usbl(measured["usbl"])
         self._unused()
 
     def shift(self) -> None:

@@ -54,7 +54,7 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import Assembly, noise_of, one_row
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Times, poses_of_rows, united
+from nls.io.mission.timeline import poses_of_rows, united
 from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
 DVL = ("dvl_scale", "dvl_yaw_rad")
@@ -85,13 +85,8 @@ def integrated(mission: Assembly) -> Numbers:
     if dvl.has("altitude_m"):
         bottom = bottom_lock(dvl, [])
         report.soundings = np.column_stack([t_v, dvl.measured("altitude_m", rows=bottom)])[bottom]
-    numbers, b = _poses(
-        tables,
-        {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
-        t_v[valid],
-        report,
-        mission.times,
-    )
+    logs = {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z}
+    numbers, b = _poses(mission, logs, t_v[valid])
     roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
     effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
     angles = attitude.rpy if gyro is None else attitude.tilt
@@ -236,15 +231,13 @@ def _given_the_yaw(Sigma: Array, sigma_yaw: float, bridged: Mask, inside: Mask) 
     return np.asarray(W[:, x_y_yaw][:, :, x_y_yaw])
 
 
-def _poses(
-    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport, times: Times
-) -> tuple[Numbers, Array]:
+def _poses(mission: Assembly, logs: dict[str, Array], locked: Array) -> tuple[Numbers, Array]:
     """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
     one at each of the times of other files.
 
     The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
     """
-    t_v = logs["dvl.csv"]
+    tables, t_v = mission.tables, logs["dvl.csv"]
     late, early = float(locked[0] - t_v[0]), float(t_v[-1] - locked[-1])
     if late or early:
         logs = {"dvl.csv with bottom lock": locked} | {name: t for name, t in logs.items() if name != "dvl.csv"}
@@ -261,10 +254,9 @@ def _poses(
         if len(b) < 2:
             raise GraphFileError(f"the logs have less than a second in common: {_ranges(logs)}", tables["dvl"].path)
         if late or early:
-            report.notes.append(
-                f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
-            )
-        b = united(b, end, times, tables)
+            note = f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
+            mission.report.notes.append(note)
+        b = united(b, end, mission.times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
     out = (b < begin) | (b > end)

@@ -17,16 +17,7 @@ from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
 from nls.io.mission.columns import COLUMNS, COMPASS, CONTACT, LEVEL, PLACE, POSE, TILT, TRACK
-from nls.io.mission.statements import (
-    Columns,
-    columns_of,
-    elements,
-    joined,
-    measured,
-    no_file,
-    positioned_rows,
-    table_text,
-)
+from nls.io.mission.statements import Columns, columns_of, joined, measured, no_file, positioned_rows, table_text
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -234,7 +225,7 @@ def _anchors(factors: list[Factor]) -> tuple[list[Columns], list[Heading]]:
         if isinstance(factor, Prior):
             if factor.components != ("x", "y", "yaw") or factor.offset is not None:
                 raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
-            z = euler.from_se3(elements(factor, SE3.size))[:, [3, 4, 2]]
+            z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))[:, [3, 4, 2]]
             rows.append(measured(factor, ("i",), LEVEL, z))
     headings = [factor for factor in factors if isinstance(factor, Heading)]
     for p in (factor for factor in factors if isinstance(factor, Position)):

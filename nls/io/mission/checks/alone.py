@@ -13,17 +13,7 @@ from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
 from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = [
-    "ALONE",
-    "depth_of",
-    "outliers_of",
-    "scatter_of",
-    "sound_speeds",
-    "step_of",
-    "stuck_of",
-    "tilt_of",
-    "turn_of",
-]
+__all__ = ["depth_of", "outliers_of", "scatter_of", "sound_speeds", "step_of", "stuck_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
 USUAL = 0.05, 5.0  # m/s
 STEEPEST, LONG = np.radians(30.0), 0.2  # rad, and the part of a log that may be beyond
