@@ -125,8 +125,8 @@ def graph_of(
         start = _start(mission, acoustics, numbers, points, first, compass)
     acoustics.shift()
     shift_clocks(mission, timeline, start, acoustics.ship_twist)
-    for prior in calibrations.priors(report):
-        graph.add(prior)
+    for prior, source in calibrations.priors():
+        mission.add(prior, source)
     report.calibrations = calibrations.given()
     if not named:
         start = add_unnamed_contacts(mission, timeline, start, elevation)
