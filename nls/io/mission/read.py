@@ -183,7 +183,7 @@ def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
 def _anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anchored: bool) -> Pose | None:
     """Add what holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose: at the
+    Nothing and None where other measurements are absolute. Else where nobody says so it is the first pose: at the
     truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
     compass it is the first pose that this one sees. Where the mission need not be anchored, nothing holds it.
     """

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from pathlib import Path
 
 import numpy as np
 
@@ -256,7 +255,7 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
 def _files(mission: Mission) -> dict[str, str]:
     """The file of every type of measurement; not of contacts, which are judged one by one."""
     files = {f"{name}.csv" for name in TIMED if name != "contacts"}
-    files_of = [Path(source.path).name.removesuffix(".gz") for source in mission.report.sources]
+    files_of = [file.removesuffix(".gz") for file in mission.report.tables]
     pairs = zip(mission.graph.factors, files_of, strict=True)
     return {factor.name: file for factor, file in pairs if file in files}
 
