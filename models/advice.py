@@ -95,8 +95,16 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
         "--renumber",
     ),
     "native": "write a file that ends in .npz or .json, which holds every graph with its names",
+    "table": "write a file that ends in .csv, a table of all variables with their names",
+    "one kind": (
+        "write one kind a file",
+        'nls.save("{0}.{1}", nls.FactorGraph(), nls.Values.of([values.stack("{0}")]))',
+        None,
+    ),
     "register": "write a factor class and name it with nls.io.register: files that end in .npz and .json then hold it",
     "pyfg": "write a file that ends in .pyfg, which has a line for a range",
+    "ignore tags": ("leave these lines out", "ignore_tags={1}", "--ignore-tags {0}"),
+    "drop absent": ("leave such edges out", "drop_absent=True", "--drop-absent"),
     "repair": ("take the nearest matrix", "repair_information=True", "--repair-information"),
 }
 

@@ -176,7 +176,8 @@ class RotationsOfSpace(LieGroup):
 
 def not_unit(q: Array) -> tuple[int, str] | None:
     """First quaternion (n, 4) whose length is not 1 up to rounding, and why."""
-    length = np.linalg.norm(q, axis=-1)
+    with np.errstate(over="ignore"):  # a length beyond the largest number is infinite, and not 1
+        length = np.linalg.norm(q, axis=-1)
     bad = np.abs(length - 1) > UNIT_TOLERANCE
     if not bad.any():
         return None

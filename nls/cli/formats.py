@@ -46,11 +46,13 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     import nls
     from nls.io import load_stream
-    from nls.io.dialects import no_information
+    from nls.io.dialects import LineOptions, refuse_needless
     from nls.io.trajectory import TRAJECTORIES, load_trajectory
 
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
-    how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
+    of_lines = LineOptions(options.repair_information, options.ignore_tags, options.drop_absent)
+    elevation = getattr(options, "elevation", None)
+    how = options.convention, options.dialect, of_lines.repair_information, elevation, *of_lines[1:]
     if dives := getattr(options, "dives", []):
         return nls.load([options.file, *dives], *how)
     if options.file == "-":
@@ -59,8 +61,7 @@ def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]
         return load_stream(sys.stdin.buffer, input_name(options.file), *how)
     if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
         return nls.load(options.file, *how)
-    if options.repair_information:
-        raise no_information(options.file, form)
+    refuse_needless(options.file, form, of_lines)
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
 
 
@@ -89,7 +90,7 @@ def rendered(
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
-    with _renamed(graph, values, renumber) as (graph, values, changes):
+    with _renamed(graph, values, report, renumber) as (graph, values, changes):
         data, notes = io.rendered(path, graph, values, report, form)
     return data, changes + notes
 
@@ -109,21 +110,25 @@ def refuse_unwritable_graph(
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
-    with _renamed(graph, values, renumber) as (graph, values, _):
+    with _renamed(graph, values, report, renumber) as (graph, values, _):
         refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
 
 
 @contextmanager
-def _renamed(graph: FactorGraph, values: Values, renumber: bool) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+def _renamed(
+    graph: FactorGraph, values: Values, report: LoadReport, renumber: bool
+) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
     from nls.io.renumbering import renumbered, with_known_kinds
 
     before = values.stacks
-    graph, values, changes = with_known_kinds(graph, values)
+    changes: list[str] = []
+    if not report.gtsam_kinds:
+        graph, values, changes = with_known_kinds(graph, values)
     if renumber:
         names = dict(zip(values.stacks, before, strict=True))
-        graph, values, numbers = renumbered(graph, values, names)
+        graph, values, numbers = renumbered(graph, values, report, names)
         changes = changes + numbers
     try:
         yield graph, values, changes

@@ -33,8 +33,11 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     if os.path.isdir(options.file) and (command := _asking_of_scans(options.file, written)):
         return command
     wrong = outliers.is_gnc(options.robust)
+    of_lines = ["--drop-absent"] * options.drop_absent
+    of_lines += ["--ignore-tags", options.ignore_tags] if options.ignore_tags else []
     if wrong and options.output in written and options.to is None:
-        return shlex.join(["nls", "explain", _named(options.output)])
+        same = os.path.splitext(options.file)[1] == os.path.splitext(options.output)[1]  # lines left out are in it
+        return shlex.join(["nls", "explain", _named(options.output), *of_lines * same])
     words = ["nls", "explain", *map(_named, [options.file, *options.dives])]
     options_of_solve = {
         "--dialect": options.dialect if options.dialect != "auto" else None,
@@ -44,7 +47,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
         "--robust": "none" if options.all_contacts else None if wrong else options.robust,
     }
     words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
-    words += ["--repair-information"] * options.repair_information
+    words += ["--repair-information"] * options.repair_information + of_lines
     words += [word for kind in options.hold for word in ("--hold", kind)]
     return shlex.join(words)
 

@@ -149,26 +149,11 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
     The given report stays that of the whole graph; both have one list of notes.
     """
     masks = [weight > 0 for weight in choice.weights]
-    graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
+    graph, left = as_read.only(masks), [k for k, mask in enumerate(masks) if mask.any()]
+    parts = [(k, masks[k], new) for k, new in zip(left, graph.factors, strict=True)]
     if (mission := mission_of(report)) and mission.dive_of:
-        of_dive = zip(mission.dive_of, masks, strict=True)
-        report = replace(mission, dive_of=[name for name, mask in of_dive if mask.any()])
-    known = {id(statement.noise): statement for statement in report.statements}
-    left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
-    factor_times = [
-        (new, times[id(old)][mask]) for (old, mask), new in zip(left, graph.factors, strict=True) if id(old) in times
-    ]
-    statements = [
-        known[id(old.noise)].only(mask, new.noise)
-        for (old, mask), new in zip(left, graph.factors, strict=True)
-        if id(old.noise) in known
-    ]
-    sources = [
-        source._replace(lines=source.lines[mask])
-        for source, mask in zip(report.sources, masks, strict=True)
-        if mask.any()
-    ]
-    return graph, replace(report, factor_times=factor_times, statements=statements, sources=sources)
+        report = replace(mission, dive_of=[mission.dive_of[k] for k in left])
+    return graph, report.of_parts(as_read.factors, parts)
 
 
 def without_left(values: Values, kept: Values) -> Values:

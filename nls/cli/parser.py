@@ -142,6 +142,10 @@ def parser() -> Parser:
         added.set_defaults(run=partial(_run, module or name), default_of=added.get_default)
         if reads_graph:
             _input(added)
+            if name != "stream":  # which makes a variable where the first edge names it
+                added.add_argument(
+                    "--drop-absent", action="store_true", help="leave out edges to vertices without a line"
+                )
         else:
             added.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return added
@@ -297,6 +301,8 @@ def _input(command: argparse.ArgumentParser) -> None:
         "--dialect", default="auto", choices=DIALECTS, help="format of FILE (default: auto, by its content)"
     )
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
+    ignored = "unknown tags of edges that are left out; others are refused"
+    command.add_argument("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
     command.add_argument(
         "--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements (default: g2o)"
     )

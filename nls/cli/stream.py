@@ -20,9 +20,10 @@ from typing import Any, cast
 
 import nls
 from factors.base import Factor
+from factors.definite import diagonal
 from factors.replaced import replaced
 from factors.robust import kernel_from_text
-from models import LieGroup
+from models import SE2, SE3, LieGroup
 from models.algebra import Index
 from models.finite import finite_or_none
 from nls.cli.outputs import input_name, refuse_unwritable
@@ -35,16 +36,18 @@ from nls.io.native.native import read_native
 from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
+from nls.io.unused_lines import not_there
 
 __all__ = ["stream"]
 
 EVERY = 100  # steps from one checkpoint to the next
 AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
-PARAMETERS, VERTEX, FIX = (
-    re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE) for tag in (rb"PARAMS_", rb"VERTEX", rb"FIX\b")
+PARAMETERS, SWITCH, VERTEX, FIX = (
+    re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE)
+    for tag in (rb"PARAMS_", rb"(?:VERTEX_SWITCH|EDGE_SWITCH_PRIOR)\b", rb"VERTEX(?!_SWITCH\b)", rb"FIX\b")
 )
-MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_)[^#\s]", re.MULTILINE)
-SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information"
+MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_|VERTEX_SWITCH\b|EDGE_SWITCH_PRIOR\b)[^#\s]", re.MULTILINE)
+SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information", "ignore_tags"
 
 
 @dataclass
@@ -96,6 +99,8 @@ def stream(options: argparse.Namespace) -> int:
             state = _checkpoint(options, session, reader, arrived.line)
         if state:
             write_bytes(options.checkpoint, state)
+    for note in not_there(options.ignore_tags, reader.tags):
+        warnings.warn(f"{name}: {note}", nls.GraphWarning, stacklevel=2)
     if not session.step:
         raise nls.GraphFileError("has no measurement: nothing to stream", name)
     if not same:
@@ -165,7 +170,10 @@ class _Reader:
         self.options, self.name, self.dialect = options, input_name(options.file), options.dialect
         self._done = session.line  # the last that is in the estimate
         self.before, self._parameters, self._vertices, self._begun = 0, b"", b"", session.step > 0
+        self._switches = b""  # of edges to come
+        self.tags: set[str] = set()
         self._fixed: set[bytes] = set()
+        self._keyed, self._plain = set[str](), set[str]()  # kinds by their ids, in all blocks
         self._lines: list[bytes] = []  # that are not in the digest yet, where one is wanted
         self._hash, self._hashed = hashlib.sha256(), 0
 
@@ -177,25 +185,36 @@ class _Reader:
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
-            self._lines += block.splitlines(keepends=True)
+            self._lines += block.splitlines()
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
         if form == "bal":
             raise nls.GraphFileError("is bundle adjustment (bal), whose cameras are in no order of time", self.name)
         if form == "pyfg":
-            graph, values, report = read_pyfg(block, self.name, self.options.convention)
+            graph, values, report = read_pyfg(block, self.name, self.options.convention, self.options.ignore_tags)
             yield from self._arriving(graph, values, report)
             return
         if not self._begun:
             self._vertices += b"".join(VERTEX.findall(block))
-        data = self._parameters + FIX.sub(b"\n", VERTEX.sub(b"\n", block))
-        before -= self._parameters.count(b"\n")
+        head = self._parameters + self._switches
+        data = head + FIX.sub(b"\n", VERTEX.sub(b"\n", block))
+        before -= head.count(b"\n")
         self._parameters += b"".join(PARAMETERS.findall(block))
         if MEASUREMENT.search(data) is None:
+            self._switches += b"".join(SWITCH.findall(block))
             return
         how = self.options.convention, self.dialect, self.options.repair_information
-        graph, values, report = read_graph(data, self.name, *how, before, start=False)
+        graph, values, report = read_graph(data, self.name, *how, before, False, self.options.ignore_tags)
         self.dialect = report.format
+        unused = "\n".join([*report.ignored, ""]).encode("utf-8", "surrogateescape")
+        self._switches = b"".join(SWITCH.findall(unused))
+        self._keyed |= set(report.gtsam_kinds)
+        self._plain |= set(values.stacks) - set(report.gtsam_kinds)
+        if both := self._keyed & self._plain:
+            raise nls.GraphFileError(
+                f"has {min(both)} as ids and as keys of GTSAM: two things of one name; give the file, not a pipe",
+                self.name,
+            )
         yield from self._arriving(graph, values, report)
 
     def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
@@ -216,27 +235,30 @@ class _Reader:
         self, graph: nls.FactorGraph, values: nls.Values, report: LoadReport
     ) -> Iterator[tuple[Arrived, nls.Values]]:
         """The measurements of a graph that was read, step by step."""
+        self.tags.update(report.tags)
         for note in report.warnings:
             warnings.warn(f"{self.name}: {note}", nls.GraphWarning, stacklevel=2)
         if self.options.robust is not None:
             graph = graph.robust(kernel_from_text(self.options.robust))
-        kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
+        places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
+        moved = [stack for stack in values.stacks.values() if stack.kind not in places]
+        poses = [s.kind for s in moved if s.manifold in (SE2, SE3)]
+        kinds = poses or [s.kind for s in moved if isinstance(s.manifold, LieGroup)][:1] or ["x"]
         lines = [source.lines for source in report.sources] if report.has_lines else None
-        for arrived in self._new(graph.factors, lines, kind):
-            # alone, as in a longer file: the whitener of a batch depends on all that it holds
-            arrived = replace(arrived, factors=[replaced(factor) for factor in arrived.factors])
+        for arrived in self._new(graph.factors, lines, kinds):
+            arrived = replace(arrived, factors=[*map(_alone, arrived.factors)])
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
 
-    def _new(self, factors: list[Factor], lines: list[Index] | None, kind: str) -> Iterator[Arrived]:
+    def _new(self, factors: list[Factor], lines: list[Index] | None, kinds: list[str]) -> Iterator[Arrived]:
         """The steps of measurements that are not in the estimate yet."""
         if lines is None:
-            yield from dropwhile(lambda arrived: arrived.line <= self._done, steps(factors, None, kind))
+            yield from dropwhile(lambda arrived: arrived.line <= self._done, steps(factors, None, kinds))
             return
         masks = [at > self._done for at in lines]
         rest = [(factor[new], at[new]) for factor, at, new in zip(factors, lines, masks, strict=True) if new.any()]
         if rest:
-            yield from steps([factor for factor, _ in rest], [at for _, at in rest], kind)
+            yield from steps([factor for factor, _ in rest], [at for _, at in rest], kinds)
 
     def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
         """The first pose of a stream: as its vertex has it, otherwise in the origin."""
@@ -252,10 +274,17 @@ class _Reader:
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
         count = line - self._hashed
-        self._hash.update(b"".join(self._lines[:count]))
+        self._hash.update(b"".join(text + b"\n" for text in self._lines[:count]))
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
+
+
+def _alone(factor: Factor) -> Factor:
+    """Measurements as in a file of their own: one full matrix in a file makes the whiteners of all full."""
+    model = factor._model
+    full = model is None or (model.W.ndim == 3 and diagonal(model.W) is not None)
+    return replaced(factor) if full else factor
 
 
 def _begun(options: argparse.Namespace) -> Session:

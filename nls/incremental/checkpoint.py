@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy import sparse as sp
 
 from factors.base import Factor, Model
 from factors.joined import bound_batch, form_of, sort_of
@@ -85,7 +84,7 @@ def read_smoother(path: str | Path, cls: type[S]) -> tuple[S, dict[str, Any]]:
         raise unreadable(path, error) from error
     arrays = arrays_of(read_bytes(path, archive=True), name, "checkpoint") if packed else {}
     if not {STRUCTURE, CHECKSUM} <= arrays.keys():
-        raise GraphFileError("is no checkpoint of a smoother", name)
+        raise GraphFileError("is no checkpoint; expected what nls.Incremental.save or nls stream wrote", name)
     structure, checksum = (str(arrays.pop(text)) for text in (STRUCTURE, CHECKSUM))
     if _checksum(structure, arrays) != checksum:
         raise GraphFileError("is a damaged checkpoint: its checksum is that of other content", name)
@@ -148,8 +147,6 @@ class _Writer:
     def _entry(self, thing: Any) -> Plain:
         if isinstance(thing, np.ndarray):
             return {"is": "array", "type": str(thing.dtype), "of": thing}
-        if isinstance(thing, sp.csc_matrix):
-            return {"is": "matrix", "of": tuple(map(self.of, (thing.data, thing.indices, thing.indptr, thing.shape)))}
         if isinstance(thing, Manifold):
             return {"is": "space", "of": name_of_space(thing, "the smoother")}
         if isinstance(thing, Kernel | Keys):
@@ -230,9 +227,6 @@ class _Reader:
     def _object(self, kind: str, plain: Plain, dtype: str | None) -> Any:
         if kind == "array":
             return plain.astype(dtype)
-        if kind == "matrix":
-            data, indices, indptr, shape = map(self.of, plain)
-            return sp.csc_matrix((data, indices, indptr), shape)
         if kind == "space":
             return space_named(plain)
         if kind == "thing":

@@ -12,14 +12,14 @@ from typing import BinaryIO
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
-from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
+from nls.io.dialects import FORMATS, SUFFIXES, LineOptions, check_dialect, format_of, refuse_needless
 from nls.io.files import ZIP, graph_file, read_bytes, read_stream, write_bytes
 from nls.io.native.structure import register
 from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
 from nls.io.trajectory import TRAJECTORIES, read_kitti, read_tum, trajectory_text, write_kitti, write_tum
-from nls.io.unused_lines import left_out, measurements_left_out
+from nls.io.unused_lines import left_out, measurements_left_out, not_there
 from nls.stages import stage
 from nls.values import Values, refuse_other
 
@@ -54,6 +54,8 @@ def load(
     dialect: str = "auto",
     repair_information: bool = False,
     elevation: str | None = None,
+    ignore_tags: Sequence[str] = (),
+    drop_absent: bool = False,
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """Read a graph file (also gzip-compressed), or a folder that holds a mission.
 
@@ -70,6 +72,10 @@ def load(
         a warning) instead of refusing the file; for the dialects g2o and toro.
     elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see
         `factors.sonar_factors`.
+    ignore_tags : of a file with tags, unknown ones that begin with ``EDGE`` and may be left out (with a warning), also
+        as one text with commas. Others are refused: lines that join variables are not read past in silence.
+    drop_absent : leave out edges to vertices that no line gives (with a warning) instead of refusing the file; of g2o
+        and TORO files that give vertices.
 
     Returns
     -------
@@ -83,7 +89,8 @@ def load(
     ResourceLimitError
         The file, or what it unpacks to, is too large.
     OptionError
-        No such dialect or convention; a repair of information in a file that has none.
+        No such dialect or convention; a repair of information in a file that has none; a tag to ignore that is read;
+        these options for a mission or another format without tags.
 
     Examples
     --------
@@ -94,7 +101,7 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
-    how = convention, dialect, repair_information, elevation
+    how = convention, dialect, elevation, LineOptions(repair_information, ignore_tags, drop_absent)
     if isinstance(path, str | os.PathLike):
         return _warned(path, _read(path, *how))
     return _warned("dives", _read_dives(path, *how))
@@ -107,6 +114,8 @@ def load_stream(
     dialect: str = "auto",
     repair_information: bool = False,
     elevation: str | None = None,
+    ignore_tags: Sequence[str] = (),
+    drop_absent: bool = False,
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """Read a graph, also gzip-compressed, from an open stream of bytes such as ``sys.stdin.buffer``.
 
@@ -114,7 +123,7 @@ def load_stream(
     ----------
     file : the stream, read to its end.
     name : of the stream, for messages and the report.
-    convention, dialect, repair_information, elevation : as for `load`, which has the errors, too.
+    convention, dialect, repair_information, elevation, ignore_tags, drop_absent : as for `load`, which has the errors.
 
     Examples
     --------
@@ -130,7 +139,8 @@ def load_stream(
             data = read_stream(file, name, archive=True)
         except OSError as error:
             raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
-    return _warned(name, _parsed(data, name, convention, dialect, repair_information))
+    options = LineOptions(repair_information, ignore_tags, drop_absent)
+    return _warned(name, _parsed(data, name, convention, dialect, options))
 
 
 def _warned(name: str | Path, read: tuple[FactorGraph, Values, LoadReport]) -> tuple[FactorGraph, Values, LoadReport]:
@@ -141,7 +151,7 @@ def _warned(name: str | Path, read: tuple[FactorGraph, Values, LoadReport]) -> t
 
 
 def _read(
-    path: str | Path, convention: str, dialect: str, repair_information: bool, elevation: str | None
+    path: str | Path, convention: str, dialect: str, elevation: str | None, options: LineOptions
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph of a file or folder, without its warnings; parameters and errors as for `load`."""
     path = graph_file(path)
@@ -151,8 +161,7 @@ def _read(
 
         if dialect != "auto":
             raise OptionError("dialect", dialect, f"auto: {path} is a folder, and folders are missions")
-        if repair_information:
-            raise no_information(str(path), "mission")
+        refuse_needless(str(path), "mission", options)
         check_convention(convention)
         if is_scan_mission(path):
             _refuse_elevation(elevation, path)
@@ -162,11 +171,11 @@ def _read(
     _refuse_elevation(elevation, path)
     with stage("read file"):
         data = read_bytes(path, archive=True)
-    return _parsed(data, str(path), convention, dialect, repair_information)
+    return _parsed(data, str(path), convention, dialect, options)
 
 
 def _read_dives(
-    paths: Sequence[str | Path], convention: str, dialect: str, repair_information: bool, elevation: str | None
+    paths: Sequence[str | Path], convention: str, dialect: str, elevation: str | None, options: LineOptions
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph of several missions, without its warnings; parameters and errors as for `load`."""
     from nls.io.mission.dives import read_dives
@@ -178,8 +187,7 @@ def _read_dives(
             raise GraphFileError("is no folder; of several inputs each must be the folder of a mission", str(path))
     if dialect != "auto":
         raise OptionError("dialect", dialect, "auto: several inputs are missions")
-    if repair_information:
-        raise no_information(str(paths[0]), "mission")
+    refuse_needless(str(paths[0]), "mission", options)
     check_convention(convention)
     return read_dives(paths, "hinge" if elevation is None else elevation)
 
@@ -191,14 +199,14 @@ def _refuse_elevation(elevation: str | None, name: str | Path) -> None:
 
 
 def _parsed(
-    data: bytes, path: str, convention: str, dialect: str, repair_information: bool
+    data: bytes, path: str, convention: str, dialect: str, options: LineOptions
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph of the bytes of a file, without its warnings; parameters and errors as for `load`."""
     reason = "as asked for"
     if dialect == "auto":
         dialect, reason = foreign(data, path)
-    if dialect in ("bal", "pyfg", *NATIVE) and repair_information:
-        raise no_information(path, dialect)
+    if dialect in ("bal", "pyfg", *NATIVE):
+        refuse_needless(path, dialect, options._replace(ignore_tags=()) if dialect == "pyfg" else options)
     if dialect in NATIVE:
         from nls.io.native.native import read_native
 
@@ -210,10 +218,13 @@ def _parsed(
     elif dialect == "pyfg":
         from nls.io.pyfg import read_pyfg
 
-        read = read_pyfg(data, path, convention)
+        read = read_pyfg(data, path, convention, options.ignore_tags)
     else:
-        return read_graph(data, path, convention, dialect, repair_information)
+        read = read_graph(data, path, convention, dialect, **options._asdict())
+        reason = read[2].reason
     read[2].reason = reason
+    for note in not_there(options.ignore_tags, read[2].tags):
+        read[2].warn(note)
     return read
 
 
@@ -291,7 +302,7 @@ def rendered(
         from nls.io.renumbering import check_renumber, renumbered
 
         check_renumber(dialect)
-        graph, values, changes = renumbered(graph, values)
+        graph, values, changes = renumbered(graph, values, report)
         notes += changes
     if dialect == "bal":
         from nls.io.bal import bal_text

@@ -32,7 +32,9 @@ the noise formats of GTSAM's 2-D reader.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from factors.bearing import Bearing
 from factors.between import Between
@@ -47,7 +49,7 @@ from models.errors import GraphFileError, OptionError
 from nls.io.records import Element, Format, Record
 from nls.io.text import Text, printable
 
-__all__ = ["FORMATS", "G2O", "SUFFIXES", "format_of", "no_information"]
+__all__ = ["FORMATS", "G2O", "SUFFIXES", "format_of"]
 
 POSES = ("pose", "pose")
 POSE_AND_POINT = ("pose", "point")
@@ -72,6 +74,8 @@ G2O_PLANE = (
     Record(b"EDGE_SE2_POINTXY_OFFSET", SE2, ("pose", "point"), POINT2, Landmark, parameters=1),
     Record(b"EDGE_SE2_CALIB", SE2, ("pose", "pose", "mount"), STEP2, BetweenSensors),
     Record(b"EDGE_SE2_XY_CALIB", SE2, ("pose", "point", "mount"), POINT2, Landmark),
+    Record(b"LANDMARK2", SE2, POSE_AND_POINT, POINT2, Landmark, foreign=True, apart=True),
+    Record(b"EDGE_SE2_SWITCHABLE", SE2, POSES, STEP2, Between, 1, used=False, switched=True, foreign=True),
 )
 G2O_SPACE = (
     Record(b"VERTEX_SE3:QUAT", SE3, ("pose",), POSE3),
@@ -81,14 +85,22 @@ G2O_SPACE = (
     Record(b"EDGE_SE3_TRACKXYZ", SE3, ("pose", "point"), POINT3, Landmark, parameters=1),
     Record(b"EDGE_SE3_PRIOR", SE3, ("either",), POSE3, Prior, parameters=1),
     Record(b"EDGE_SE3_XYZ_PRIOR", SE3, ("either",), POINT3, Position, parameters=1, used=False),
+    Record(b"EDGE_POINTXYZ_PRIOR", SE3, ("either",), POINT3, Position, foreign=True),
     Record(b"EDGE_POINTXYZ_PRIOR", SE3, ("point",), POINT3, Prior),
     Record(b"EDGE_POINTXYZ", SE3, ("point", "point"), POINT3, Between),
     Record(b"EDGE_SE3_OFFSET", SE3, ("pose", "pose"), POSE3, BetweenSensors, parameters=2),
     Record(b"EDGE_SE3_CALIB", SE3, ("pose", "pose", "mount"), POSE3, BetweenSensors),
+    Record(b"EDGE_SE3", SE3, POSES, POSE3, Between, foreign=True),
+    Record(b"LANDMARK3", SE3, POSE_AND_POINT, POINT3, Landmark, foreign=True, apart=True),
+    Record(b"EDGE_SE3_SWITCHABLE", SE3, POSES, POSE3, Between, 1, used=False, switched=True, foreign=True),
+)
+SWITCHES = (
+    Record(b"VERTEX_SWITCH", SE2, (), Element(R(1), "value"), switched=True),
+    Record(b"EDGE_SWITCH_PRIOR", SE2, (), Element(R(2), "value information"), switched=True),
 )
 G2O = Format(
     "g2o",
-    G2O_PLANE + G2O_SPACE,
+    G2O_PLANE + G2O_SPACE + SWITCHES,
     "information",
     "tags such as VERTEX_SE2 and EDGE_SE3:QUAT",
     fix=True,
@@ -96,6 +108,7 @@ G2O = Format(
         (b"EDGE_SE2_PRIOR", b"EDGE_PRIOR_SE2"),
         (b"EDGE_PRIOR_SE3", b"EDGE_SE3_PRIOR"),
         (b"EDGE_SE3_PRIOR:QUAT", b"EDGE_SE3_PRIOR"),
+        (b"EDGE_SE3:QUAT_SWITCHABLE", b"EDGE_SE3_SWITCHABLE"),
     ),
 )
 
@@ -148,6 +161,7 @@ READINGS = {  # dialects by tag
     for known in FORMATS.values()
     for tag in (*known.tags, *known.ignored_tags)
 }
+SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
 Tags = dict[bytes, Index]
@@ -184,14 +198,29 @@ def format_of(
     return suffixes[suffix]
 
 
-def no_information(path: str, format: str) -> OptionError:
-    """The error for a repair of information in a file that has none."""
-    allowed = f"False: {path} is in the format {format}, which has no information matrices"
-    return OptionError("repair_information", True, allowed)
+class LineOptions(NamedTuple):
+    """Options of `nls.load` about lines of graph text files."""
+
+    repair_information: bool = False
+    ignore_tags: Sequence[str] = ()
+    drop_absent: bool = False
 
 
-def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tuple[Format, str]:
-    """The dialect of a file by its tags, and why.
+def refuse_needless(path: str, format: str, options: LineOptions) -> None:
+    """Refuse options about `SUBJECTS` a format does not have.
+
+    Raises
+    ------
+    OptionError
+    """
+    for option, value in options._asdict().items():
+        if value:
+            allowed = f"{type(value)()!r}: {path} is in the format {format}, which has no {SUBJECTS[option]}"
+            raise OptionError(option, value, allowed)
+
+
+def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part: bool = False) -> tuple[Format, str]:
+    """The dialect of a file by its tags, and why; a part of a file whose dialect is named may have no known tag.
 
     Raises
     ------
@@ -200,7 +229,7 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tu
     """
     if dialect != "auto":
         format = FORMATS[dialect]
-        if not any(tag in format.tags for tag in tags):
+        if not part and not any(tag in format.tags for tag in tags):
             raise _no_graph(text, tags, comments, [format])
         return format, "as asked for"
     candidates = {tag: READINGS[tag] for tag in tags if tag in READINGS}
@@ -211,7 +240,7 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tu
         if not left & names:
             raise text.error(
                 f"{tag.decode()} is a tag of {_listed(names)}, the lines before are of {_listed(left)}; expected one "
-                "dialect in a file, or name the dialect, and the lines of others are not used",
+                "dialect in a file, or name the dialect, and leave out the lines of others",
                 int(tags[tag][0]),
             )
         left &= names
@@ -260,6 +289,6 @@ def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) ->
         line, problem = 0, "is empty"
     examples = EXAMPLES
     if len(formats) == 1:
-        named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None)
+        named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None and not r.foreign)
         examples = f"{named} (dialect {formats[0].name})"
     return text.error(f"{problem}; expected lines such as {examples}", line, advice)

@@ -20,6 +20,7 @@ from nls.io.text import Text
 __all__ = ["among", "turns"]
 NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
+LINK_TYPES = range(100)  # RTAB-Map numbers them so
 TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
@@ -31,7 +32,7 @@ class Lines(NamedTuple):
     at : (n,) lines, counted from 0.
     ids : (n,) per slot, for a parameter its own; parameters : (n, k) ids.
     X : (n, size) elements.
-    numbers : (n, columns) everything after the ids.
+    numbers : (n, columns) everything after the ids, also a type of a link.
     """
 
     record: Record
@@ -40,6 +41,16 @@ class Lines(NamedTuple):
     parameters: Numbers
     X: Array
     numbers: Array
+
+    def only(self, mask: Mask, record: Record) -> Lines:
+        """Some of the lines, as those of a record."""
+        ids = [i[mask] for i in self.ids]
+        return Lines(record, self.at[mask], ids, self.parameters[mask], self.X[mask], self.numbers[mask])
+
+    @property
+    def link_types(self) -> Array:
+        """(n, 1) types of links behind the matrices; (n, 0) where lines have none."""
+        return self.numbers[:, self.record.element.width + len(self.record.places[0]) :]
 
     @property
     def rounded(self) -> Index:
@@ -58,7 +69,7 @@ class Lines(NamedTuple):
 
 
 def read_lines(text: Text, record: Record, at: Index) -> Lines:
-    """The lines of a record.
+    """The lines of a record; all of an edge between two poses may end in one number more, RTAB-Map's type of a link.
 
     Raises
     ------
@@ -66,7 +77,10 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
         A count of numbers, a word or an element that cannot be right; an edge from a vertex to itself.
     """
     lead, width = record.lead, record.element.width
-    numbers = text.table(at, record.words, record.columns, len(record.places[0]))[:, lead:]
+    last, typed = text.first.take(at + 1) - 1, record.slots == ("pose", "pose") and record.tag.startswith(b"EDGE_SE")
+    typed = typed and bool((last - text.first.take(at) == record.words + 1).all())
+    typed = typed and bool(np.isin(text.numbers(last, at, 1), LINK_TYPES).all())
+    numbers = text.table(at, record.words + typed, record.columns, len(record.places[0]))[:, lead:]
     whole = text.whole(at, np.arange(1, 1 + lead)[:, None])
     ids, parameters = list(whole[: lead - record.parameters]), whole[lead - record.parameters :].T
     if record.element.angles:

@@ -20,7 +20,7 @@ Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_gr
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +45,7 @@ from nls.io.records import at_origin, fixed_offsets
 from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused_lines import appended, keep_unknown, note_comments
+from nls.io.unused_lines import appended, keep_unknown, note_comments, refuse_edges
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
@@ -110,10 +110,12 @@ PLANE, SPACE = _tags(SE2, "SE2", R(2), "XY"), _tags(SE3, "SE3:QUAT", R(3), "XYZ"
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
-def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
+def read_pyfg(
+    data: bytes, path: str, convention: str = "g2o", ignore_tags: Sequence[str] = ()
+) -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, values of the vertices and report of the bytes of a PyFactorGraph text file.
 
-    The vertices of published files are the *true* values, not a start.
+    The vertices of published files are the *true* values, not a start. ``ignore_tags`` as for `nls.load`.
 
     Raises
     ------
@@ -138,6 +140,7 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
     known = {name.encode(): tag.words for name, tag in dialect.items()}
     if unknown := {tag: lines for tag, lines in words.items() if tag not in known}:
         refuse_misspelt(text, unknown, known, FIRST)
+    refuse_edges(text, unknown, ignore_tags, known)
     keep_unknown(text, unknown, report)
     note_comments(report, comments)
 

@@ -8,24 +8,31 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 
 from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
-from models import LieGroup
+from factors.position import Position
+from factors.robust import DCS, Robust
+from models import SE2, LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
-from nls.io.dialects import choose, no_information
+from nls.io.dialects import LineOptions, choose, refuse_needless
+from nls.io.gtsam_keys import id_text, with_letters
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record, spaces_of
 from nls.io.report import LoadReport, Source, Statement
-from nls.io.roles import Roles
+from nls.io.roles import Roles, by_role, present
 from nls.io.start import started, unstarted
+from nls.io.switches import Switches
 from nls.io.text import Text, printable
-from nls.io.unused_lines import keep, keep_unknown, note_comments
+from nls.io.unused_lines import keep, keep_unknown, note_comments, refuse_edges
 from nls.io.weights import matrix, noise_of, repaired
 from nls.stages import stage
 from nls.values import Stack, Values
@@ -42,6 +49,8 @@ def read_graph(
     repair_information: bool = False,
     before: int = 0,
     start: bool = True,
+    ignore_tags: Sequence[str] = (),
+    drop_absent: bool = False,
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, start values and report of the bytes of a graph text file.
 
@@ -53,30 +62,32 @@ def read_graph(
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
     before : lines of the file before these bytes.
     start : without vertices, chain the poses; otherwise the values are none, of the spaces that the edges name.
+    ignore_tags, drop_absent : as for `nls.load`.
 
     Raises
     ------
     GraphFileError
         With the line, for anything that cannot be right.
     OptionError
-        A repair of information in a dialect that has none.
+        A repair of information in a dialect that has none; a tag to ignore that is read.
     """
     check_convention(convention)
     with stage("read words"):
         text = Text(data, path, before)
         tags = dict(text.tags)
     comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
-    format, reason = choose(text, tags, comments, dialect)
-    if repair_information and format.matrix != "information":
-        raise no_information(path, format.name)
+    format, reason = choose(text, tags, comments, dialect, part=not start)
+    if format.matrix != "information":
+        refuse_needless(path, format.name, LineOptions(repair_information))
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
     group = _dimension(text, tags, records)
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
+    known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
     if strays := {t: n for t, n in unknown.items() if t not in format.ignored_tags}:
-        known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
         refuse_misspelt(text, strays, known)
+    refuse_edges(text, strays, ignore_tags, known)
     keep_unknown(text, unknown, report, format.ignored_tags)
     note_comments(report, len(comments))
 
@@ -87,17 +98,20 @@ def read_graph(
         read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
     vertices = [block for block in read if block.record.factor is None and block.record.slots]
-    offsets = _Offsets(text, [block for block in read if not block.record.slots], group)
-    roles = Roles(text, vertices, edges, unknown, format.apart)
+    edges = by_role(format, vertices, present(text, vertices, edges, report) if drop_absent else edges)
+    named = [block for block in read if not block.record.slots]
+    offsets = _Offsets(text, [block for block in named if not block.record.switched], group)
+    switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
+    roles = Roles(text, vertices, edges, unknown, format.apart or any(block.record.apart for block in edges))
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for block in edges:
-            if not block.record.used:
-                name = block.record.tag.decode()
-                report.notes.append(f"{name} lines name a parameter that their error does not use")
+            switched = block.record.switched
+            _note_use(block, report)
             noises = _matrices(text, block, format, repair_information, report)
-            for mine in roles.kinds_of(block):
-                factor = _factor(text, block, mine, noises, offsets, roles, format, convention, group, report)
+            parameters = switches if switched else offsets
+            for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
+                factor = _factor(text, block, mine, noises, parameters, roles, format, convention, group, report)
                 bound.append((factor, block))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
     graph = FactorGraph([factor for factor, _ in bound])
@@ -112,13 +126,15 @@ def read_graph(
         for message in turns((block.record.tag.decode(), block.at, block.angles) for block in part_of):
             say(message)
     offsets.keep_unused(report)
+    switches.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
-    return graph, values, report
+    return with_letters(graph, values, report, roles.all_ids())
 
 
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
-    """SE2 or SE3, whichever the file is about."""
+    """SE2 or SE3, whichever the file is about; parameters alone say it where there is nothing else."""
+    records = {t: r for t, r in records.items() if r.slots} or records
     first = {
         group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
         for group in {record.group for record in records.values()}
@@ -126,7 +142,7 @@ def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record
     if len(first) == 2:
         line = max(first.values())
         raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
-    return next(iter(first))
+    return next(iter(first), SE2)
 
 
 class _Offsets:
@@ -134,6 +150,8 @@ class _Offsets:
 
     def __init__(self, text: Text, lines: list[Lines], group: LieGroup) -> None:
         self.text, self.group = text, group
+        self.others = joined([block.at for block in lines if block.record.group is not group])
+        lines = [block for block in lines if block.record.group is group]
         self.tag = f"PARAMS_{group.name}OFFSET"
         self.ids, order = by_number(text, lines, "parameter")
         self.X = np.concatenate([group.identity(0), *(block.X for block in lines)])[order]
@@ -155,8 +173,7 @@ class _Offsets:
 
     def keep_unused(self, report: LoadReport) -> None:
         """Keep the parameters no edge names as text: a graph has no place for them."""
-        if self.unused.any():
-            lines = self.at[self.unused]
+        if len(lines := np.sort(joined([self.at[self.unused], self.others]))):
             report.notes.append(f"{several(len(lines), 'parameter')} that no edge uses")
             keep(self.text, lines, report)
 
@@ -175,7 +192,8 @@ def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: Lo
                 f"replaced by the nearest semi-definite {noun}"
             )
             rows, columns = block.record.places
-            block.numbers[:, block.record.element.width :] = M[:, rows, columns]
+            width = block.record.element.width
+            block.numbers[:, width : width + len(rows)] = M[:, rows, columns]
     return M
 
 
@@ -184,7 +202,7 @@ def _factor(
     block: Lines,
     mine: Index | slice,
     matrices: Array,
-    offsets: _Offsets,
+    offsets: _Offsets | Switches,
     roles: Roles,
     format: Format,
     convention: str,
@@ -195,11 +213,14 @@ def _factor(
     record, at = block.record, block.at[mine]
     keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, block.ids, strict=True)]
     z, numbers = block.X[mine], block.numbers[mine]
+    all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+    M = matrices[mine] * all_offsets[:, :, 1:2] ** 2 if record.switched else matrices[mine]
     with text.at_lines(at):
-        noise = noise_of(record, format.matrix, matrices[mine], numbers[:, : record.element.width], convention)
+        noise = noise_of(record, format.matrix, M, numbers[:, : record.element.width], convention)
+        if isinstance(offsets, Switches):
+            noise = Robust(noise, DCS(float(offsets.phi[mine][0])))
         shared: list[Array] = []
-        if record.parameters or record.element.angles:
-            all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+        if record.parameters or record.element.angles or record.foreign or block.link_types.size:
             report.statements.append(
                 Statement(noise, record.tag, convention, z, numbers, block.parameters[mine], all_offsets)
             )
@@ -222,6 +243,17 @@ def _vertex_values(vertices: list[Lines], roles: Roles, group: LieGroup) -> Valu
     return Values.of(stacks[kind] for kind in KINDS.values() if kind in stacks)
 
 
+def _note_use(block: Lines, report: LoadReport) -> None:
+    record, name = block.record, block.record.tag.decode()
+    if not (record.used or record.switched):
+        report.notes.append(f"{name} lines name a parameter that their error does not use")
+    if record.foreign and record.factor is Position:
+        report.notes.append(f"{name} lines of poses are read as positions")
+    if block.link_types.size:
+        named = ", ".join(f"{kind:g} ({count})" for kind, count in sorted(Counter(block.link_types[:, 0]).items()))
+        report.warn(f"{name} lines end in a type of a link, {named}: not used, and only a g2o file gets it back")
+
+
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:
     rounded = joined([block.rounded for block in read])
     if len(rounded):
@@ -238,13 +270,15 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     owner = np.repeat(lines, count)
     numbers = text.whole(owner, 1 + np.concatenate([np.arange(n) for n in count]))
     kinds = roles.all_ids()
+    both = among(numbers, np.intersect1d(roles.poses, roles.points))
+    text.refuse(both, owner, lambda k: f"FIX {numbers[k]} may mean the pose or the point of this number")
     missing = ~np.isin(numbers, np.concatenate(list(kinds.values())))
     if missing.any():
         k = int(np.argmax(missing))
         has_vertices = len(roles.vertex_ids) > 0
         named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
         raise text.error(
-            f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
+            f"FIX names vertex {id_text(numbers[k])}, which no {named} line has; add one, or take {numbers[k]} out",
             int(owner[k]),
         )
     fixed = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]

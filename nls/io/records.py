@@ -68,6 +68,9 @@ class Record:
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.
     used : False where the error of the measurement ignores its parameter.
+    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.switches`.
+    foreign : whether it is a tag of other programs that is written only where lines were read with it.
+    apart : whether its points have a numbering of their own.
     entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.
     """
 
@@ -78,6 +81,9 @@ class Record:
     factor: type[Factor] | None = None
     parameters: int = 0
     used: bool = True
+    switched: bool = False
+    foreign: bool = False
+    apart: bool = False
     entries: str = ""
 
     @cached_property
@@ -106,7 +112,9 @@ class Record:
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]
         if "point" in self.slots[1:] or "mount" in self.slots:
             names = [f"{slot}{'_j' if k == 1 and slot == 'pose' else ''}" for k, slot in enumerate(self.slots)]
-        names += {0: [], 1: ["parameter"], 2: ["parameter_i", "parameter_j"]}[self.parameters]
+        names += {0: [], 1: ["switch" if self.switched else "parameter"], 2: ["parameter_i", "parameter_j"]}[
+            self.parameters
+        ]
         n = len(self.places[0])
         return " ".join([*names, self.element.columns]) + (f" and {n} entr{'ies' if n > 1 else 'y'}" if n else "")
 
@@ -170,7 +178,7 @@ class Format:
 
     @cached_property
     def tags(self) -> dict[bytes, Record]:
-        """Records by tag and alias."""
+        """Records by tag and alias; the last one of a tag, which reads all of its lines."""
         by_tag = {record.tag: record for record in self.records}
         return by_tag | {alias: by_tag[tag] for alias, tag in self.aliases}
 

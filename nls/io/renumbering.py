@@ -17,7 +17,9 @@ from models.algebra import Numbers
 from models.errors import OptionError
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS
+from nls.io.gtsam_keys import VertexIds
 from nls.io.records import KINDS
+from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
 __all__ = ["check_renumber", "renumbered", "with_keys", "with_known_kinds"]
@@ -39,7 +41,7 @@ def check_renumber(form: str) -> None:
 
 
 def renumbered(
-    graph: FactorGraph, values: Values, names: Mapping[str, str] | None = None
+    graph: FactorGraph, values: Values, report: LoadReport | None = None, names: Mapping[str, str] | None = None
 ) -> tuple[FactorGraph, Values, list[str]]:
     """The graph with every number once, and which variable was which, in words.
 
@@ -50,6 +52,7 @@ def renumbered(
     Parameters
     ----------
     graph, values : not changed; given back as they are where every number is there once.
+    report : as for `nls.save`; kinds whose ids are keys of GTSAM keep their numbers.
     names : what the kinds were called in the graph of the user, for the words; as they are when omitted.
 
     Examples
@@ -64,10 +67,11 @@ def renumbered(
     >>> graph.factors, values.stack(l).numbers.tolist(), notes
     ([Landmark(x[0, 0, 0], l[8, 7, 9])], [8, 7, 9], ['2 variables have new numbers: l8 to l9 were l0 to l1'])
     """
-    stacks = sorted(values.stacks.values(), key=_rank)
+    keyed = VertexIds(graph, values, report).keyed
+    stacks = sorted((stack for stack in values.stacks.values() if stack.kind not in keyed), key=_rank)
     used = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in stacks)])
     taken: Numbers = used[:0]
-    new: dict[str, Numbers] = {}
+    new = {stack.kind: stack.numbers for stack in values.stacks.values()}
     runs, count = [], 0
     for stack in stacks:
         numbers = np.array(stack.numbers)

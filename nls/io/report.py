@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -76,6 +77,7 @@ class LoadReport:
     factor_times : pairs of a factor and its times (n,), s.
     statements : the numbers of lines whose matrix is about angles or that name parameters; `nls.save` writes them to a
         file of the same format where a factor still has the noise and the measurements that were read from them.
+    gtsam_kinds : kinds whose ids are keys of GTSAM in the file; `nls.save` writes them as such.
     sources : file and lines per factor, in the order of the factors of the graph as read; see `place`.
 
     Examples
@@ -100,6 +102,7 @@ class LoadReport:
     vertex_times: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
     factor_times: list[tuple[Factor, Array]] = field(default_factory=list, compare=False, repr=False)
     statements: list[Statement] = field(default_factory=list, compare=False, repr=False)
+    gtsam_kinds: tuple[str, ...] = ()
     sources: list[Source] = field(default_factory=list, compare=False, repr=False)
 
     def place(self, factor: int, measurement: int) -> str:
@@ -128,6 +131,23 @@ class LoadReport:
     def counts(self) -> dict[str, int]:
         """How much there is besides the graph, by name."""
         return {}
+
+    def of_parts(self, factors: Sequence[Factor], parts: Sequence[tuple[int, Mask, Factor]]) -> Self:
+        """The report of a graph of parts of these factors: the times and lines of their measurements; the same notes.
+
+        Parameters
+        ----------
+        factors : as read, of this report.
+        parts : number of the factor, which of its measurements (n,), and the factor of those.
+        """
+        times = {id(factor): times for factor, times in self.factor_times}
+        known = {id(statement.noise): statement for statement in self.statements}
+        return replace(
+            self,
+            factor_times=[(new, times[id(factors[k])][mask]) for k, mask, new in parts if id(factors[k]) in times],
+            statements=[s.only(mask, new.noise) for k, mask, new in parts if (s := known.get(id(factors[k].noise)))],
+            sources=[Source(self.sources[k].path, self.sources[k].lines[mask]) for k, mask, _ in parts],
+        )
 
     def warn(self, note: str) -> None:
         """A note that deserves a warning."""

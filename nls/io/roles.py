@@ -6,12 +6,49 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from models.advice import Advice
 from models.algebra import Index, Numbers
+from models.listing import several
+from nls.io.gtsam_keys import id_text
 from nls.io.lines import Lines, among, by_number, different, joined
-from nls.io.records import KINDS
+from nls.io.records import KINDS, Format
+from nls.io.report import LoadReport
 from nls.io.text import Text, printable
+from nls.io.unused_lines import keep
 
 ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
+
+
+def by_role(format: Format, vertices: list[Lines], edges: list[Lines]) -> list[Lines]:
+    """The edges, with lines of a tag for points apart that are about poses, where the format has a record of these."""
+    of_poses = {r.tag: r for r in format.records if r.foreign and r.slots == ("either",)}
+    out: list[Lines] = []
+    for block in edges:
+        if record := of_poses.get(block.record.tag):
+            is_pose = among(block.ids[0], different(_ids(vertices or edges, "pose")))
+            parts = block.only(~is_pose, block.record), block.only(is_pose, record)
+            out += [part for part in parts if len(part.at)]
+        else:
+            out.append(block)
+    return out
+
+
+def present(text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport) -> list[Lines]:
+    """The edges without those to vertices that no line gives, which are kept as text; all of them without vertices."""
+    given = different(joined(block.ids[0] for block in vertices))
+    if not len(given):
+        return edges
+    masks = [np.all([among(ids, given) for ids in block.ids], axis=0) for block in edges]
+    if len(absent := np.sort(joined(block.at[~mask] for block, mask in zip(edges, masks, strict=True)))):
+        count, line = several(len(absent), "edge"), text.first_number + absent[0]
+        report.warn(f"{count} to vertices that no line gives left out, first on line {line}")
+        keep(text, absent, report)
+    return [block.only(mask, block.record) for block, mask in zip(edges, masks, strict=True) if mask.any()]
+
+
+def _ids(lines: list[Lines], slot: str) -> Numbers:
+    """Ids in all slots of this name."""
+    return joined([i for block in lines for s, i in zip(block.record.slots, block.ids, strict=True) if s == slot])
 
 
 class Roles:
@@ -21,7 +58,7 @@ class Roles:
     ----------
     text, vertices, edges : the file, and its lines by record.
     unknown : its lines (from 0) by tags that are not known.
-    apart : whether a pose and a point may have one number; of formats without vertex lines.
+    apart : whether a pose and a point may have one number.
 
     Attributes
     ----------
@@ -38,7 +75,8 @@ class Roles:
         self, text: Text, vertices: list[Lines], edges: list[Lines], unknown: Mapping[bytes, Index], apart: bool = False
     ) -> None:
         self.text, self.edges, self.unknown = text, edges, unknown
-        self.vertex_ids, _ = by_number(text, vertices, "vertex")
+        parts = [[block] for block in vertices] if apart else [vertices]
+        self.vertex_ids = different(joined([by_number(text, part, "vertex")[0] for part in parts]))
         self.mounts = different(self._used("mount"))
         if len(self.vertex_ids):
             lines = {block.record.slots[0]: block for block in vertices}
@@ -76,9 +114,7 @@ class Roles:
                 yield mine
 
     def _used(self, slot: str) -> Numbers:
-        """Ids in all slots of this name."""
-        ids = [i for block in self.edges for s, i in zip(block.record.slots, block.ids, strict=True) if s == slot]
-        return joined(ids)
+        return _ids(self.edges, slot)
 
     def first_line(self, slots: tuple[str, ...], number: int) -> int:
         """First line (from 0) that uses a vertex in one of these slots; -1 when none does."""
@@ -103,7 +139,7 @@ class Roles:
             if line < other_line:
                 line, other_line, use, other_use = other_line, line, other_use, use
             raise self.text.error(
-                f"vertex {number} is used as {use} here, and as {other_use} on line {other_line + 1}", line
+                f"vertex {id_text(number)} is used as {use} here, and as {other_use} on line {other_line + 1}", line
             )
 
     def _refuse_missing(self, lines: dict[str, Lines]) -> None:
@@ -117,14 +153,15 @@ class Roles:
                 k = int(np.argmin(is_known))
                 if other_role in lines and (ids[k] == lines[other_role].ids[0]).any():
                     line = int(lines[other_role].at[np.argmax(lines[other_role].ids[0] == ids[k])])
-                    message = f"the edge needs a {role}, vertex {ids[k]} is a {other_role} (line {line + 1})"
+                    message = f"the edge needs a {role}, vertex {id_text(ids[k])} is a {other_role} (line {line + 1})"
                     raise self.text.error(message, int(block.at[k]))
                 tag = lines[role].record.tag.decode() if role in lines else f"{role} vertex"
                 self._refuse_unknown(int(ids[k]), int(block.at[k]), tag)
                 raise self.text.error(
-                    f"the edge needs vertex {ids[k]}, which no {tag} line has (others are there); add it, or take out "
-                    "all vertices to have poses chained along the edges",
+                    f"the edge needs vertex {id_text(ids[k])}, which no {tag} line has (others are there); add it, or "
+                    "take out all vertices to have poses chained along the edges",
                     int(block.at[k]),
+                    [Advice("drop absent")],
                 )
 
     def _refuse_unknown(self, number: int, edge: int, tag: str) -> None:

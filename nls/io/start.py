@@ -14,6 +14,7 @@ from factors.sighting import Sighting
 from models import LieGroup
 from models.listing import several
 from nls.graph import FactorGraph
+from nls.io.gtsam_keys import id_text
 from nls.io.lines import Lines
 from nls.io.records import KINDS, spaces_of
 from nls.io.report import LoadReport
@@ -98,7 +99,7 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
     lost = roles.points[~np.isin(roles.points, located_ids)]
     if len(lost):
         raise text.error(
-            f"the file has no vertices, and its measurements do not say where point {lost[0]} is; add vertices",
+            f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices",
             roles.first_line(("point",), int(lost[0])),
         )
     return values

@@ -29,6 +29,7 @@ from nls.linear.limits import default_limit, gigabytes
 __all__ = ["Text", "plain_lines", "plain_table", "refuse_late"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+DECIMAL_COMMA = rb"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?"
 INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither
 STRANGE = "[\x85\xa0\u1680\u180e\u2000-\u200f\u2028-\u202f\u205f-\u2064\u3000\ufeff\udca0]"
 NAMES = {
@@ -288,7 +289,9 @@ class Text:
         good = [NUMBER.fullmatch(word) is not None for word in words]
         if not all(good):
             k = good.index(False)
-            raise self.error(f"{printable(words[k], 40)!r} is not a number", int(lines[k]))
+            comma = re.fullmatch(DECIMAL_COMMA, words[k])
+            cure = "; it has a decimal comma: write points, such as by LC_ALL=C of the program that writes the file"
+            raise self.error(f"{printable(words[k], 40)!r} is not a number{cure if comma else ''}", int(lines[k]))
         number = np.array(list(map(float, words)))
         if not np.isfinite(number).all():
             k = int(np.argmin(np.isfinite(number)))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models import SE2, SE3
+from models.advice import Advice
 from models.algebra import Array
 from models.errors import GraphError
 from models.finite import numbers
@@ -195,12 +196,17 @@ def trajectory_text(
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
     if len(poses) != 1:
         names = ", ".join(stack.kind for stack in poses) or "none"
-        raise GraphError(f"{path}: a trajectory file holds the poses of one kind, this graph has {names}")
+        advice = [Advice("one kind", (stack.kind, form)) for stack in poses[:1]] + [Advice("table"), Advice("native")]
+        message = f"{path}: a trajectory file holds the poses of one kind, this graph has {names}"
+        raise GraphError(message, advice=advice)
     (stack,) = poses
     known = {} if report is None else report.vertex_times
     timed = stack.kind in known
     times = known[stack.kind] if timed else stack.numbers.astype(float)
     order = np.argsort(times, kind="stable")
+    if form == "tum" and not timed and (np.diff(times[order]) == 0).any():
+        message = f"{path}: the numbers of the poses stand for times, and are too large to tell them apart as such"
+        raise GraphError(message, advice=[Advice("table"), Advice("native")])
     X = np.array(stack.X)[order]
     data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
     notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]

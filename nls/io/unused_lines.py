@@ -2,20 +2,70 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from models.advice import Advice
 from models.algebra import Index
+from models.errors import OptionError
 from models.listing import several, some
+from models.options import did_you_mean
 from nls.graph import FactorGraph
 from nls.io.records import a_file
 from nls.io.report import LoadReport
-from nls.io.text import Text, printable
+from nls.io.text import SHORT, Text, printable
 
 __all__ = ["appended", "left_out", "measurements_left_out"]
 NAMED = 9  # tags in a sentence
+LONGEST = 500  # bytes of tags in an option that is advised
+
+
+def refuse_edges(
+    text: Text, unknown: Mapping[bytes, Index], ignore_tags: Sequence[str], known: Iterable[bytes]
+) -> None:
+    """Refuse unknown tags that begin with EDGE: without lines that join variables the rest may be another graph.
+
+    Parameters
+    ----------
+    text : the file.
+    unknown : lines (from 0) by tags that are not known.
+    ignore_tags : those whose lines may be left out, see `tags_to_ignore`.
+    known : tags that are read.
+
+    Raises
+    ------
+    GraphFileError
+        With the first such line.
+    OptionError
+        A tag to ignore that is read.
+    """
+    names = tags_to_ignore(ignore_tags)
+    if read := sorted(names & {printable(tag) for tag in known}):
+        raise OptionError("ignore_tags", read[0], "tags that are not read; delete lines of this one that are wrong")
+    edges = {printable(tag): lines for tag, lines in unknown.items() if tag[:4].upper() == b"EDGE"}
+    edges = {tag: lines for tag, lines in edges.items() if not names.issuperset(tag.split(","))}
+    if edges:
+        counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
+        option = (shlex.quote(",".join(edges)), repr(list(edges)))
+        raise text.error(
+            f"tags that are not known and may join variables: {counts}; the rest may be another graph",
+            min(int(lines[0]) for lines in edges.values()),
+            [Advice("ignore tags", option)] * (len(option[0]) <= LONGEST),
+        )
+
+
+def tags_to_ignore(ignore_tags: Sequence[str]) -> set[str]:
+    """The tags that may be left out, those with commas in parts; one text is a list with commas, as of a command."""
+    return set(filter(None, ",".join([ignore_tags] if isinstance(ignore_tags, str) else ignore_tags).split(",")))
+
+
+def not_there(ignore_tags: Sequence[str], tags: Collection[str]) -> list[str]:
+    """Remarks on tags to ignore that a file with these tags does not have."""
+    absent = tags_to_ignore(ignore_tags).difference(*(tag.split(",") for tag in tags))
+    return [f"ignore_tags: no line has the tag {name!r}{did_you_mean(name, tags)}" for name in sorted(absent)]
 
 
 def keep(text: Text, lines: Index, report: LoadReport) -> None:

@@ -21,10 +21,12 @@ from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
+from nls.io.gtsam_keys import VertexIds
 from nls.io.lines import joined
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
+from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
 from nls.io.weights import entries
@@ -32,7 +34,6 @@ from nls.values import Values
 
 __all__ = ["refuse_unwritable_graph"]
 
-ROLES = {kind: role for role, kind in KINDS.items()}
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
@@ -64,8 +65,10 @@ def graph_text(
             rows_of_vertices = zip(lines, numbers.tolist(), held.tolist(), strict=True)
             lines = [line for row, n, h in rows_of_vertices for line in ([row, f"FIX {n}"] if h else [row])]
         out += lines
-    for table in content.edges:
-        out += _lines(*table)
+    edges = [line for table in content.edges for line in _lines(*table)]
+    if report is not None and report.gtsam_kinds and len(at := joined(s.lines for s in report.sources)) == len(edges):
+        edges = [edges[k] for k in np.argsort(at, kind="stable")]  # letters took factors apart
+    out += edges
     left = content.unwritten
     only = f"{format.name} files hold measurements only: the values of {several(left, 'variable')} are not in it"
     text = "\n".join([*out, *appended(report, format.name)]) + "\n"
@@ -98,14 +101,18 @@ class _Content:
     def __init__(
         self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
     ) -> None:
-        group = _dimension(path, values, format)
-        fixed = _fixed(path, graph, values, format)
-        self.offsets = _Offsets(appended(report, format.name), group)
         known = report.statements if report is not None and report.format == format.name else []
         statements = {id(statement.noise): statement for statement in known}
+        stated = [statements.get(id(factor.noise)) for factor in graph.factors]
+        apart = format.apart or any(s is not None and format.tags[s.tag].apart for s in stated)
+        vertex_ids = VertexIds(graph, values, report)
+        group = _dimension(path, graph, values, format, vertex_ids, apart)
+        fixed = _fixed(path, graph, values, format)
+        self.offsets = _Offsets(appended(report, format.name), group)
         self.edges = [
-            _edges(path, factor, values, group, format, self.offsets, statements.get(id(factor.noise)))
-            for factor in graph.factors
+            table
+            for factor, statement in zip(graph.factors, stated, strict=True)
+            for table in _edges(path, factor, values, group, format, vertex_ids, self.offsets, statement)
         ]
         _refuse_conventions(path, graph, values)
         _refuse_mounts(path, graph, values)
@@ -114,35 +121,41 @@ class _Content:
         for kind, stack in values.stacks.items():
             held = fixed[start : start + len(stack)]
             start += len(stack)
-            record = format.record(ROLES[kind], group)
+            record = format.record(vertex_ids.roles[kind], group)
             if record is None:
                 self.unwritten += len(stack)
                 continue
             try:
-                self.vertices.append((record.tag, stack.numbers, held, record.element.encode(stack.X)))
+                ids = vertex_ids.of(Keys(kind, stack.numbers))
+                self.vertices.append((record.tag, ids, held, record.element.encode(stack.X)))
             except SingularGeometryError as error:
                 raise GraphError(f"{path}: variables {kind}: {error}") from error
 
 
-def _dimension(path: str, values: Values, format: Format) -> LieGroup:
+def _dimension(
+    path: str, graph: FactorGraph, values: Values, format: Format, vertex_ids: VertexIds, apart: bool
+) -> LieGroup:
     """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
-    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
+    spaces = {kind: spaces_of(group)[role] for kind, role in vertex_ids.roles.items()}
     for kind, manifold in kinds.items():
         if spaces.get(kind) is not manifold:
             expected = ", ".join(f"{k} in {space}" for k, space in spaces.items())
             raise GraphError(
                 f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
                 f"points and places of sensors of one dimension: here {expected}; build the graph with these kinds, "
-                "or let `nls convert` rename them, which takes one kind of poses and one of points",
+                "or kinds of one or two letters, or let `nls convert` rename one kind of poses and one of points",
                 advice=[NATIVE],
             )
-    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
-    unique, times = np.unique(numbers, return_counts=True)
-    if (times > 1).any() and not format.apart:
+    variables = [Keys(stack.kind, stack.numbers) for stack in values.stacks.values()]
+    ids = [vertex_ids.of(keys) for keys in variables]
+    unique, times = np.unique(joined(ids), return_counts=True)
+    if (times > 1).any() and apart:  # FIX lines have one numbering
+        refuse_held(path, graph, f"{a_file(format.name)} with numbers of points of their own")
+    elif (times > 1).any():
         number = int(unique[np.argmax(times > 1)])
-        clash = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
+        clash = [keys[n == number] for keys, n in zip(variables, ids, strict=True) if number in n]
         raise GraphError(
             f"{path}: {clash[0]!r} and {clash[1]!r} have one number; expected numbers of their own, as all vertices of "
             f"{a_file(format.name)} share one numbering",
@@ -234,17 +247,19 @@ def _edges(
     values: Values,
     group: LieGroup,
     format: Format,
+    vertex_ids: VertexIds,
     offsets: _Offsets,
     statement: Statement | None,
-) -> tuple[bytes, list[Numbers], Array]:
-    """The tag, ids and numbers of the lines of one factor."""
+) -> list[tuple[bytes, list[Numbers], Array]]:
+    """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
     model, _ = values.gather(factor)
     fixed = fixed_offsets(factor)
     n, any_ = len(factor), [group.identity()]
-    record = _record(factor, model.manifolds, format, fixed)
+    tag = b"" if statement is None else statement.tag
+    record = _record(factor, model.manifolds, format, fixed, vertex_ids.roles, tag)
     if record is None:
         why = ""
-        if fixed and _record(factor, model.manifolds, format, []):
+        if fixed and _record(factor, model.manifolds, format, [], vertex_ids.roles):
             why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
         raise unwritable(path, factor, a_file(format.name), why)
     numbers = None if statement is None else statement.numbers_of(factor, record.tag)
@@ -257,25 +272,36 @@ def _edges(
             raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
         except GraphError as error:
             raise named(path, factor, error) from error
-    ids = [keys.numbers for keys in factor.keys]
+    ids = [vertex_ids.of(keys) for keys in factor.keys]
     parameters = np.full((n, record.parameters), -1, dtype=np.int64)
     stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
     offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
     if statement is not None and statement.parameters.shape == parameters.shape:
         parameters = statement.parameters
         offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
-    for k in range(record.parameters):
-        ids.append(offsets.ids(np.ascontiguousarray(offset[k]), parameters[:, k]))
-    return record.tag, ids, numbers
+    if record.switched:
+        switch, prior = [parameters[:, 0]], offset[0][:, 1:]
+        tables = [(VERTEX, switch, offset[0][:, :1]), (PRIOR, switch, prior)]
+        return [*tables, (record.tag, ids + switch, numbers)]
+    ids += [offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
+    return [(record.tag, ids, numbers)]
 
 
-def _record(factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array]) -> Record | None:
-    """The record whose lines can say this factor, offsets of nothing with a parameter or without."""
+def _record(
+    factor: Factor,
+    manifolds: tuple[object, ...],
+    format: Format,
+    fixed: list[Array],
+    roles: dict[str, str],
+    tag: bytes = b"",
+) -> Record | None:
+    """The record whose lines can say this factor, that of a tag first; offsets of nothing with a parameter or not."""
+    records = sorted((r for r in format.records if not r.foreign or r.tag == tag), key=lambda r: r.tag != tag)
     kinds = [keys.kind for keys in factor.keys]
     for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
-        for record in format.records:
+        for record in records:
             if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
-                ROLES[kind] in (("pose", "mount") if slot == "either" else (slot,))
+                roles[kind] in (("pose", "mount") if slot == "either" else (slot,))
                 for kind, slot in zip(kinds, record.slots, strict=True)
             ):
                 return record

@@ -34,6 +34,7 @@ __all__ = ["Preconditioner", "Refactorized", "Updatable", "Updated", "updatable_
 
 WIDEST = 16  # numbers of a variable that is held, at most
 RESERVE = 600  # columns for variables to come
+Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
 SMALL = 1e-6  # on the diagonal of a column in reserve, of the mean of the others
 
 
@@ -151,9 +152,9 @@ class Preconditioner:
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
         data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])
-        self._H = sp.csc_matrix((data, np.concatenate([hessian.indices, reserve]), indptr), shape=(self.n, self.n))
-        self._added: list[sp.csc_matrix] = []
-        self._factor = updatable_class()(self._H)
+        self._begun = data, np.concatenate([hessian.indices, reserve]), indptr
+        self._added: list[Parts] = []
+        self._begin()
 
     def __getstate__(self) -> dict[str, Any]:
         """What the factorization was made of: equal steps make it equal to the bit."""
@@ -162,9 +163,16 @@ class Preconditioner:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         with single_thread():
-            self._factor = updatable_class()(self._H)
-            for C in self._added:
-                self._factor.add(C)
+            self._begin()
+
+    def _begin(self) -> None:
+        """Factorize, and enter the rows that were added."""
+        self._factor = updatable_class()(sp.csc_matrix(self._begun, shape=(self.n, self.n)))
+        for rows in self._added:
+            self._enter(rows)
+
+    def _enter(self, rows: Parts) -> None:
+        self._factor.add(sp.csc_matrix(rows, shape=(self.n, len(rows[2]) - 1)))
 
     def column(self, d: int) -> int | None:
         """The first of d columns of a new variable; None where no room is left."""
@@ -175,9 +183,9 @@ class Preconditioner:
         """Add rows of A (k, D), and their columns (k, D)."""
         self.rows += len(A)
         free = columns < self.n
-        indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
-        self._added.append(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))
-        self._factor.add(self._added[-1])
+        indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))]).astype(np.int32)
+        self._added.append((A[free], columns[free], indptr))
+        self._enter(self._added[-1])
 
     def solve(self, g: Array) -> Array:
         """(A'A)^-1 g (width,), nearly; 0 for what is held."""

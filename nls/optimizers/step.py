@@ -93,7 +93,7 @@ class Step:
         """Whether this fall, and all that follow it as a geometric series, are no more than little."""
         level = 0 <= self.fall <= self.little and not self.missed
         return level and (
-            self.fall <= ROUNDING * self.chi2 or self.fall**2 <= self.little * (self.old_fall - self.fall)
+            self.fall <= ROUNDING * self.chi2 or self.fall <= self.little * ((self.old_fall - self.fall) / self.fall)
         )
 
     @cached_property

@@ -10,7 +10,7 @@ import numpy as np
 from factors import XYH, ZPR, DvlLeg
 from nls.gauge import placeless_kinds
 from nls.plot.axes import axes_or_new, figure_of
-from nls.plot.style import CLOSURE, ESTIMATE, LANDMARK, SIGHT
+from nls.plot.style import CLOSURE, LANDMARK, SERIES, SIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,13 +134,16 @@ def trajectory(
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
         alpha = min(0.3 if points else 0.5, max(FAINT, MANY / len(segments)))
         _lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
+    tracks = [stack.kind for stack in stacks if stack.manifold.dim > dim]
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
         if X.shape[1] != dim:
             continue
         if stack.manifold.dim > dim:
-            axes.plot(*X.T, color=ESTIMATE, linewidth=1.0, label="trajectory")
-            axes.plot(*X[:1].T, "o", color=ESTIMATE, markersize=5)
+            label = f"trajectory {stack.kind}" if len(tracks) > 1 else "trajectory"
+            own = SERIES[tracks.index(stack.kind) % len(SERIES)]
+            axes.plot(*X.T, color=own, linewidth=1.0, label=label)
+            axes.plot(*X[:1].T, "o", color=own, markersize=5)
         else:
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if marginals is not None:

@@ -94,10 +94,10 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
         No relative poses, or of several kinds; neighbors without odometry; weights that say nothing of a component.
     """
     graphs = list(pose_graphs(graph, values))
-    if len(graphs) != 1 or len(graphs[0].kinds) != 1:
+    if len(graphs) != 1:
         raise GraphError(
-            "loop closures are chosen among relative poses (Between) of one kind of variables, this graph has "
-            f"{sum(len(poses.kinds) for poses in graphs) or 'none'}",
+            "loop closures are chosen among relative poses (Between) of one space, this graph has "
+            f"{len(graphs) or 'none'}",
             advice=[Advice("judge all")],
         )
     poses = graphs[0]

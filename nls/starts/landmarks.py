@@ -129,6 +129,7 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
     return X
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a point that is too far away is no better, and stays
 def _solve(
     X: Array,
     todo: Mask,

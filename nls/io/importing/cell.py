@@ -106,7 +106,7 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     if not isinstance(value.get("equals", ""), str | bool | int | float):
         raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
     unit = value.get("unit", "")
-    if unit and (not kind or dimension(str(unit)) != kind):
+    if unit != "" and (not kind or dimension(str(unit)) != kind):
         pressure = "; of a pressure give scale, such as 9.94e-5 for Pa in sea water, and offset"
         cure = pressure if dimension(str(unit)) == "pressure" and column == "z_m" else ""
         raise refuse(f"unit {unit!r} is not one of {known_units(kind)}{cure}")

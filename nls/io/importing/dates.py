@@ -14,7 +14,7 @@ from models.algebra import Index
 __all__ = ["EXAMPLE", "NANOSECONDS", "check_format", "formats", "is_date", "iso", "parse_zero", "since_1970"]
 
 CLOCK_TIME = r"(?:[01]\d|2[0-3]):[0-5]\d(?::[0-5]\d(?:[.,]\d{1,9})?)?"
-ISO = re.compile(rf"(\d{{4}}-\d\d-\d\d)[T ]+({CLOCK_TIME}) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I)
+ISO = re.compile(rf"(\d{{4}}-\d\d-\d\d)[T ]+({CLOCK_TIME}) ?(Z|UTC|[+-](0\d|1[0-4])(:?[0-5]\d)?)?", re.I)
 NANOSECONDS = 1_000_000_000
 LONG = re.compile(r"([.,]\d{6})\d{1,3}(?!\d)")  # a fraction that `datetime` does not take
 EXAMPLE = "2022-08-14"  # a Sunday, with which a week of GPS begins

@@ -121,6 +121,7 @@ def _some_angles(table: str, columns: dict[str, Array], world: str, body: str, f
     return out
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation
 def angles_of(kind: str, parts: npt.ArrayLike) -> Array:
     """Roll, pitch and yaw (n, 3) of quaternions (n, 4), x y z w, or matrices (n, 9) row by row.
 

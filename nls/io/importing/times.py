@@ -86,14 +86,19 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
     present = np.isfinite(numbers)
     unit, scale = _unit(section, log, column, numbers[present], notes)
     seconds = np.where(present, numbers * scale * cell.scale + cell.offset, 0.0)
-    cure = f"give the right unit of {column} in [{section.table}] of the mapping"
-    late, rows = np.abs(seconds) >= LATEST, np.arange(len(log))
-    log.refuse(late, rows, lambda k: f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; {cure}")
+    _refuse_late(section, log, column, seconds)
     days = np.floor(seconds)
     ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         ns = np.where(present, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS), 0)
     return Stamps(present, ns, bool(np.abs(seconds).max(initial=0.0) >= EPOCH))
+
+
+def _refuse_late(section: Section, log: Log, column: str, seconds: Array) -> None:
+    """Refuse seconds (n,) that no log has; as nanoseconds they may be no whole numbers of 64 bits."""
+    late, rows, name = np.abs(seconds) >= LATEST, np.arange(len(log)), section.cells[column].columns[-1]
+    cure = f"give the right unit and offset of {column} in [{section.table}] of the mapping"
+    log.refuse(late, rows, lambda k: f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; {cure}")
 
 
 def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
@@ -136,6 +141,7 @@ def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], pre
         raise log.error(int(rows[k]), f"{texts[k][:40]!r} {problem}; {_cure(section, texts, k, day)}") from error
     if not zoned:
         notes.append(f"{log.title}: {cell.columns[-1]!r} names no zone; its times are taken to be UTC")
+    _refuse_late(section, log, column, np.where(present, since / NANOSECONDS + cell.offset, 0.0))
     return since + round(cell.offset * NANOSECONDS)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 import zlib
 from io import BytesIO
@@ -80,8 +81,10 @@ def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
         raise ValueError(f"{name!r:.60} has version {version} of its header, expected 1.0 or 2.0")
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     try:
-        shape, columns_first, dtype = read(file)
-    except (TypeError, MemoryError, SyntaxError, TokenError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # NumPy's for a header of Python 2
+            shape, columns_first, dtype = read(file)
+    except (TypeError, MemoryError, SyntaxError, TokenError, UserWarning) as error:
         raise ValueError(f"the header of {name!r:.60} is damaged") from error
     if dtype.kind not in KINDS:
         raise ValueError(f"{name!r:.60} holds {dtype}, expected numbers or text")

@@ -28,7 +28,9 @@ from nls.values import Values
 __all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]
 
 FORMAT, VERSION = "leadline graph", 1
+PARTS = ("values", "fixed", "factors")
 STRUCTURE = "structure"  # the array of an archive that says what the others are
+GTSAM = "keys of GTSAM"  # what the ids of a kind were in the file that it was read from
 SPACES = {space.name: space for space in (SO2, SE2, SO3, SE3, LINE)}
 VECTORS = re.compile(r"R\(([1-9][0-9]{0,4})\)")
 MEASURED = re.compile(r"\(([^(),]+(?:, [^(),]+){0,99})\)")
@@ -41,7 +43,7 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
     ----------
     path : for messages.
     graph, values : what to write.
-    report : of the file that the graph was read from, whose times of poses are kept.
+    report : of the file that the graph was read from, whose times of poses and keys of GTSAM are kept.
     form : ``npz`` or ``json``.
 
     Raises
@@ -56,6 +58,8 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
         stacks[kind] = {"space": space, "numbers": stack.numbers, "X": stack.X}
         if kind in times:
             stacks[kind]["times"] = np.asarray(times[kind])
+        if report is not None and kind in report.gtsam_kinds:
+            stacks[kind]["ids"] = GTSAM
     fixed_variables(graph.fixed, values)  # refuses one without a value
     numbers: dict[str, list[Any]] = {}
     for keys in graph.fixed:
@@ -98,9 +102,10 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     version = plain.get("version")
     if type(version) is not int or version != VERSION:
         raise GraphFileError(f"has version {version!r:.20}, this library reads {VERSION}; update it", path)
-    for name in ("values", "fixed", "factors"):
+    for name in PARTS:
         if not isinstance(plain.get(name), Mapping):
             raise GraphFileError(f"its {name} are missing", path)
+    _refuse_others(plain, {"format", "version", *PARTS}, "the file", path)
     report = LoadReport(path, form, "", "", reason=f"it says that it is a {FORMAT}")
     values = _values(plain["values"], path, report)
     factors = [_factor(item, name, values, path) for name, item in plain["factors"].items()]
@@ -148,7 +153,9 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
     for kind, stack in stacks.items():
         if not isinstance(stack, Mapping) or not {"space", "numbers", "X"} <= stack.keys():
             raise GraphFileError(f"values of {kind!r:.30}: expected a space, numbers and X", path)
-        if not all(isinstance(stack[name], np.ndarray) for name in ({"numbers", "X", "times"} & stack.keys())):
+        _refuse_others(stack, {"space", "numbers", "X", "times", "ids"}, f"values of {kind!r:.30}", path)
+        arrays = [stack[name] for name in {"numbers", "X", "times"} & stack.keys()]
+        if not all(isinstance(array, np.ndarray) and array.dtype.kind in "if" for array in arrays):
             raise GraphFileError(f"values of {kind!r:.30}: expected arrays of numbers", path)
         if (space := space_named(stack["space"])) is None:
             raise GraphFileError(f"values of {kind!r:.30}: {stack['space']!r:.30} is no space of this library", path)
@@ -158,7 +165,17 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
             if times.dtype.kind != "f" or times.shape != (len(values.stack(kind)),) or not np.isfinite(times).all():
                 raise GraphFileError(f"values of {kind!r:.30}: expected a time for each, in s", path)
             report.vertex_times[kind] = times
+        if "ids" in stack:
+            if not isinstance(stack["ids"], str) or stack["ids"] != GTSAM:
+                raise GraphFileError(f"values of {kind!r:.30}: ids are {GTSAM!r}, or the entry is missing", path)
+            report.gtsam_kinds += (kind,)
     return values
+
+
+def _refuse_others(entries: Mapping[str, Any], known: set[str], where: str, path: str) -> None:
+    """Refuse an entry that would be lost."""
+    if others := sorted(entries.keys() - known):
+        raise GraphFileError(f"{where}: {others[0]!r:.30} is no entry here; expected {', '.join(sorted(known))}", path)
 
 
 def _add(values: Values, kind: str, space: Manifold, X: Any, numbers: Any) -> None:

@@ -107,15 +107,23 @@ def test_the_bound_is_that_of_explain() -> None:
 
 def test_the_command_reads_the_same_graph() -> None:
     how = "--dialect toro --convention log --robust huber:2 --repair-information --hold k --init file"
+    how += " --drop-absent --ignore-tags EDGE_X,EDGE_Y"
     given = parser().parse_args(shlex.split(f"solve a.txt {how} --quiet"))
     words = shlex.split(asking(given))
     assert words[:3] == ["nls", "explain", "a.txt"]
     asked = parser().parse_args(words[1:])
-    for name in ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation", "init"):
+    same = ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation", "init")
+    for name in (*same, "drop_absent", "ignore_tags"):
         assert getattr(asked, name) == getattr(given, name)
     options = parser().parse_args(shlex.split("solve a.g2o --robust gnc-tls -o out.g2o --dialect toro"))
     assert asking(options, ["out.g2o"]) == "nls explain out.g2o"  # which is no toro file
     assert asking(options) == "nls explain a.g2o --dialect toro"  # nothing was written
+    options = parser().parse_args(
+        shlex.split("solve a.g2o --robust gnc-tls -o o.g2o --drop-absent --ignore-tags EDGE_X")
+    )
+    assert asking(options, ["o.g2o"]) == "nls explain o.g2o --drop-absent --ignore-tags EDGE_X"
+    options.output = "o.npz"  # has no lines
+    assert asking(options, ["o.npz"]) == "nls explain o.npz"
     assert asking(parser().parse_args(["solve", "--", "-a  b.g2o"])) == "nls explain './-a  b.g2o'"
 
 

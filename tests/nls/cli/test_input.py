@@ -21,7 +21,7 @@ from tests.nls.io.io_files import BAL, ISAM_APART_2, PYFG, TORO_2
 from tests.nls.io.mission.mission_files import folder
 
 ROOT = Path(__file__).parents[3]
-FOREIGN = PLANE + "EDGE_SONAR 0 1 3.4\n"
+FOREIGN = PLANE + "SONAR 0 1 3.4\n"
 
 
 def test_measurements_are_not_deleted_without_a_word(shell: Shell) -> None:
@@ -158,7 +158,7 @@ def test_a_pipe_between_processes(shell: Shell) -> None:
 
 
 def test_load_stream(shell: Shell) -> None:
-    with pytest.warns(nls.GraphWarning, match="mine: lines with unknown tags were not used: EDGE_SONAR"):
+    with pytest.warns(nls.GraphWarning, match="mine: lines with unknown tags were not used: SONAR"):
         graph, values, report = load_stream(io.BytesIO(FOREIGN.encode()), "mine", "log")
     with pytest.warns(nls.GraphWarning):
         same, start, other = nls.load(shell.file(FOREIGN), "log")

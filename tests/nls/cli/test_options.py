@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -115,3 +116,20 @@ def test_negative_information_is_repaired_on_request(shell: Shell) -> None:
         _, err = shell.both(f"{command} graph.g2o --repair-information")
         assert err.startswith("nls: warning: ")
         assert err.count("\n") == 1
+
+
+@pytest.mark.filterwarnings("always")
+def test_lines_are_left_out_as_the_refusals_advise(shell: Shell) -> None:
+    """Followed to the letter, by every command that reads a graph."""
+    shell.file(PLANE + "EDGE_A,B$x 1 2\n", "tags.g2o")
+    shell.file(PLANE + "EDGE_SE2 3 77 1 0 0 1 0 0 1 0 1\n", "absent.g2o")
+    for name in ("tags.g2o", "absent.g2o"):
+        for command in ("solve {}", "explain {}", "info {}", "convert {} b.g2o", "plot {} b.png", "stream {}"):
+            words = command.format(name)
+            if words == "stream absent.g2o":  # which makes a variable where an edge names it
+                continue
+            cure = shell.refused(words).splitlines()[-1].split(" out: ")[1]
+            _, err = shell.both(f"{words} {cure}")
+            assert re.search(
+                r"warning: .*(EDGE_A,B\$x \(1, first on line 9|1 edge to .* left out, first on line 9)", err
+            )

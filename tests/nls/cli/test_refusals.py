@@ -19,6 +19,8 @@ FILES = {
     "wrong.g2o": PLANE + "EDGE_SE2 0 1 1\n",
     "nan.g2o": PLANE.replace("EDGE_SE2 1 2 1.01", "EDGE_SE2 1 2 nan"),
     "negative.g2o": PLANE + "EDGE_SE2 1 3 0 2 3 500 0 0 400 0 -3\n",
+    "edge.g2o": PLANE + "EDGE_A,B 1 2\n",
+    "absent.g2o": PLANE + f"EDGE_SE2 3 77 1 0 0 {INFORMATION_2}\n",
     "pose.g2o": "VERTEX_SE2 0 0 0 0\n",
     "fixed.g2o": PLANE + "FIX 1\n",
     "chain.g2o": "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n",
@@ -27,6 +29,7 @@ FILES = {
     "lines.txt": "".join(f"EDGE2 {k} {k + 1} 1 0 0.1 100 0 50 200 0 0\n" for k in range(3)),
     "a.pyfg": PYFG,
     "kinds.pyfg": PYFG.replace("A1", "B1"),
+    "names.pyfg": PYFG.replace("A0", "AUV0").replace("A1", "ROV1"),
     "t.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
     "bad": "0 1 2 3 0 0 0 2\n",
     "empty": "",
@@ -76,6 +79,11 @@ explain nan.g2o => nan.g2o:6: .*nan
 {solve|info} lines.txt => name the dialect
 info {a.pyfg|t.tum} --repair-information => --repair-information: True is not .* (a.pyfg|t.tum) is in the format
 solve graph.g2o --elevation free => no folder of a mission
+{solve|explain|info|stream} edge.g2o => ^nls: edge.g2o:9: .* EDGE_A,B (.|\n)*-> leave .*: --ignore-tags EDGE_A,B$
+{solve|explain|info|stream} edge.g2o --ignore-tags EDGE_SE2 => --ignore-tags: 'EDGE_SE2' is not .* tags that are not re
+{solve|explain|info} absent.g2o => absent.g2o:9: .* vertex 77, (.|\n)*-> leave such edges out: --drop-absent$
+{info t.tum|explain m} {--drop-absent|--ignore-tags EDGE_X} => --(drop-absent|ignore-tags): .* has no (tags|vertices)
+stream graph.g2o --drop-absent => unrecognized arguments: --drop-absent
 solve alone => is a folder, but no mission: (.|\n)*-> read the file in it: .*alone/survey.g2o$
 solve log.csv => -> give the folder, if the table belongs to a mission
 
@@ -104,7 +112,8 @@ solve a.pyfg -o out.g2o => cannot be written to a g2o file; poses A are written 
 convert b.bal out.g2o => out.g2o: .
 convert b.bal out.pyfg => variables c in .wx.* have no line in a PyFactorGraph file
 convert {b.bal|kinds.pyfg} out.tum => poses of one kind, this graph has (none|A, B)
-convert kinds.pyfg out.g2o => or let `nls convert` rename them, which takes one kind of poses
+convert kinds.pyfg out.g2o => Range.A0, L3. cannot be written to a g2o file
+convert names.pyfg out.g2o => or kinds of one or two letters, or let `nls convert` rename one kind of poses
 convert empty out.tum => empty:1: is empty
 convert bad out.g2o => is no graph
 

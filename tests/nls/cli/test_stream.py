@@ -19,6 +19,8 @@ import pytest
 import nls
 import sim
 from nls.cli import main
+from tests.nls.io.g2o_files import read
+from tests.nls.io.io_files import SWITCHED_2
 
 COMMAND = [sys.executable, "-c", "from nls.cli import command; raise SystemExit(command())", "stream"]
 (x,) = nls.kinds("x")
@@ -146,7 +148,7 @@ def test_a_shorter_file_and_then_the_whole_are_equal_to_the_bit(
     within = [k for k in edges[1:] if lines[k].split()[2] == lines[k - 1].split()[2]]
     for k in [edges[1], *within[::5], *edges[97::31]]:
         state = tmp_path / f"state{k}"
-        short.write_text("".join(lines[:k]))
+        short.write_text("".join(lines[:k]).removesuffix("\n" * (k % 2)))
         before, *_ = run(short, "--checkpoint", state, *options)
         assert without_time(before[:-1]) == steps[: len(before) - 1]
         assert run(short, "--checkpoint", state, *options) == ([], "", 0)
@@ -223,3 +225,24 @@ def test_a_gap_that_nobody_knows_is_null(run: Run, ring: Path, monkeypatch: pyte
     steps, _, status = run(ring)
     assert status == 0
     assert None in [step["gap"] for step in steps]
+
+
+@pytest.mark.filterwarnings("always")
+def test_switches_and_ignored_lines_come_in_pieces(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a pipe a block may end between a switch, its prior and its edge, or have left-out lines alone."""
+    path = tmp_path / "switched.g2o"
+    path.write_text(SWITCHED_2.replace("VERTEX_SWITCH 5", "EDGE_FOO 1 2\nVERTEX_SWITCH 5"))
+    _, complaint, status = run(path)
+    assert (status, "may join variables: EDGE_FOO (1)" in complaint) == (2, True)
+    whole, complaint, status = run(path, "--ignore-tags", "EDGE_FOO")
+    assert (status, "EDGE_FOO (1, first on line 12)" in complaint) == (0, True)
+    monkeypatch.setattr("nls.cli.stream.AT_ONCE", 30)
+    pieces, complaint, status = run("-", "--ignore-tags", "EDGE_FOO,EDGE_FO", given=path.read_bytes())
+    said = [words.removeprefix("nls: warning: <stdin>: ").split(": ")[0] for words in complaint.splitlines()]
+    assert (status, said) == (0, ["lines with unknown tags were not used", "ignore_tags"])
+    assert pieces[-1]["chi2"] == pytest.approx(whole[-1]["chi2"], rel=1e-2)
+    graph, values, _ = read(SWITCHED_2)
+    assert pieces[-1]["chi2"] == pytest.approx(graph.optimize(values).chi2_final, rel=1e-2)
+    twice = path.read_text() + path.read_text().splitlines()[-1] + "\n"
+    _, complaint, status = run("-", "--ignore-tags", "EDGE_FOO", given=twice.encode())
+    assert (status, "needs switch 6 for itself alone" in complaint) == (2, True)

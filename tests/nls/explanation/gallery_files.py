@@ -89,13 +89,11 @@ FILES = (
         line=2,
     ),
     _unread("A planar edge among poses of space", POSES + EDGE, ("one dimension",), POSES + STEP),
-    Case(
+    _unread(
         "A tag that nobody knows",
-        LOAD,
-        "GraphWarning",
-        ("not used", "EDGE_SONAR (1, first on line 4)"),
-        "result = graph.optimize(values)\n",
         PLANE + "EDGE_SONAR 0 1 3.4\n",
+        ("may join variables: EDGE_SONAR (1)", "ignore_tags=['EDGE_SONAR']"),
+        line=4,
     ),
     _unread(
         "A tag without a blank behind it",

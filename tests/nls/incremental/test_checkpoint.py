@@ -216,7 +216,9 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
             read_smoother(path, Incremental)
     assert not touched.exists()
     save(tmp_path / "graph.npz", FactorGraph(), Values())
-    with pytest.raises(GraphFileError, match="is no checkpoint of a smoother"):
+    with pytest.raises(
+        GraphFileError, match=r"is no checkpoint; expected what nls\.Incremental\.save or nls stream wrote"
+    ):
         Incremental.load(tmp_path / "graph.npz")
 
 
@@ -227,7 +229,7 @@ HELD = {  # by a checkpoint of version 1: with other attributes it is another ve
     "GrowingBatch": "given variables _first kernel _own _numbers _index _z _W _A _columns _b _cost _linearized _sparse",
     "GrowingSystem": "variables batches iterations factorizations _preconditioner _entered _age held _part",
     "Known": "variables spaces starts",
-    "Preconditioner": "used rows n width _H _added",
+    "Preconditioner": "used rows n width _begun _added",
     "Variables": "kind manifold place _X _numbers _columns",
     "Window": "lag landmarks behind _tracks _sensors _left",
     "Incremental": "tol gap passes batch_solutions _system _window _decision _arrivals _undecided",

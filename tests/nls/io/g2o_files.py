@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from factors import Factor
+from factors import Factor, Robust
 from nls import FactorGraph, GraphFileError, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
 
@@ -70,16 +71,19 @@ CONVENTIONS = ("g2o", "graphslam", "log", "gtsam")
 Loaded = tuple[FactorGraph, Values, LoadReport]
 
 
-def read(text: str | bytes, convention: str = "g2o", dialect: str = "auto", repair: bool = False) -> Loaded:
+def read(
+    text: str | bytes, convention: str = "g2o", dialect: str = "auto", repair: bool = False, **more: Any
+) -> Loaded:
     data = text.encode() if isinstance(text, str) else text
-    return read_graph(data, "f.g2o", convention, dialect, repair)
+    return read_graph(data, "f.g2o", convention, dialect, repair, **more)
 
 
 def arrays(factor: Factor) -> list[np.ndarray]:
     """Everything a factor of a file holds: variables, measurements, noise, offsets."""
     offset = getattr(factor, "offset", None)
     offsets = list(offset) if isinstance(offset, tuple) else [offset] if isinstance(offset, np.ndarray) else []
-    return [*(k.numbers for k in factor.keys), factor.z, factor.noise.matrix, *offsets]  # type: ignore[attr-defined]
+    noise = factor.noise.noise if isinstance(factor.noise, Robust) else factor.noise
+    return [*(k.numbers for k in factor.keys), factor.z, noise.matrix, *offsets]  # type: ignore[attr-defined]
 
 
 def same(one: Loaded, other: Loaded) -> None:
@@ -101,14 +105,14 @@ def same_factors(one: Loaded, other: Loaded) -> None:
     for f, g in zip(one[0].factors, other[0].factors, strict=True):
         assert type(f) is type(g)
         assert [k.kind for k in f.keys] == [k.kind for k in g.keys]
-        assert f.convention == g.convention
+        assert (f.convention, f.kernel) == (g.convention, g.kernel)
         a, b = arrays(f), arrays(g)
         assert len(a) == len(b)
         assert all(p.shape == q.shape and p.tobytes("C") == q.tobytes("C") for p, q in zip(a, b, strict=True))
 
 
-def again(loaded: Loaded, folder: Path, convention: str = "g2o", dialect: str = "g2o") -> Loaded:
+def again(loaded: Loaded, folder: Path, convention: str = "g2o", dialect: str = "g2o", **more: Any) -> Loaded:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)
         save(folder / "again.g2o", loaded[0], loaded[1], loaded[2], dialect)
-        return load(folder / "again.g2o", convention, dialect)
+        return load(folder / "again.g2o", convention, dialect, **more)

@@ -19,7 +19,7 @@ from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.io_files import ALL
 from tests.nls.io.mission.mission_files import TINY, folder, raw
 
-NO_MEASUREMENT = ("VERTEX", "PARAMS", "FIX", "#")
+NO_MEASUREMENT = ("VERTEX", "PARAMS", "FIX", "#", "EDGE_SWITCH_PRIOR")
 TWO_VEHICLES = """VERTEX_SE2 0 A0 0 0 0
 VERTEX_SE2 0 B0 0 1 0
 EDGE_RANGE 0 A0 B0 1.1 0.04

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +53,10 @@ def read(text: str, convention: str = "g2o") -> Loaded:
     return read_pyfg(text.encode(), "f.pyfg", convention)
 
 
-def again(loaded: Loaded, folder: Path, convention: str = "g2o") -> Loaded:
+def again(loaded: Loaded, folder: Path, convention: str = "g2o", ignore_tags: Sequence[str] = ()) -> Loaded:
     graph, values, report = loaded
     save(folder / "out.pyfg", graph, values, report)
-    return read_pyfg(read_bytes(folder / "out.pyfg"), "out.pyfg", convention)
+    return read_pyfg(read_bytes(folder / "out.pyfg"), "out.pyfg", convention, ignore_tags)
 
 
 def same(one: Loaded, two: Loaded) -> None:
@@ -139,11 +140,12 @@ def test_round_trip(text: str, convention: str, tmp_path: Path) -> None:
 def test_unknown_lines_are_kept(tmp_path: Path) -> None:
     path = write(tmp_path, PLANE + "EDGE_BEARING 1 A0 L3 0.5 0.1\nEDGE_BEARING x\n", "f.pyfg")
     with pytest.warns(GraphWarning, match=rf"{path}: .* EDGE_BEARING \(2, first on line 15\)") as caught:
-        before = load(path)
+        before = load(path, ignore_tags=["EDGE_BEARING"])
     assert [warning.filename for warning in caught] == [__file__]
     assert before[2].notes == [*before[2].warnings, "1 comment line"]
     assert before[2].ignored == ["EDGE_BEARING 1 A0 L3 0.5 0.1", "EDGE_BEARING x"]
-    assert again(before, tmp_path)[2].ignored == before[2].ignored
+    assert again(before, tmp_path, ignore_tags=["EDGE_BEARING"])[2].ignored == before[2].ignored
+    assert_refused(15, "may join variables: EDGE_BEARING (2)", load, path)
 
 
 def test_why_a_file_was_read_so(tmp_path: Path) -> None:

@@ -70,6 +70,7 @@ def test_every_mistake_has_its_line(tmp_path: Path) -> None:
         (f"0 {LINE}\n1 2 3 0 0 0 1\n", 2, "7 numbers, expected 8: timestamp"),
         (f"0 {LINE}\n1 1 2 3 0 0 0 1.1\n", 2, "length 1.1"),
         (f"0 {LINE}\n1 1 2 3 0 0 0 0\n", 2, "length 0"),
+        (f"0 {LINE}\n1 1 2 3 0 1e300 0 1\n", 2, "length inf"),
         (f"0 {LINE}\n\n1 1 2 x 0 0 0 1\n", 3, "'x'"),
         (f"0 {LINE}\n1 1 2 nan 0 0 0 1\n", 2, "'nan'"),
         (f"0 {LINE}\n1.5 {LINE}\n# c\n1.5 {LINE}\n2 {LINE}\n", 4, "time 1.5 does not rise over 1.5"),

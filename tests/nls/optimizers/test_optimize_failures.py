@@ -208,6 +208,23 @@ def test_huge_and_tiny_numbers(name: str) -> None:
 
 
 @ALL
+def test_a_huge_chi2(name: str) -> None:
+    """Units of the residual do not matter: with one of 1e90 the square of chi2 is no number."""
+    results = []
+    for unit in (1.0, 1e90):
+        graph, start = scalar(
+            lambda X, u=unit: u * np.concatenate([X - 2.0, X**2 - 3.0], axis=1),  # type: ignore[misc]
+            5.0,
+            lambda X, u=unit: u * np.stack([np.ones_like(X), 2 * X], axis=1),  # type: ignore[misc]
+            dim=2,
+        )
+        results.append(optimize(graph, start, name))
+    assert [result.converged for result in results] == [True, True]
+    assert results[1].iterations == results[0].iterations
+    assert results[1].values[p[0]][0] == pytest.approx(1.7523324, rel=1e-4)
+
+
+@ALL
 def test_zero_residuals_at_the_start(name: str) -> None:
     graph = FactorGraph([Prior(p[0], [1.0, 2.0, 0.5], Isotropic(0.1))])
     result = optimize(graph, Values({p: (SE2, [1.0, 2.0, 0.5])}), name, Stop(0.0, 0.0, 0.0))

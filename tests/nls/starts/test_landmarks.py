@@ -233,6 +233,21 @@ def test_noisy_ranges_never_fit_worse_than_what_was_given() -> None:
         assert graph.chi2(locate_points(graph, truth)) <= graph.chi2(truth) * (1 + 1e-12)
 
 
+def test_numbers_whose_squares_are_none_place_no_point() -> None:
+    """A range or a place of 1e200 m: the points stay, the others are located, and NumPy says nothing."""
+    truth, pose, point = scene(SE2, 4, n=6)
+    ranges = exact(Range, truth, pose, point)
+    z = ranges.z[:, 0].copy()
+    z[ranges.keys[1].numbers == truth.stack("l").numbers[0]] = 1e200
+    start = forgotten(truth)
+    far = start[l].copy()
+    far[1] = 1e200
+    start[l] = far
+    located = locate_points(FactorGraph([Range(pose, point, z, ONE)]), start)
+    assert np.array_equal(located[l][0], start[l][0])
+    assert located[l][2:] == pytest.approx(truth[l][2:], abs=1e-6)
+
+
 def survey(group: LieGroup) -> tuple[Values, FactorGraph, Values]:
     rng, d, n, k = np.random.default_rng(5), group.point_dim, 20, 5
     X = walk(group, n, rng)

@@ -117,6 +117,7 @@ def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausibl
     fast = float(np.quantile(rate, 0.99))
     units = sorted(DEPTH_UNITS, key=lambda f: abs(np.log(fast / f / SLOW_DIVE))) if fast else DEPTH_UNITS[1:2]
     causes = air or [Reading(Cause.UNIT, file, "z_m", f) for f in units if np.abs(smooth).max() < f * DEEPEST][:2]
+    causes = causes or [Reading(Cause.UNKNOWN, file, "z_m")]
     if np.max(np.abs(smooth)) > DEEPEST:
         yield _at("depth", "z_m", int(np.argmax(np.abs(z) > DEEPEST)), np.abs(smooth).max(), DEEPEST, "m", *causes)
     elif fast > FASTEST_DIVE:

@@ -76,5 +76,8 @@ def test_no_rotation_is_refused_with_its_line(tmp_path: Path) -> None:
     mapping = 'ahrs = { time_s = "t", quaternion = ["a", "b", "c", "d"] }'
     with pytest.raises(GraphFileError, match=r"log\.csv:3: quaternion .* is no rotation; is the order"):
         imported(tmp_path, mapping, log="t,a,b,c,d\n0,0,0,0,1\n1,0,0,0,2\n")
+    for numbers in ("1e200,0,0,1", "0,-1e300,0,0"):
+        with pytest.raises(GraphFileError, match=r"log\.csv:2: quaternion .* is no rotation"):
+            imported(tmp_path, mapping, log=f"t,a,b,c,d\n0,{numbers}\n")
     with pytest.raises(GraphFileError, match=r"up and frame = 'ENU' both say"):
         imported(tmp_path, '[depth]\nframe = "ENU"\ntime_s = "t"\nz_m = { column = "a", up = true }', log="t,a\n0,0\n")

@@ -35,6 +35,8 @@ from tests.combinations import for_all
             "m.toml:2: vx_m_s: 'colum' is no key of a column; did you mean 'column'?",
         ),
         ('[dvl]\nvx_m_s = { column = "a", unit = "m" }\n', "unit 'm' is not one of m/s, mm/s"),
+        ('[dvl]\nvx_m_s = { column = "a", unit = 0 }\n', "m.toml:2: vx_m_s: unit 0 is not one of m/s, mm/s"),
+        ('[dvl]\nvx_m_s = { column = "a", unit = [] }\n', "m.toml:2: vx_m_s: unit [] is not one of m/s, mm/s"),
         ('[dvl]\nvx_m_s = { column = "a", sign = 2 }\n', "sign is 2; expected 1 or -1"),
         ('[dvl]\nvx_m_s = { column = "a", unit = "m/s", scale = 2 }\n', "unit and scale are both given"),
         ('[dvl]\nvx_m_s = { column = "a", up = true }\n', "up = true is for z_m alone"),

@@ -121,6 +121,21 @@ def test_a_date_beside_times_that_have_one_is_refused(tmp_path: Path) -> None:
             imported(tmp_path, 'date = "2022-08-15"\n' + DEPTH, log=log_of([word]))
 
 
+def test_no_zone_and_no_offset_shifts_times_beyond_what_a_log_has(tmp_path: Path) -> None:
+    """A zone is at most 14 h ahead; an offset of centuries is none, and its nanoseconds are no whole number."""
+    for zone in ("+99:99", "-15", "+1460", "+02:75"):
+        with pytest.raises(GraphFileError, match=r"log\.csv:2: '2022.*' is no time of ISO 8601"):
+            imported(tmp_path, DEPTH, log=log_of([f"2022-08-15T09:59:38{zone}"]))
+    for zone, hours in (("+14:00", 38), ("-0930", 14.5), ("+05", 29)):
+        result = imported(tmp_path, DEPTH, log=log_of([f"2022-08-15T00:59:38{zone}", "2022-08-16T00:59:38Z"]))
+        assert table(result, "depth")["time_s"][1] == pytest.approx(3600 * hours)
+    for offset in (1e18, -1e18, 9e9, -9e9):
+        mapping = DEPTH.replace('"t"', f'{{ column = "t", offset = {offset!r} }}')
+        for time in ("5", "2022-08-15T09:59:38Z"):
+            with pytest.raises(GraphFileError, match=r"log\.csv:2: t: .* s is no time since 1970.*unit and offset of"):
+                imported(tmp_path, mapping, log=log_of([time]))
+
+
 def test_zones_and_fractions_of_a_format(tmp_path: Path) -> None:
     """Two zones, nine digits and cells that are none."""
     words = ["15.08.2022 11:59:38.250000999 +0200", "--", "15.08.2022 09:59:39.5 Z", "null"]

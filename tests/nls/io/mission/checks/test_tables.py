@@ -44,6 +44,10 @@ def test_an_integrated_track(tmp_path: Path) -> None:
     assert "z is down" in findings_of(folder(tmp_path / "up", zpr=up))[0]
     degrees = TINY["zpr"].replace("0.0479", "0.9").replace("0.03,", "1.1,")
     assert "roll_rad" in findings_of(folder(tmp_path / "degrees", zpr=degrees))[0]
+    for word, cause in (("3e8", "none of the usual mistakes"), ("-1e9", "none of the usual mistakes"), ("1e5", "mm")):
+        deep = findings_of(folder(tmp_path / word, zpr=TINY["zpr"].replace("5.0332", word)))
+        assert deep[0].startswith("zpr.csv:2: z_m is implausible: a depth of ")
+        assert cause in deep[0]
     fast = findings_of(folder(tmp_path / "fast", poses="i,time_s\n0,0\n1,0.001\n2,0.002\n3,0.003\n"))
     assert "the middle speed is" in fast[0]
     assert findings_of(folder(tmp_path / "right", poses="i,time_s\n0,0\n1,1\n2,2\n3,3\n")) == []

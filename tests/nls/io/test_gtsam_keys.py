@@ -1,0 +1,134 @@
+"""GTSAM's keys, c << 56 | k: read as variables of kind c, and written as they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors import Between, BetweenSensors, Isotropic, Landmark
+from models import SE2, SE3, LieGroup, R
+from nls import FactorGraph, Kind, Values, kinds
+from tests.nls.graphs import pose_graph
+from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same
+from tests.nls.io.robots import LABEL, ROBOTS, STEP, A, B, L, X, numbers, renamed, without
+
+
+def test_a_file_of_two_robots_has_their_names_and_comes_back_byte_for_byte(tmp_path: Path) -> None:
+    graph, values, report = read(ROBOTS)
+    assert numbers(values) == {"a": [0, 1, 44], "b": [0, 1], "l": [3]}
+    assert report.notes == ["ids are keys of GTSAM, a letter and a number in one: kinds a, b, l"]
+    places = {f.describe(k): report.place(n, k) for n, f in enumerate(graph.factors) for k in range(len(f))}
+    assert places == {
+        "Between(a0, a1)": "f.g2o:9",
+        "Between(b0, b1)": "f.g2o:10",
+        "Landmark(b1, l3)": "f.g2o:11",
+        "Between(a1, a44)": "f.g2o:12",
+        "Between(a44, b0)": "f.g2o:13",
+        "Landmark(a1, l3)": "f.g2o:14",
+    }
+    assert [repr(keys) for keys in graph.fixed] == ["a0"]
+    same((graph, values, report), again((graph, values, report), tmp_path))
+    assert (tmp_path / "again.g2o").read_text() == ROBOTS
+
+
+@pytest.mark.parametrize("group", [SE2, SE3])
+@pytest.mark.parametrize("vertices", [True, False])
+def test_two_robots_have_the_optimum_of_plain_ids(group: LieGroup, vertices: bool, tmp_path: Path) -> None:
+    """Starts, certificate and gnc take several kinds of poses."""
+    sample = pose_graph(group, anchored=False)
+    nls.save(tmp_path / "plain.g2o", sample.graph, sample.values)
+    text = (tmp_path / "plain.g2o").read_text()
+    text = text if vertices else without(text, "VERTEX")
+    one, two = read(text), read(renamed(text, lambda n: A | n if n < 4 else B | n - 4))
+    assert numbers(two[1]) == {"a": [0, 1, 2, 3], "b": [0, 1, 2, 3]}
+    assert two[0].chi2(two[1]) == pytest.approx(one[0].chi2(one[1]), rel=1e-12)
+    results = [graph.optimize(nls.initialize(graph, values)[0]) for graph, values, _ in (one, two)]
+    assert results[1].chi2_final == pytest.approx(results[0].chi2_final, rel=1e-9)
+    joined = np.concatenate([results[1].values[Kind(kind)] for kind in "ab"])
+    assert joined == pytest.approx(results[0].values[Kind("x")], abs=1e-6)
+    proofs = [nls.certify(loaded[0], result.values) for loaded, result in zip((one, two), results, strict=True)]
+    assert [proof.verdict for proof in proofs] == ["certified"] * 2
+    assert proofs[1].chi2_reached == pytest.approx(proofs[0].chi2_reached, rel=1e-9)
+    chosen = [nls.gnc(graph, values, preselect=False).result.chi2_final for graph, values, _ in (one, two)]
+    assert chosen[1] == pytest.approx(chosen[0], rel=1e-6)
+    with pytest.raises(nls.GraphError, match="no odometry joins a3 to b0: the graph has 2 sessions"):
+        nls.gnc(*two[:2])
+
+
+def test_plain_ids_beside_keys_and_labels(tmp_path: Path) -> None:
+    """Poses by number and landmarks by key are x and l; LabeledSymbol's label is a second letter."""
+    text = f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_XY {L} 2 1\nVERTEX_SE2 {A | LABEL | 7} 1 1 0\n"
+    text += f"EDGE_SE2 0 1 {STEP}\nEDGE_SE2_XY 0 {L} 2 1 4 0 4\nEDGE_SE2 1 {A | LABEL | 7} {STEP}\n"
+    loaded = read(text)
+    assert numbers(loaded[1]) == {"x": [0, 1], "aB": [7], "l": [0]}
+    assert loaded[0].factors[0].describe(0) == "Between(x0, x1)"
+    same(loaded, again(loaded, tmp_path))
+    written = (tmp_path / "again.g2o").read_text().splitlines()
+    assert sorted(written) == sorted(text.splitlines())
+    assert written[-3:] == text.splitlines()[-3:]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (f"VERTEX_SE2 5 0 0 0\nVERTEX_SE2 {X | 5} 1 0 0\nEDGE_SE2 5 {X | 5} {STEP}", "x would be two kinds"),
+        (f"VERTEX_SE2 {L} 0 0 0\nVERTEX_XY {L | 1} 1 0\nEDGE_SE2_XY {L} {L | 1} 1 0 1 0 1", "l would be two kinds"),
+        (f"VERTEX_SE2 {A} 0 0 0\nVERTEX_SE2 {1 << 62} 1 0 0\nEDGE_SE2 {A} {1 << 62} {STEP}", "others are neither"),
+        (f"VERTEX_SE2 {A} 0 0 0\nVERTEX_SE2 {A | 1 << 48} 1 0 0\nEDGE_SE2 {A} {A | 1 << 48} {STEP}", "are neither"),
+    ],
+)
+def test_what_is_no_key_for_sure_stays_a_number(text: str, why: str, tmp_path: Path) -> None:
+    graph, values, report = read(text)
+    assert set(values.stacks) <= {"x", "l"}
+    assert "kept as numbers" in report.notes[0]
+    assert why in report.notes[0]
+    same((graph, values, report), again((graph, values, report), tmp_path))
+    assert (tmp_path / "again.g2o").read_text() == text + "\n"
+
+
+def test_ids_below_2_to_56_and_files_of_them_stay_as_they_are(tmp_path: Path) -> None:
+    for largest in ((1 << 56) - 1, (1 << 63) - 1):
+        loaded = read(renamed(PLANE, lambda n, largest=largest: n if n < 3 else largest))
+        assert (list(loaded[1].stacks), loaded[2].notes, loaded[2].gtsam_kinds) == (["x"], [], ())
+        same(loaded, again(loaded, tmp_path))
+
+
+def test_graphs_made_in_python_get_keys_where_g2o_has_no_ids(tmp_path: Path) -> None:
+    """A place of a sensor is one by its use."""
+    a, b, m, s, x, l = kinds("a", "b", "m", "s", "x", "l")
+    step = BetweenSensors(a[0], a[1], [1.0, 0.2, 0.1], Isotropic(0.1), s[0])
+    view = Landmark(b[[0]], m[[0]], [[2.0, 1.0]], Isotropic(0.1))
+    graph = FactorGraph([step, view, Between(a[1], b[0], [1.0, 0.1, 0.2], Isotropic(0.1))], [b[0]])
+    poses = [[0.0, 0.0, 0.0], [1.1, 0.1, 0.1]]
+    values = Values({a: (SE2, poses), b: (SE2, poses[:1]), s: (SE2, [[0.3, 0.1, 0.2]]), m: (R(2), [[3.0, 1.0]])})
+    nls.save(tmp_path / "a.g2o", graph, values)
+    read_back, its, _ = nls.load(tmp_path / "a.g2o", "log")
+    assert numbers(its) == {"a": [0, 1], "b": [0], "m": [0], "s": [0]}
+    assert read_back.chi2(its) == pytest.approx(graph.chi2(values), rel=1e-12)
+    with pytest.raises(nls.GraphError, match="a281474976710656 is no key of GTSAM: its number must be"):
+        nls.save(tmp_path / "b.g2o", FactorGraph(), Values({a: (SE2, poses, [1, 1 << 48])}))
+    with pytest.raises(nls.GraphError, match="x0 and l0 have one number"):
+        nls.save(tmp_path / "b.g2o", FactorGraph(), Values({x: (SE2, poses), l: (R(2), [[0.0, 0.0]])}))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"EDGE_SE2 {A | 44} {B | 9} {STEP}", f"the edge needs vertex b9 ({B | 9}), which no VERTEX_SE2 line has"),
+        (f"FIX {B | 9}", f"FIX names vertex b9 ({B | 9})"),
+        (f"EDGE_SE2 {A | 44} {L | 3} {STEP}", f"vertex l3 ({L | 3}) is a point"),
+    ],
+)
+def test_refusals_name_the_keys(line: str, words: str) -> None:
+    assert_refused(15, words, read, ROBOTS + line + "\n")
+
+
+def test_the_tracks_of_two_robots_are_told_apart_in_a_picture() -> None:
+    pytest.importorskip("matplotlib")
+    axes = nls.plot.trajectory(*read(ROBOTS)[:2]).axes[0]
+    tracks = [line for line in axes.lines if str(line.get_label()).startswith("trajectory")]
+    assert [line.get_label() for line in tracks] == ["trajectory a", "trajectory b"]
+    assert len({line.get_color() for line in tracks}) == 2

@@ -1,0 +1,255 @@
+"""Files as RTAB-Map, vertigo and GTSAM write them: the optimum by SciPy on residuals written here, and round trips."""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares, minimize
+from scipy.spatial.transform import Rotation
+
+from factors import DCS, Landmark, Position, Prior
+from nls import GraphWarning, LevenbergMarquardt, OptionError, Stop, load
+from nls.io.dialects import FORMATS
+from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same, write
+from tests.nls.io.io_files import GTSAM_2, POSES_3, RTABMAP_3, SWITCHED_2, SWITCHED_3, UPPER_3, C
+
+Pose = tuple[np.ndarray, np.ndarray]  # rotation matrix, position
+
+
+def rows(text: str, *tags: str) -> list[list[float]]:
+    return [[float(n) for n in line.split()[1:]] for line in text.splitlines() if line.split()[0] in tags]
+
+
+def root(entries: list[float], m: int) -> np.ndarray:
+    """W with W'W the information."""
+    M = np.zeros((m, m))
+    M[np.triu_indices(m)] = entries
+    return np.linalg.cholesky(M + np.triu(M, 1).T).T
+
+
+def in_plane(v: np.ndarray) -> Pose:
+    c, s = np.cos(v[2]), np.sin(v[2])
+    return np.array([[c, -s], [s, c]]), v[:2]
+
+
+def in_space(v: np.ndarray) -> Pose:
+    """Position and rotation vector."""
+    return Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]
+
+
+def from_quaternion(v: list[float]) -> Pose:
+    return Rotation.from_quat(v[3:]).as_matrix(), np.array(v[:3])
+
+
+def difference(z: Pose, i: Pose, j: Pose) -> np.ndarray:
+    """Translation, and the angle or the vector part of the quaternion, of z^-1 i^-1 j."""
+    R, t = z[0].T @ i[0].T @ j[0], z[0].T @ (i[0].T @ (j[1] - i[1]) - z[1])
+    turn = [np.arctan2(R[1, 0], R[0, 0])] if len(t) == 2 else Rotation.from_matrix(R).as_quat(canonical=True)[:3]
+    return np.array([*t, *turn])
+
+
+def lowest(residuals: Callable[[np.ndarray], list[np.ndarray]], start: np.ndarray) -> float:
+    """chi2 at the minimum of whitened residuals."""
+    return 2 * float(least_squares(lambda v: np.concatenate(residuals(v)), start, xtol=1e-15, ftol=1e-15).cost)
+
+
+def numbers(lines: list[str]) -> list[tuple[str | float, ...]]:
+    """Tag and numbers of every line but those of vertices and parameters."""
+    words = [line.split() for line in lines if line[0] not in "VP" or line.startswith("VERTEX_SWITCH")]
+    return sorted((w[0], *map(float, w[1:])) for w in words)
+
+
+def optimum(text: str) -> float:
+    graph, values, _ = read(text)
+    result = graph.optimize(values, LevenbergMarquardt(Stop(update_tol=1e-9, chi2_rtol=0)))
+    assert result.converged
+    return float(result.chi2_final)
+
+
+def test_the_optimum_of_switches_is_that_of_dynamic_covariance_scaling() -> None:
+    """With s = min(1, 2 phi / (phi + chi2)): the lowest sum of s^2 chi2 + phi (1 - s)^2 up to a constant per edge."""
+    edges = rows(SWITCHED_2, "EDGE_SE2")
+    switched = rows(SWITCHED_2, "EDGE_SE2_SWITCHABLE")
+    priors = {int(v[0]): v[1:] for v in rows(SWITCHED_2, "EDGE_SWITCH_PRIOR")}
+
+    def chi2(v: np.ndarray) -> float:
+        poses = [in_plane(p) for p in [np.zeros(3), *v.reshape(-1, 3)]]
+        plain = [(e[:2], e[2:5], e[5:], None) for e in edges]
+        total = 0.0
+        for (i, j), z, info, prior in [*plain, *((e[:2], e[3:6], e[6:], priors[int(e[2])]) for e in switched)]:
+            r = root(info, 3) @ difference(in_plane(np.array(z)), poses[int(i)], poses[int(j)])
+            if prior is None:
+                total += r @ r
+                continue
+            gamma, xi = prior
+            s, phi = gamma**2 * (r @ r), gamma**2 * xi
+            total += s if s <= phi else phi * (3 * s - phi) / (s + phi)
+        return float(total)
+
+    start = np.array(rows(SWITCHED_2, "VERTEX_SE2"))[1:, 1:].ravel()
+    found = minimize(chi2, start, method="BFGS", options={"gtol": 1e-8})
+    assert optimum(SWITCHED_2) == pytest.approx(found.fun, rel=1e-9)
+    graph, _, report = read(SWITCHED_2)
+    assert [f.kernel for f in graph.factors] == [None, DCS(1.0), DCS(2.0)]
+    assert [len(f) for f in graph.factors] == [4, 2, 1]
+    note = "EDGE_SE2_SWITCHABLE lines are closures under dcs:1 (2), dcs:2 (1), by the priors of their switches"
+    assert report.notes == [f"{note}, which only a g2o file gets back"]
+
+
+def test_the_optimum_of_a_file_of_rtabmap() -> None:
+    """EDGE_SE3 as EDGE_SE3:QUAT, priors of points and of poses."""
+    edges, priors = rows(RTABMAP_3, "EDGE_SE3", "EDGE_SE3:QUAT"), rows(RTABMAP_3, "EDGE_POINTXYZ_PRIOR")
+
+    def residuals(v: np.ndarray) -> list[np.ndarray]:
+        poses = [in_space(p) for p in v[:18].reshape(3, 6)]
+        out = [root(e[9:], 6) @ difference(from_quaternion(e[2:9]), poses[int(e[0])], poses[int(e[1])]) for e in edges]
+        places = {0: poses[0][1], 1: poses[1][1], 2: poses[2][1], 9: v[18:]}
+        return out + [root(p[4:], 3) @ (places[int(p[0])] - p[1:4]) for p in priors]
+
+    graph, _, report = read(RTABMAP_3)
+    assert [type(f) for f in graph.factors[2:]] == [Prior, Position]
+    assert "EDGE_POINTXYZ_PRIOR lines of poses are read as positions" in report.notes
+    start = np.zeros(21)
+    start[[6, 12, 18]], start[19], start[20] = (1, 2, 3), 1, 0.5
+    assert optimum(RTABMAP_3) == pytest.approx(lowest(residuals, start), rel=1e-8)
+
+
+def test_the_optimum_of_landmark2_whose_points_are_numbered_apart() -> None:
+    edges, seen = rows(GTSAM_2, "EDGE_SE2"), rows(GTSAM_2, "LANDMARK2")
+
+    def residuals(v: np.ndarray) -> list[np.ndarray]:
+        poses = [in_plane(p) for p in [np.zeros(3), *v[:6].reshape(2, 3)]]
+        points = {1: v[6:8], 7: v[8:]}
+        out = [
+            root(e[5:], 3) @ difference(in_plane(np.array(e[2:5])), poses[int(e[0])], poses[int(e[1])]) for e in edges
+        ]
+        for i, j, x, y, *info in seen:
+            R, t = poses[int(i)]
+            out.append(root(info, 2) @ (R.T @ (points[int(j)] - t) - [x, y]))
+        return out
+
+    start = np.array([1, 0, 0, 2, 1, 1.5, 3, 1, 1, -2.0])
+    assert optimum(GTSAM_2) == pytest.approx(lowest(residuals, start), rel=1e-8)
+    graph, values, _ = read(GTSAM_2)
+    assert type(graph.factors[1]) is Landmark
+    assert values.stacks["l"].numbers.tolist() == [1, 7]
+    held = GTSAM_2 + "FIX 1\n"
+    assert_refused(8, "FIX 1 may mean the pose or the point", read, held)
+    assert read(GTSAM_2 + "FIX 7\n")[0].fixed[0].kind == "l"
+
+
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_tags_types_and_switches_are_written_as_they_were(tmp_path: Path) -> None:
+    """And what no edge uses is kept: offsets of the other dimension, a switch without an edge."""
+    typed = "".join(f"{line} 8\n" if line.startswith("EDGE_SE3") else f"{line}\n" for line in RTABMAP_3.splitlines())
+    unused = f"PARAMS_SE3OFFSET 5 0 0 0 {C}\n{SWITCHED_2}VERTEX_SWITCH 17 1\nEDGE_SWITCH_PRIOR 18 1 1\n"
+    typed_switch = SWITCHED_3.replace(f"{UPPER_3}\n", f"{UPPER_3} 3\n")
+    old = SWITCHED_3.replace("EDGE_SE3_SWITCHABLE", "EDGE_SE3:QUAT_SWITCHABLE")
+    for text in (typed, unused, typed_switch, SWITCHED_3, GTSAM_2):
+        loaded = read(text)
+        same(loaded, again(loaded, tmp_path))
+        lines = (tmp_path / "again.g2o").read_text().splitlines()
+        assert numbers(lines) == numbers(text.splitlines())
+    same(read(old), read(SWITCHED_3))
+    assert read(unused)[2].ignored == [
+        f"PARAMS_SE3OFFSET 5 0 0 0 {C}",
+        "VERTEX_SWITCH 17 1",
+        "EDGE_SWITCH_PRIOR 18 1 1",
+    ]
+    assert "EDGE_SE3 lines end in a type of a link, 8 (2): not used, and only a g2o file gets it back" in (
+        read(typed)[2].warnings
+    )
+    same(loaded, (*again(loaded, tmp_path, dialect="json")[:2], loaded[2]))
+
+
+def test_switches_that_say_no_kernel_are_refused_with_the_line() -> None:
+    for old, new, line, words in (
+        ("EDGE_SWITCH_PRIOR 3 1 2\n", "", 7, "switch 3 for itself alone, which no EDGE_SWITCH_PRIOR line"),
+        ("VERTEX_SWITCH 3 1\n", "", 7, "switch 3 for itself alone, which no VERTEX_SWITCH line"),
+        ("PRIOR 3 1 2", "PRIOR 3 0 2", 8, "value 0 and information 2"),
+        ("PRIOR 3 1 2", "PRIOR 3 1 -2", 8, "value 1 and information -2"),
+        ("PRIOR 3 1 2", "PRIOR 3 1 1e200", 8, "expected two numbers above 0"),
+        ("VERTEX_SWITCH 3 1", "VERTEX_SWITCH 2 1", 6, "vertex 2 was given before"),
+        (
+            "EDGE_SWITCH_PRIOR 3 1 2\n",
+            "EDGE_SWITCH_PRIOR 3 1 2\nEDGE_SWITCH_PRIOR 3 1 1\n",
+            8,
+            "given before, on line 7",
+        ),
+    ):
+        assert_refused(line, words, read, SWITCHED_3.replace(old, new))
+    twice = SWITCHED_3 + SWITCHED_3.splitlines()[-1]
+    assert_refused(9, "one edge alone: an edge of switch 3 was given before, on line 8", read, twice)
+
+
+def test_decimal_commas_are_named() -> None:
+    for word in ("0,5", "-1,25e-3", ",5"):
+        error = assert_refused(
+            1, f"{word!r} is not a number; it has a decimal comma", read, f"VERTEX_SE2 0 {word} 0 0\n"
+        )
+        assert "LC_ALL=C" in str(error)
+    error = assert_refused(1, "'0,5,1' is not a number", read, "VERTEX_SE2 0 0,5,1 0 0\n")
+    assert "comma" not in str(error).split("[")[0]
+
+
+def test_a_tag_of_edges_is_left_out_only_where_that_is_asked_for(tmp_path: Path) -> None:
+    text = PLANE + "EDGE_FOO 0 1\nedge_B,'x 1 2\nEDGE_FOO\nVERTEX_FOO 3\n"
+    error = assert_refused(9, "EDGE_FOO (2), edge_B,'x (1)", read, text)
+    assert "ignore_tags=['EDGE_FOO', \"edge_B,'x\"]" in str(error)
+    (cure,) = error.advice
+    option, value = shlex.split(cure.words(shell=True).split(": ")[1])
+    assert option == "--ignore-tags"
+    for ignored in (["EDGE_FOO", "edge_B,'x"], value):
+        with pytest.warns(GraphWarning, match=r"EDGE_FOO \(2, first on line 9\), edge_B,'x \(1, first on line 10\)"):
+            loaded = load(write(tmp_path, text), ignore_tags=ignored)
+        assert loaded[2].ignored == text.splitlines()[8:]
+        assert again(loaded, tmp_path, ignore_tags=ignored)[2].ignored == loaded[2].ignored
+    assert_refused(10, "edge_B,'x (1)", read, text, ignore_tags=["EDGE_FOO", "edge_B"])
+    for tag in ("EDGE_SE2", "VERTEX_XY", "EDGE_SE2_SWITCHABLE"):
+        with pytest.raises(OptionError, match=f"ignore_tags: '{tag}' .* tags that are not read"):
+            read(text, ignore_tags=[tag])
+    with pytest.warns(GraphWarning) as caught:
+        load(tmp_path / "graph.g2o", ignore_tags=[*value.split(","), "EDGE_FOOT"])
+    assert str(caught[1].message).endswith("no line has the tag 'EDGE_FOOT'; did you mean 'EDGE_FOO'?")
+    many = PLANE + "".join(f"EDGE_{k:050} 0 1\n" for k in range(30))
+    assert assert_refused(9, "and 21 more tags", read, many).advice == ()
+    for dialect, tag in (("toro", "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3"), ("isam", "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1")):
+        assert_refused(2, "EDGE_X (1)", read, f"{tag}\nEDGE_X 0 1\n", dialect=dialect)
+    assert set(FORMATS) == {"g2o", "toro", "isam", "isam-covariance", "graph"}
+
+
+def test_edges_to_absent_vertices_are_left_out_only_where_that_is_asked_for(tmp_path: Path) -> None:
+    edge = f"EDGE_SE3:QUAT 2 77 1 0 0 {C} {UPPER_3}\n"
+    text = f"{POSES_3}{edge}EDGE_POINTXYZ_PRIOR 78 0 0 0 1 0 0 1 0 1\nEDGE_SE3:QUAT 0 1 1 0 0 {C} {UPPER_3}\n"
+    text += "".join(f"{line}\n" for line in SWITCHED_3.splitlines()[5:]).replace("0 2 3", "79 2 3")
+    error = assert_refused(4, "vertex 77", read, text)
+    assert [piece.words(shell=True) for piece in error.advice] == ["leave such edges out: --drop-absent"]
+    assert "drop_absent=True" in str(error)
+    loaded = read(text, drop_absent=True)
+    assert loaded[2].warnings == ["3 edges to vertices that no line gives left out, first on line 4"]
+    assert [repr(f) for f in loaded[0].factors] == ["Between(x0, x1)"]
+    assert len(loaded[2].ignored) == 5  # with the switch
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        same(loaded, again(loaded, tmp_path, drop_absent=True))
+    wrong = f"VERTEX_TRACKXYZ 4 1 1 1\nEDGE_SE3:QUAT 4 0 1 0 0 {C} {UPPER_3}\n"
+    assert_refused(len(text.splitlines()) + 2, "vertex 4 is a point", read, text + wrong, drop_absent=True)
+    without = f"EDGE_SE3:QUAT 0 1 1 0 0 {C} {UPPER_3}\n"
+    assert read(without, drop_absent=True)[2].warnings == []
+
+
+def test_the_options_are_refused_where_they_mean_nothing(tmp_path: Path) -> None:
+    loaded = read(PLANE)
+    again(loaded, tmp_path, dialect="json")
+    (tmp_path / "mission").mkdir()
+    (tmp_path / "mission" / "odometry.csv").write_text("pose,time\n")
+    for name, form in (("again.g2o", "json"), ("mission", "mission")):
+        with pytest.raises(OptionError, match=rf"ignore_tags: .* expected \[\]: .* format {form}, which has no tags"):
+            load(tmp_path / name, ignore_tags=["EDGE_X"])
+        with pytest.raises(OptionError, match=f"drop_absent: .* False: .* format {form}"):
+            load(tmp_path / name, drop_absent=True)
