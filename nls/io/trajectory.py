@@ -29,18 +29,7 @@ from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import measurements_left_out, note_comments
 from nls.values import Stack, Values
 
-__all__ = [
-    "TRAJECTORIES",
-    "kitti_text",
-    "lifted",
-    "load_trajectory",
-    "read_kitti",
-    "read_tum",
-    "trajectory_text",
-    "tum_text",
-    "write_kitti",
-    "write_tum",
-]
+__all__ = ["TRAJECTORIES", "load_trajectory", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
 
 TRAJECTORIES = ("tum", "kitti")
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation

@@ -49,13 +49,7 @@ MESSAGES = {  # sections by type of message; {topic} is filled in
         "# meters a Pascal in sea water, 1 / (1026 kg/m3 9.81 m/s2); less the pressure of the air",
         'z_m = { column = "fluid_pressure", scale = 9.936e-5, offset = -10.07 }',
     ],
-    "NavSatFix": [
-        "[fixes]",
-        'lat_deg = "latitude"',
-        'lon_deg = "longitude"',
-        "sigma_x_m = 2.0",
-        "sigma_y_m = 2.0",
-    ],
+    "NavSatFix": ["[fixes]", 'lat_deg = "latitude"', 'lon_deg = "longitude"', "sigma_x_m = 2.0", "sigma_y_m = 2.0"],
     "Odometry": [
         "[truth]   # if it is one",
         'quaternion = "pose.pose.orientation"',
@@ -146,9 +140,11 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             continue  # a whole pose beside a DVL is a truth
         if table == "truth" and "fixes" in tables[drafted:]:
             continue
-        if table == "path" and ("dvl" in tables or ({*ANGLES, *PLACE} <= set(chosen) and not _is_odometry(chosen))):
-            continue  # sensors measure the way; a whole pose is a truth
-        if table == "ranges" and ("contacts" in tables or not _is_acoustic(chosen)):
+        whole = table == "path" and {*ANGLES, *PLACE} <= set(chosen) and "odo" not in plain(chosen["x_m"])
+        if whole or (table == "path" and "dvl" in tables):
+            continue  # sensors measure the way; a whole pose that is not called odometry is a truth
+        acoustic = "beacon" in chosen or "slant" in plain(chosen.get("range_m", "")).split()
+        if table == "ranges" and ("contacts" in tables or not acoustic):
             continue  # a range alone may be one of an echo sounder, or a setting of the sonar
         if "path" in (tables[drafted:] if table == "truth" else tables) and table in ("ahrs", "depth", "truth"):
             continue  # the path has these columns
@@ -197,16 +193,6 @@ def _sonar() -> list[str]:
     """The lines of the sonar."""
     columns = [(column, f"{column} = {example('sonar', column)}") for column in COLUMNS["sonar"]]
     return [f"{line}   # {REMARKS[column]}" if column in REMARKS else line for column, line in columns]
-
-
-def _is_odometry(chosen: dict[str, str]) -> bool:
-    """Whether the name of a place says that the vehicle has reckoned it."""
-    return "odo" in plain(chosen["x_m"])
-
-
-def _is_acoustic(chosen: dict[str, str]) -> bool:
-    """Whether a range is one to a beacon by the names of its columns."""
-    return "beacon" in chosen or "slant" in plain(chosen["range_m"]).split()
 
 
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:

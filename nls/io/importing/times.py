@@ -95,13 +95,9 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
 
 def _refuse_late(section: Section, log: Log, column: str, seconds: Array) -> None:
     """Refuse seconds (n,) that no log has; as nanoseconds they may be no whole numbers of 64 bits."""
-    if (late := np.abs(seconds) >= LATEST).any():
-        k, name = int(np.argmax(late)), section.cells[column].columns[-1]
-        raise log.error(
-            k,
-            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit and offset of "
-            f"{column} in [{section.table}] of the mapping",
-        )
+    late, rows, name = np.abs(seconds) >= LATEST, np.arange(len(log)), section.cells[column].columns[-1]
+    cure = f"give the right unit and offset of {column} in [{section.table}] of the mapping"
+    log.refuse(late, rows, lambda k: f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; {cure}")
 
 
 def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
@@ -170,10 +166,8 @@ def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stam
     rows = np.flatnonzero(stamp.present)
     ns = stamp.ns[rows]
     period = DAY if ns.max(initial=0) <= DAY else WEEK
-    if (late := np.abs(ns) > period).any():
-        k = int(np.argmax(late))
-        cure = f"leave date out of [{section.table}] of the mapping"
-        raise log.error(int(rows[k]), f"{ns[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; {cure}")
+    problem = f"is later than a day or a week of GPS; leave date out of [{section.table}] of the mapping"
+    log.refuse(np.abs(ns) > period, rows, lambda k: f"{ns[k] / NANOSECONDS:.10g} s {problem}")
     if (falls := np.diff(ns) < -period // 2).any():
         place = log.place(int(rows[1:][np.argmax(falls)]))
         notes.append(f"{section.table}: the times begin anew at {place}, {period // NANOSECONDS} s later")
