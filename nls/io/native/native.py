@@ -189,6 +189,8 @@ def _factor(item: Any, name: str, values: Values, path: str) -> Factor:
     factor = _checked(path, where, decoded, item)
     if not isinstance(factor, Factor):
         raise GraphFileError(f"{where} is no factor", path)
+    if not len(factor) and factor.z.size:
+        raise GraphFileError(f"{where}: its measurements z are of no variables", path)
     if all(keys.kind in values.stacks for keys in factor.keys):
         _checked(path, where, factor.bind, *(values.stack(keys.kind).manifold for keys in factor.keys))
     return factor
