@@ -261,7 +261,10 @@ def _values(**changes: Any) -> Change:
         (_factor(type="os.system"), "factor 0 .os.system.: 'os.system' is no class of this library"),
         (_factor(type="Betwen"), "did you mean"),
         (_factor(type="Huber"), "Huber cannot be made of i, j, z, noise, convention"),
-        (_factor(j={"kind": "x", "numbers": []}), "its measurements z are of no variables"),
+        (
+            _factor(i={"kind": "x", "numbers": [0]}, j={"kind": "x", "numbers": []}),
+            "its measurements z are of no variables",
+        ),
         (_factor(z="1"), "z is not an array of numbers|expected"),
         (_factor(z=[[1, 2]]), "expected"),
         (_factor(z=[[float("nan"), 0, 0]] * 2), "NaN is no finite number"),
