@@ -64,11 +64,10 @@ def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> 
     >>> polar_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
     'range [m]'
     """
-    _check(image, sonar)
     axes = axes_or_new(axes, (5, 5.5))
     half = np.degrees(sonar.fan) / 2
     extent = (-half, half, *sonar.window)
-    shades = axes.imshow(_decibels(image).T, **SHADES, origin="lower", aspect="auto", extent=extent)
+    shades = axes.imshow(_decibels(image, sonar).T, **SHADES, origin="lower", aspect="auto", extent=extent)
     axes.set(xlabel="azimuth [deg]", ylabel="range [m]")
     return _with_bar(axes, shades)
 
@@ -93,14 +92,13 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
     >>> fan_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
     'ahead [m]'
     """
-    _check(image, sonar)
     wide = 2 * np.sin(min(sonar.fan, np.pi) / 2)  # of the farthest range, which is the height
     side = WIDEST / max(wide, 1.0)
     axes = axes_or_new(axes, (side * wide + 2.5, side + 0.8))
     azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
     r = np.linspace(*sonar.window, sonar.bins + 1)
     ahead, starboard = r * np.cos(azimuth)[:, None], r * np.sin(azimuth)[:, None]
-    shades = axes.pcolormesh(starboard, ahead, _decibels(image), **SHADES, rasterized=True)
+    shades = axes.pcolormesh(starboard, ahead, _decibels(image, sonar), **SHADES, rasterized=True)
     _as_map(axes)
     return _with_bar(axes, shades)
 
@@ -269,8 +267,12 @@ def frustum(
     return figure_of(axes)
 
 
-def _decibels(image: npt.ArrayLike) -> Array:
-    """Decibels of amplitudes below the largest; without any echo all are the darkest."""
+def _decibels(image: npt.ArrayLike, sonar: ImagingSonar) -> Array:
+    """Decibels of amplitudes below the largest; without any echo all are the darkest. Refuses images of others."""
+    if np.shape(image) != (sonar.beams, sonar.bins):
+        raise GraphError(
+            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
+        )
     amplitude = np.asarray(image, dtype=float)
     largest = float(amplitude.max(initial=0.0)) or 1.0
     return np.asarray(20 * np.log10(np.maximum(amplitude / largest, 10 ** (DARKEST / 20))))
@@ -280,13 +282,6 @@ def _with_bar(axes: Axes, shades: ScalarMappable) -> Figure:
     figure = figure_of(axes)
     figure.colorbar(shades, ax=axes, label="dB below the strongest echo", extend="min", shrink=0.8)
     return figure
-
-
-def _check(image: Array, sonar: ImagingSonar) -> None:
-    if np.shape(image) != (sonar.beams, sonar.bins):
-        raise GraphError(
-            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
-        )
 
 
 def _as_map(axes: Axes) -> Figure:

@@ -118,7 +118,8 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
     C = _moments(P, yaws - wrap(pose[2] - T[2]), offsets - (pose[0] - T[0]), offsets - (pose[1] - T[1]))
     C[:2] = R.T @ C[:2]
     C[:, :2] = C[:, :2] @ R
-    return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), _rim(P))
+    edge = float(1.0 - P[1:-1, 1:-1, 1:-1].sum())
+    return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), edge)
 
 
 def match_submap(field: Field, points: Array, guess: Array, window: tuple[float, float]) -> Match:
@@ -165,11 +166,6 @@ def _moments(P: Array, yaw: Array, x: Array, y: Array) -> Array:
     C[0, 2] = C[2, 0] = yaw @ of_yaw_x @ x
     C[1, 2] = C[2, 1] = yaw @ of_yaw_y @ y
     return C
-
-
-def _rim(P: Array) -> float:
-    """Probability on the faces of the window."""
-    return float(1.0 - P[1:-1, 1:-1, 1:-1].sum())
 
 
 def _refined(field: Field, p: Array, T: Array) -> Array:
