@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.io.files import write_bytes
-from nls.plot.report.data import Rejected, ReportData
+from nls.plot.report.data import ReportData
 from nls.plot.report.markup import Html, joined, tag
 from nls.plot.report.sections import SECTIONS, key_figures, verdict
 from nls.values import Values, refuse_other
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
 
 __all__ = ["Page", "report"]
 
