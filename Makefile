@@ -7,7 +7,7 @@ EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 # Containers often set it; then each process of a test or a notebook compiles the library again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test lint docs benchmark evidence
+.PHONY: help demo test lint docs sdist benchmark evidence
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -27,6 +27,9 @@ lint: .venv/installed ## formatting, ruff, mypy
 docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal, then its links and pictures: docs/_build/html/index.html
 	.venv/bin/sphinx-build -nW --keep-going -j 4 -b html docs docs/_build/html
 	.venv/bin/python tools/check_site.py docs/_build/html
+
+sdist: ## what the source distribution has: packages, licences, README with its pictures, no tests
+	$(PYTHON) tools/check_sdist.py
 
 benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (4 minutes)
 	.venv/bin/python benchmarks/guard.py

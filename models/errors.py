@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.advice import Advice, listed
+from models.visible import visible
 
 __all__ = [
     "EvaluationError",
@@ -44,7 +45,7 @@ class LeadlineError(Exception):
 
     def lines(self, shell: bool = False) -> list[str]:
         """The message, and what helps as Python or as the command line writes it."""
-        return [self.message, *(f"  -> {words}" for words in listed(self.advice, shell))]
+        return [visible(self.message), *(f"  -> {visible(words)}" for words in listed(self.advice, shell))]
 
     @property
     def is_fault(self) -> bool:
@@ -243,8 +244,11 @@ class OptionError(LeadlineError, ValueError):
     def lines(self, shell: bool = False) -> list[str]:
         """The message; on the command line with the name of its option there."""
         as_option = shell and self.option.isidentifier() and not self.option.isupper()  # OUT is no option but a place
-        return [self._sentence(f"--{self.option.replace('_', '-')}" if as_option else self.option)]
+        return [visible(self._sentence(f"--{self.option.replace('_', '-')}" if as_option else self.option))]
 
 
 class GraphWarning(UserWarning):
     """Something in a graph or file deserves a look: ignored lines, isolated variables."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(visible(message))

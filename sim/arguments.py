@@ -6,10 +6,11 @@ import argparse
 import inspect
 import math
 import re
-import sys
 import typing
 from collections.abc import Callable
 from typing import Any, NoReturn
+
+from nls.cli.outputs import say
 
 DIGITS = 18  # of a whole number: below 2^63
 FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
@@ -19,7 +20,7 @@ class Parser(argparse.ArgumentParser):
     """One line for a mistake instead of the whole usage."""
 
     def error(self, message: str) -> NoReturn:
-        print(f"nls-sim: {message}; see {self.prog} --help", file=sys.stderr)
+        say(f"nls-sim: {message}; see {self.prog} --help", error=True)
         raise SystemExit(2)
 
 

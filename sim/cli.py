@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
+from nls.cli.outputs import say
 from nls.cli.phase import INTERRUPTED, Phase
 from sim.arguments import Parser, add_parameters, command, flag, seed_number
 from sim.calibration import calibrated, calibration_files, calibration_rows
@@ -120,7 +121,7 @@ def _main(argv: Sequence[str] | None, phase: Phase) -> int:
             phase.now(f"while writing {out}")
             phase.written += write(out, files, description, aligned(table), call)
             table.append(("written", ", ".join(phase.written)))
-        print(aligned(table))
+        say(aligned(table))
     except OptionError as error:
         wrong = f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}"
         return complain(wrong if error.allowed else str(error))
@@ -272,5 +273,5 @@ def parser() -> Parser:
 
 def complain(message: str) -> int:
     """One line to stderr; the exit code of a mistake."""
-    print(f"nls-sim: {message}", file=sys.stderr)
+    say(f"nls-sim: {message}", error=True)
     return 2

@@ -96,16 +96,22 @@ def _failed(error: Exception, phase: Phase, options: argparse.Namespace | None) 
 
     if isinstance(error, OSError) and error.filename is None and error.strerror:
         return phase.unprinted(error)  # every file has an error of its own
-    known = isinstance(error, LeadlineError | OSError | MemoryError)
+    known = isinstance(error, LeadlineError | OSError | MemoryError | Warning)  # as PYTHONWARNINGS=error raises
     if isinstance(error, LeadlineError):
         given = vars(options).items() if options is not None else ()
+        if phase.as_read is not None:
+            from nls.cli.formats import name_lines
+
+            name_lines(error, *phase.as_read)
         error.leave_out({f"--{name.replace('_', '-')} {value}" for name, value in given})
     complain(error if known else f"internal error, please report it (--debug shows where): {error!r}")
     return 1 if isinstance(error, UnderconstrainedError) else 2
 
 
 def _one_line_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"nls: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    from nls.cli.outputs import say
+
+    say(f"nls: warning: {' '.join(str(message).split())}", error=True)
 
 
 def _version() -> int:

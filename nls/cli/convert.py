@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nls.cli.outputs import refuse_loss, refuse_unwritable
+from nls.cli.outputs import refuse_loss, refuse_unwritable, say
 
 
 def convert(options: argparse.Namespace) -> int:
@@ -26,9 +26,9 @@ def convert(options: argparse.Namespace) -> int:
     write_bytes(options.output, data)
     options.phase.written.append(options.output)
     holds = f"{several(len(values), 'variable')}, {several(len(graph), 'measurement')}"
-    print(f"input       {report.path}: {report.format}, {holds}")
-    print(f"written     {options.output}: {form}")
+    say(f"input       {report.path}: {report.format}, {holds}")
+    say(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:
         if note not in report.warnings:
-            print(f"note        {note}")
+            say(f"note        {note}")
     return 0

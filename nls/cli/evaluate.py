@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nls.cli.outputs import refuse_unwritable, write_json
+from nls.cli.outputs import refuse_unwritable, say, write_json
 
 if TYPE_CHECKING:
     from models.algebra import Array, Index
@@ -16,25 +16,32 @@ if TYPE_CHECKING:
 
 SCHEMA = "evaluate 1"
 LEVEL = 1e-9  # rad, below which a pose is one of the plane
+TURNED_OVER = (
+    "the alignment {} turned the track over, up became down: either the track is mirrored, or of the two files one has "
+    "z up and the other z down. A level track fits its mirror image so, and the ATE does not show it. Compare with "
+    "--align yaw, which turns nothing over; then change the signs of y and yaw, or the frame, of one of the files"
+)
 ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, and of angles that are spread
 
 
 def evaluate(options: argparse.Namespace) -> int:
     """Read both, match, align, compare, print; returns the exit status."""
-    from nls.io.poses import read_poses
+    from nls.io.poses import TRUE_FILES, read_poses
 
     distances = _distances(options.distances)
     refuse_unwritable({"--json": options.json}, options.file, options.truth)
     options.phase.doing = f"while reading {options.file}"
     estimate = read_poses(options.file)
     options.phase.doing = f"while reading {options.truth}"
-    truth = read_poses(options.truth)
+    truth = read_poses(options.truth, TRUE_FILES)
     options.phase.doing = f"while comparing {options.file} with {options.truth}"
     record = compared(estimate, truth, options.align, distances, options.tolerance)
+    if record["turned_over"]:
+        say(f"nls: warning: {options.file}: {TURNED_OVER.format(options.align)}", error=True)
     options.phase.now("while writing the report")
     write_json(record, options.json)
     if options.json != "-":
-        print("\n".join(lines(record)))
+        say("\n".join(lines(record)))
     return 0
 
 
@@ -85,7 +92,13 @@ def compared(
         "align": align,
         "scale": error.scale,
         "T": error.T.tolist(),
-        "ate": {"rmse_m": error.rmse, "mean_m": error.mean, "largest_m": error.largest},
+        **_motion(error.T),
+        "ate": {
+            "rmse_m": error.rmse,
+            "mean_m": error.mean,
+            "largest_m": error.largest,
+            "rotation_rmse_deg": float(np.degrees(error.rotation)) if estimate.oriented and truth.oriented else None,
+        },
         "horizontal": circles(error.errors),
         "vertical_rmse_m": float(np.sqrt(np.mean(np.square(error.errors[:, 2])))),
         "rpe": [
@@ -101,6 +114,14 @@ def compared(
         "rpe_unknown": unknown,
         "squared_error_over_variance": _consistency(estimate, rows, error),
     }
+
+
+def _motion(T: Array) -> dict[str, Any]:
+    """The alignment (7,) as a translation, a yaw, and the angle between the verticals before and after it."""
+    x, y, z, w = T[3:].tolist()
+    tilt = float(np.degrees(2 * np.arctan2(np.hypot(x, y), np.hypot(z, w))))
+    yaw = float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+    return {"translation_m": T[:3].tolist(), "yaw_deg": yaw, "tilt_deg": tilt, "turned_over": tilt > 90}
 
 
 def circles(errors: Array) -> dict[str, float]:
@@ -135,7 +156,8 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
         ]
         if any(v is not None for poses in (estimate, truth) for v in (poses.times, poses.numbers)):
             raise GraphError(
-                f"{'; '.join(names)}. Expected times in both, numbers in both, or rows alone in both: KITTI files"
+                f"{'; '.join(names)}. Expected times in both, numbers in both, or rows alone in both: KITTI files; "
+                "nls convert GRAPH OUT.tum takes the numbers of poses without times for times"
             )
         if len(estimate.X) != len(truth.X):
             raise GraphError(
@@ -192,15 +214,20 @@ def lines(record: dict[str, Any]) -> list[str]:
     """The table, from the report for programs."""
     ate, level = record["ate"], record["horizontal"]
     left = [f"{record[name]} {words} left out" for name, words in LEFT.items() if record[name]]
-    scale = f", scale {record['scale']:.6g}" if record["align"] == "similarity" else ""
+    moved = ", ".join(f"{meters:.4g}" for meters in record["translation_m"])
+    motion = f", moved by ({moved}) m, turned by {record['yaw_deg']:.4g} deg" if record["align"] != "none" else ""
+    motion += f", tilted by {record['tilt_deg']:.3g} deg" if record["tilt_deg"] > LEVEL else ""
+    motion += f", scale {record['scale']:.6g}" if record["align"] == "similarity" else ""
+    rotation = f"; rotation {ate['rotation_rmse_deg']:.4g} deg rmse" if ate["rotation_rmse_deg"] is not None else ""
     out = [
         f"estimate    {record['estimate']}: {record['estimated_poses']} poses",
         f"truth       {record['truth']}: {record['true_poses']} poses",
         f"matched     {record['matched']} poses by {record['matched_by']}"
         + (f", gaps of the truth up to {record['tolerance_s']:.4g} s bridged" if record["tolerance_s"] else "")
         + "".join(f"; {words}" for words in left),
-        f"alignment   {record['align']}{scale}",
-        f"ATE         {ate['rmse_m']:.4g} m rmse, {ate['mean_m']:.4g} m mean, {ate['largest_m']:.4g} m at most",
+        f"alignment   {record['align']}{motion}",
+        f"ATE         {ate['rmse_m']:.4g} m rmse, {ate['mean_m']:.4g} m mean, {ate['largest_m']:.4g} m at most"
+        + rotation,
         f"horizontal  CEP {level['cep50_m']:.4g} m (50 %), {level['cep95_m']:.4g} m (95 %), 2DRMS "
         f"{level['drms2_m']:.4g} m; vertical {record['vertical_rmse_m']:.4g} m rmse",
     ]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nls.cli.formats import mission_of, read
-from nls.cli.outputs import refuse_unwritable, write_json
+from nls.cli.outputs import refuse_unwritable, say, write_json
 
 if TYPE_CHECKING:
     from nls.cli.progress import Progress
@@ -49,10 +49,10 @@ def explain(options: argparse.Namespace) -> int:
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
-        print(f"{report.path}, {how}\n\n{explanation.report(shell=True)}")
+        say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}")
         for note in report.notes:
             if note not in report.warnings:
-                print(f"note        {note}")
+                say(f"note        {note}")
     return 0
 
 

@@ -10,9 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from models.listing import some
 from nls.cli.outputs import input_name
 
 if TYPE_CHECKING:
+    from models.errors import LeadlineError
     from nls.graph import FactorGraph
     from nls.io import LoadReport
     from nls.io.mission import MissionReport
@@ -40,7 +44,21 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 
     options.phase.doing = f"while reading {options.file}"
     with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
-        return _read(options)
+        graph, values, report = _read(options)
+    options.phase.as_read = graph, report
+    return graph, values, report
+
+
+def name_lines(error: LeadlineError, graph: FactorGraph, report: LoadReport) -> None:
+    """Name in an error the lines of the measurements that it is about, if they were read from some."""
+    keys, name = getattr(error, "keys", ()), getattr(error, "factor", "")
+    places: list[str] = []
+    for k, factor in enumerate(graph.factors[: len(report.sources)]):
+        if factor.name == name and [(a.kind, 1) for a in factor.keys] == [(b.kind, len(b)) for b in keys]:
+            same = np.all([a.numbers == b.numbers for a, b in zip(factor.keys, keys, strict=True)], axis=0)
+            places += [report.place(k, row) for row in np.flatnonzero(same).tolist()]
+    if places:
+        error.message = f"{some(places)}: {error.message}"
 
 
 def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:

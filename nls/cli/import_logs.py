@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
+
+from nls.cli.outputs import say
 
 
 def import_logs(options: argparse.Namespace) -> int:
@@ -15,8 +16,8 @@ def import_logs(options: argparse.Namespace) -> int:
     if options.map is None:
         if options.output is not None:
             raise OptionError("--map is missing beside -o; a draft of a mapping: nls import LOG > mapping.toml")
-        print(draft(options.logs), end="")
-        print("nls: this is a draft: save it as mapping.toml, correct it, and give it by --map", file=sys.stderr)
+        say(draft(options.logs).removesuffix("\n"))
+        say("nls: this is a draft: save it as mapping.toml, correct it, and give it by --map", error=True)
         return 0
     if options.output is None:
         raise OptionError("-o is missing; expected a folder for the mission: -o mission")
@@ -26,8 +27,8 @@ def import_logs(options: argparse.Namespace) -> int:
         options.phase.written += write_imported(options.output, imported, [*options.logs, options.map])
     except OptionError as error:
         raise OptionError("-o", error.value, error.allowed) from error
-    print(f"input       {', '.join(options.logs)}")
-    print(f"written     {options.output}: " + ", ".join(f"{name} {count}" for name, count in imported.rows.items()))
+    say(f"input       {', '.join(options.logs)}")
+    say(f"written     {options.output}: " + ", ".join(f"{name} {count}" for name, count in imported.rows.items()))
     for note in imported.notes:
-        print(f"note        {note}")
+        say(f"note        {note}")
     return 0

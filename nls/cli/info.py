@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import Any
 
-from nls.cli.outputs import refuse_unwritable, write_json
+from nls.cli.outputs import refuse_unwritable, say, write_json
 
 LABELS = {  # where the identifier of a program says too little
     "components": "connected parts",
@@ -36,8 +36,8 @@ def info(options: argparse.Namespace) -> int:
     options.phase.now("while writing the report")
     write_json(head | {"tags": report.tags, "notes": report.notes} | facts, options.json)
     if options.json != "-":
-        print(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
-        print(
+        say(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
+        say(
             "\n".join(
                 f"  {LABELS.get(name, name.replace('_', ' ')):26s} {_shown(value)}" for name, value in facts.items()
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
     from nls.io.charts import Projection
+    from nls.io.report import Source
     from nls.linear import LinearSolver
     from nls.optimizers import Result, Stop
     from nls.robust import Robustified
@@ -41,6 +42,7 @@ class Job:
     projection : of the coordinates in the files of a mission; None for local ones.
     as_read, values, report : of the file; without what was rejected.
     graph : under kernels, with kinds held; with ``--sigmas estimate`` rescaled, and `as_read`, too.
+    sources : of the factors as they were read, those that were rejected, too.
     choice : of `nls.gnc`; None where all measurements are believed.
     sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     start, init, starts : values to begin with, the name of the start, and chi2 of all that were tried.
@@ -58,6 +60,7 @@ class Job:
     values: Values
     report: LoadReport
     graph: FactorGraph
+    sources: Sequence[Source] = ()
     choice: Robustified | None = None
     sigmas: VarianceComponents | None = None
     start: Values
@@ -124,7 +127,7 @@ class Job:
 
         record: dict[str, Any] = {} if self.solved is None else {self.solved.name: self.solved.record()}
         record |= {} if self.sigmas is None else {"sigmas": sigmas.record(self.sigmas)}
-        record |= {} if self.choice is None else outliers.record(self.choice)
+        record |= {} if self.choice is None else outliers.record(self.choice, self.sources)
         return record | (
             {} if self.certificate is None else {"certificate": certificate.record(self.certificate, self.refuted)}
         )
@@ -199,14 +202,11 @@ class Solution(ABC):
 
     def tum(self) -> bytes:
         """trajectory.tum: the poses in the order of their times or numbers."""
-        import numpy as np
+        from nls.io.trajectory import trajectory_text
+        from nls.values import Values
 
-        from nls.io.trajectory import tum_text
-
-        stack = self.values.stack("x")
-        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
-        order = np.argsort(times, kind="stable")
-        return tum_text("trajectory.tum", times[order], np.asarray(stack.X)[order])
+        poses = Values.of([self.values.stack("x")])
+        return trajectory_text("trajectory.tum", "tum", self.graph, poses, self.report)[0]
 
 
 def covariances(

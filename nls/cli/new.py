@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from nls.cli.outputs import say
+
 
 def new(options: argparse.Namespace) -> int:
     """Write the templates that are not there yet; returns the exit status."""
@@ -19,8 +21,8 @@ def new(options: argparse.Namespace) -> int:
         fresh = {name: data for name, data in group.items() if not Path(options.folder, folder, name).exists()}
         if fresh:
             options.phase.written += write_folder(Path(options.folder, folder), fresh)
-    print(f"written     {options.folder}: {len(files) - len(there)} templates")
+    say(f"written     {options.folder}: {len(files) - len(there)} templates")
     if there:
-        print(f"note        kept as they are: {', '.join(there)}")
-    print("next        fill in mapping.toml for nls import, or copy the tables you have from templates/ and fill them")
+        say(f"note        kept as they are: {', '.join(there)}")
+    say("next        fill in mapping.toml for nls import, or copy the tables you have from templates/ and fill them")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
     from factors.base import Factor
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.io.report import Source
     from nls.optimizers import Result
     from nls.robust import Robustified
+    from nls.robust.graduated import Rejected
     from nls.values import Values
 
 __all__ = ["choice_of", "record", "without_rejected"]
@@ -24,6 +27,7 @@ PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 NUMBERS = ("count", "total", "number", "meters", "radians", "sigmas")  # of a doubt
+OF_CHOICE = ("doubted", "probability", "expected_by_chance", "sigma0", "strain")
 OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that nothing verifies
 
 
@@ -53,7 +57,7 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     except ValueError as error:
         raise nls.OptionError("--robust", robust, allowed) from error
     if loss not in LOSSES or not 0 < probability < 1:
-        raise nls.OptionError("--robust", robust, allowed + did_you_mean(f"{PREFIX}{loss}", GNC))
+        raise nls.OptionError("--robust", robust, allowed + did_you_mean(robust.partition(":")[0], GNC))
     if init != "auto":
         raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
     if not (contacts := contacts_of(graph)):
@@ -104,17 +108,18 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     return choice
 
 
-def record(choice: Robustified) -> dict[str, Any]:
-    """For programs."""
+def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
+    """For programs; with the file and the line of what was rejected, where the factors as read have some."""
+
+    def rejected(r: Rejected) -> dict[str, Any]:
+        path, lines = sources[r.number]
+        return {"factor": r.factor, "sigmas": r.sigmas, "file": path, "line": int(lines[r.measurement]) or None}
+
     return {
-        "doubted": choice.doubted,
-        "probability": choice.probability,
-        "expected_by_chance": choice.expected_by_chance,
-        "sigma0": choice.sigma0,
+        **{name: getattr(choice, name) for name in OF_CHOICE},
         "sigma0_between_neighbors": choice.local,
-        "strain": choice.strain,
         "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
-        "rejected": [{"factor": measurement.factor, "sigmas": measurement.sigmas} for measurement in choice.rejected],
+        "rejected": [rejected(r) for r in choice.rejected],
         "doubts": [
             {"kind": d.kind.name, "part": d.fraction, "sentence": str(d)} | {name: getattr(d, name) for name in NUMBERS}
             for d in choice.doubts

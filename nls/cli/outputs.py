@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["json_text"]
+__all__ = ["json_text", "say"]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
@@ -20,12 +20,20 @@ def input_name(file: str) -> str:
     return "<stdin>" if file == "-" else file
 
 
+def say(text: object, error: bool = False) -> None:
+    """Print for people, on standard output or standard error where it is open; controls of a terminal are escaped."""
+    from models.visible import visible
+
+    if (stream := sys.stderr if error else sys.stdout) is not None:  # else `print` takes the other one
+        print(visible(str(text)), file=stream)
+
+
 def complain(problem: object) -> None:
     """What is wrong in one line on standard error; what helps, with the options of the command line, one a line."""
     from models.errors import LeadlineError
 
     message, *advice = problem.lines(shell=True) if isinstance(problem, LeadlineError) else [str(problem)]
-    print("\n".join([f"nls: {' '.join(message.split())}", *advice]), file=sys.stderr)
+    say("\n".join([f"nls: {' '.join(message.split())}", *advice]), error=True)
 
 
 def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
@@ -136,7 +144,7 @@ def refuse_name(option: str, name: str | None, suffixes: Sequence[str]) -> None:
     """
     from models.errors import OptionError
 
-    if name and Path(name).suffix.lower() not in suffixes:
+    if name and not (Path(name).suffix and name.lower().endswith(tuple(suffixes))):
         raise OptionError(option, name, "a file name ending in " + ", ".join(suffixes))
 
 
@@ -148,7 +156,7 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
         return
     text = json_text(report)
     if where == "-":
-        print(text, end="")
+        print(text, end="")  # ASCII
     else:
         write_bytes(where, text.encode())
 

@@ -21,6 +21,7 @@ from nls.cli.choices import (
     STARTS,
     TREATMENTS,
 )
+from nls.cli.outputs import say
 
 __all__ = ["parser"]
 
@@ -36,13 +37,11 @@ EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
-  nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
   nls solve floor --robust none                        a mission with all its contacts, also wrong ones
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
-  nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve survey.g2o --improve                       the same; where it is not, go on from the lower one
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
@@ -50,22 +49,17 @@ EXAMPLES = """examples:
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls solve harbor -o harbor/solved                    a scan mission: keyframes and scans, matched to a map
   nls explain survey.g2o                               what is free, what does not fit, and what helps
-  nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
-  nls evaluate solved/trajectory.csv dive/truth.csv    how far a trajectory is from the true one
+  nls evaluate solved dive                             how far a trajectory is from the true one
   nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
-  nls stream - < survey.g2o                            from a pipe, as lines come
   nls solve - < survey.g2o                             from a pipe or standard input, also compressed
-  nls explain - < survey.g2o
-  nls info - < survey.g2o
   nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls convert - survey.toro < survey.g2o
-  nls plot - survey.png < survey.g2o
   nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
   nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
@@ -86,8 +80,15 @@ threads: one while a graph is solved; elsewhere one, unless the environment says
 class Parser(argparse.ArgumentParser):
     """Says what is wrong with the arguments in one line."""
 
+    words: list[str]
+
     def error(self, message: str) -> NoReturn:
-        print(f"nls: {message}; see '{self.prog} --help'", file=sys.stderr)
+        if "arguments are required" in message:
+            given = [word for word in self.words if word.startswith("--")]
+            names = tuple(self._option_string_actions)
+            if unknown := [word for word in given if not any(n.startswith(word.partition("=")[0]) for n in names)]:
+                self._refuse(unknown)
+        say(f"nls: {message}; see '{self.prog} --help'", error=True)
         raise SystemExit(2)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -99,22 +100,21 @@ class Parser(argparse.ArgumentParser):
             error.message += did_you_mean(value, action.choices or ())
             raise
 
-    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        options, unknown = self.parse_known_args(args, namespace)
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.words = sys.argv[1:] if args is None else list(args)
+        options, unknown = super().parse_known_args(self.words, namespace)
         if unknown:
-            from models.options import did_you_mean
+            self._refuse(unknown)
+        return options, unknown
 
-            command = getattr(options, "command", None)
-            known = self.choices_of(command)
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{did_you_mean(unknown[0].split('=')[0], known)}")
-        return options
+    def _refuse(self, unknown: list[str]) -> NoReturn:
+        """Refuse words that are no options of this command; says which one is near."""
+        from models.options import did_you_mean
 
-    def choices_of(self, command: str | None) -> list[str]:
-        """Names of the options of a command; of the program where there is none."""
-        for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction) and command in action.choices:
-                return [name for option in action.choices[command]._actions for name in option.option_strings]
-        return [name for option in self._actions for name in option.option_strings]
+        known = [name[2:] for name in self._option_string_actions if name.startswith("--")]
+        word = unknown[0].partition("=")[0] if unknown[0].startswith("--") else ""
+        near = did_you_mean(word[2:], known).replace("'", "'--", 1)
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
 
 
 class Once(argparse.Action):
@@ -256,8 +256,12 @@ def parser() -> Parser:
     )
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)
-    evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
-    evaluate.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument(
+        "file",
+        metavar="ESTIMATE",
+        help="a trajectory: tum, kitti, csv as trajectory.csv, a graph, or the folder of a solution",
+    )
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: as ESTIMATE, or the folder of a mission")
     evaluate.add_argument(
         "--align",
         default="none",
@@ -311,7 +315,7 @@ def _input(command: argparse.ArgumentParser) -> None:
 
 def _dives(command: argparse.ArgumentParser) -> None:
     """Further missions, which are one graph with the first."""
-    command.add_argument("dives", metavar="DIVE", nargs="*", help="folders of further missions at the same place")
+    command.add_argument("dives", metavar="DIVE", nargs="*", default=[], help="folders of further missions there")
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:

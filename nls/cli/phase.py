@@ -29,21 +29,30 @@ class Phase:
     ----------
     doing : the activity of this moment, such as ``while reading survey.g2o``.
     written : files that are complete.
+    as_read : the graph and its report, once they are read; an error may be about one of the measurements.
     """
 
     def __init__(self, program: str) -> None:
         self.program, self.doing = program, "at its start"
         self.written: list[str] = []
+        self.as_read: Any = None
 
     def __str__(self) -> str:
         written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"
-        return f"{self.program}: interrupted {self.doing}; {written}"
+        words = f"{self.program}: interrupted {self.doing}; {written}"
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
 
     def at_once(self) -> None:
         """Let Ctrl-C end the process itself, until `now`. The imports of a start turn an exception into others.
 
-        A process that ignores Ctrl-C goes on to do so.
+        A process that ignores Ctrl-C goes on to do so. Standard error that was closed leads to nowhere: its number is
+        that of no other file, and `print` has a place for it.
         """
+        if sys.stderr is None:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            if nowhere != 2:
+                os.dup2(nowhere, 2)
+            sys.stderr = os.fdopen(2, "w", closefd=False)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, self._leave)
 

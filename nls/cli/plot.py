@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable
+from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable, say
 
 
 def plot(options: argparse.Namespace) -> int:
@@ -23,5 +23,5 @@ def plot(options: argparse.Namespace) -> int:
     figure.suptitle(title_of(report.path))
     write_picture(options.output, figure)
     options.phase.written.append(options.output)
-    print(f"written     {options.output}")
+    say(f"written     {options.output}")
     return 0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
+from models.visible import visible
+
 if TYPE_CHECKING:
     from nls.optimizers import Iteration
 
@@ -22,7 +24,7 @@ class Progress:
 
     def __init__(self, title: str, most: int | None = None, quiet: bool = False, late: bool = False) -> None:
         self.bar: Any = None
-        self.active = sys.stderr.isatty() and not quiet
+        self.active = sys.stderr is not None and sys.stderr.isatty() and not quiet
         self.title, self.most, self.late = title, most, late
 
     def __enter__(self) -> Progress:
@@ -47,7 +49,7 @@ class Progress:
         """One more step, in its own words."""
         self._open()
         if self.bar is not None:
-            self.bar.set_postfix_str(str(step))
+            self.bar.set_postfix_str(visible(str(step)))
             self.bar.update()
 
     def next(self, title: str) -> None:

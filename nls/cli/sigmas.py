@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 __all__ = ["doubts", "record"]
 
+OF_KIND = ("measurements", "numbers", "redundancy", "scale", "known")  # fields of the report
+
 
 def refuse(sigmas: str, robust: str | None, improve: bool) -> None:
     """Refuse scales from measurements that were chosen by the stated sigmas, or from an optimum that may be left.
@@ -48,15 +50,7 @@ def record(estimated: VarianceComponents) -> dict[str, Any]:
         "settled": estimated.settled,
         "rounds": estimated.rounds,
         "kinds": [
-            {
-                "kind": c.name,
-                "measurements": c.measurements,
-                "numbers": c.numbers,
-                "redundancy": c.redundancy,
-                "scale": c.scale,
-                "scale_sigma": c.sigma,
-                "known": c.known,
-            }
+            {"kind": c.name, "scale_sigma": c.sigma} | {name: getattr(c, name) for name in OF_KIND}
             for c in estimated.components
         ],
         "correlation": estimated.correlation.tolist(),

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from typing import TYPE_CHECKING
 
 from nls.cli.formats import mission_of
-from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, write_json
+from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
@@ -62,6 +61,8 @@ def _checked(options: argparse.Namespace) -> Job:
         if (select := selection_of(options)) is not None:
             job.select, options.robust, options.init = select, None, "file"
     refuse(options.sigmas, options.robust, options.improve)
+    if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
+        refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
@@ -145,6 +146,7 @@ def _take(job: Job, choice: Robustified, name: str) -> None:
     from nls.cli import outliers
 
     job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
+    job.sources = job.report.sources
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.values = outliers.without_left(job.values, choice.result.values)
     if job.form and (count := len(choice.rejected)):
@@ -321,7 +323,7 @@ def _report(job: Job) -> None:
         rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
         rows += [] if job.certificate is None else certificate.rows(job.certificate, job.refuted)
         rows += [] if job.solved is None else job.solved.lines(record[job.solved.name])
-        print(table(record, job.result, rows, job.report.warnings, options.verbose))
+        say(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 
 def _status(job: Job) -> int:
@@ -335,12 +337,12 @@ def _status(job: Job) -> int:
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     if not result.converged and not (allowed and options.quiet):
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
-        print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
+        say(f"nls: {reason}; see: {asking(options, options.phase.written)}", error=True)
     if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
-        print(f"nls: {certificate.summary(job.certificate)}", file=sys.stderr)
+        say(f"nls: {certificate.summary(job.certificate)}", error=True)
     doubts = [] if options.allow_doubtful or refuted else job.doubts
     if doubts and (result.converged or allowed):
-        print(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", file=sys.stderr)
+        say(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", error=True)
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:

@@ -15,6 +15,8 @@ __all__ = ["table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
+# fields of the report for programs that are as in the result
+OF_RESULT = "method linear_solver chi2_initial chi2_final gauge dof ratio doubt iterations converged rule reused"
 FAR = 5.0  # sigmas of a calibration before the measurements
 
 
@@ -41,24 +43,13 @@ def record_of(job: Job) -> dict[str, Any]:
         "held": options.hold,
         "init": job.init,
         "starts": job.starts,
-        "method": result.method,
-        "linear_solver": result.linear_solver,
         "chi2_file": job.chi2_read if report.vertices_given else None,
-        "chi2_initial": result.chi2_initial,
-        "chi2_final": result.chi2_final,
-        "gauge": result.gauge,
-        "dof": result.dof,
+        **{name: getattr(result, name) for name in OF_RESULT.split()},
         "fit": result.fit.name,
-        "ratio": result.ratio,
-        "doubt": result.doubt,
         "ignored": [{"table": s.name, "ignored": s.ignored, "total": s.total} for s in result.shares],
         "doubtful": job.doubts,
-        "iterations": result.iterations,
-        "converged": result.converged,
         "status": result.status.name,
         "reason": f"{result.status.value}: {result.ending}",
-        "rule": result.rule,
-        "reused": result.reused,
         "attempts": [attempt._asdict() | {"status": attempt.status.name} for attempt in result.attempts],
         **additions,
         "history": [_record(iteration) for iteration in result.history],
@@ -96,15 +87,8 @@ def _doubt(report: dict[str, Any]) -> str:
 
 def _record(iteration: Iteration) -> dict[str, Any]:
     """One iteration for programs."""
-    return {
-        "iteration": iteration.number,
-        "chi2": iteration.chi2,
-        "update": iteration.update,
-        "gradient": iteration.gradient,
-        "lambda": iteration.damping,
-        "seconds": iteration.seconds,
-        "reused": iteration.reused,
-    }
+    same = {name: getattr(iteration, name) for name in ("chi2", "update", "gradient", "seconds", "reused")}
+    return {"iteration": iteration.number, "lambda": iteration.damping, **same}
 
 
 def table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:

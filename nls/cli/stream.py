@@ -47,7 +47,7 @@ PARAMETERS, SWITCH, VERTEX, FIX = (
     for tag in (rb"PARAMS_", rb"(?:VERTEX_SWITCH|EDGE_SWITCH_PRIOR)\b", rb"VERTEX(?!_SWITCH\b)", rb"FIX\b")
 )
 MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_|VERTEX_SWITCH\b|EDGE_SWITCH_PRIOR\b)[^#\s]", re.MULTILINE)
-SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information"
+SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information", "ignore_tags"
 
 
 @dataclass

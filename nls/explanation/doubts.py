@@ -263,16 +263,12 @@ def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
     """Groups of closures that carry the map and that nothing verifies, at an optimum where nothing is free."""
     findings = []
     for group in unverified_groups(graph, values):
-        numbers = {
-            "factors": group.names,
-            "redundancy": group.redundancy,
-            "meters": group.meters,
-            "rms": group.rms,
-            "sigmas": group.sigmas,
-        }
+        same = {name: getattr(group, name) for name in ("redundancy", "meters", "rms", "sigmas")}
         advice = (Advice("inspect", ("the group",)), Advice("close"))
         keys = _keys(graph.factors, group.closures)
-        findings.append(Finding(FindingKind.UNVERIFIED, keys, numbers, advice, group.closures[:SOME]))
+        findings.append(
+            Finding(FindingKind.UNVERIFIED, keys, {"factors": group.names, **same}, advice, group.closures[:SOME])
+        )
     return findings
 
 

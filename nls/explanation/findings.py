@@ -15,6 +15,7 @@ from models.finite import finite_or_none
 __all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number"]
 
 SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
+SAME = "summary variables unknowns measurements rows gauge rank nullity chi2 dof robust"  # fields of the record
 
 
 class FindingKind(StrEnum):
@@ -230,28 +231,18 @@ class Explanation:
         """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""
         return {
             "schema": SCHEMA,
-            "summary": self.summary,
-            "variables": self.variables,
-            "unknowns": self.unknowns,
-            "measurements": self.measurements,
-            "rows": self.rows,
+            **{name: getattr(self, name) for name in SAME.split()},
+            **{
+                name: [_plain(part) for part in getattr(self, name)]
+                for name in ("parts", "worst", "suspects", "weakest")
+            },
             "components": list(self.components),
-            "gauge": self.gauge,
-            "rank": self.rank,
-            "nullity": self.nullity,
             "nullity_is_at_least": self.capped,
-            "chi2": self.chi2,
-            "dof": self.dof,
             "quantiles": [self.low, self.high],
             "promised": finite_or_none(self.promised),
-            "robust": self.robust,
             "findings": [finding.record() for finding in self.findings],
             "free": list(self.free),
-            "parts": [_plain(part) for part in self.parts],
-            "worst": [_plain(measurement) for measurement in self.worst],
-            "suspects": [_plain(measurement) for measurement in self.suspects],
             "chi2_without": None if self.chi2_without is None else list(self.chi2_without),
-            "weakest": [_plain(weak) for weak in self.weakest],
         }
 
     def __str__(self) -> str:

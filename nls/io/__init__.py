@@ -238,7 +238,7 @@ def foreign(data: bytes, path: str) -> tuple[str, str]:
         return "pyfg", "by its name"
     first = POSE.search(data, 0, 1 << 16)
     if first and NAME.fullmatch(first[1]):
-        return "pyfg", f"{printable(first[1], 30)!r} after a time is the name of a pose"
+        return "pyfg", f"'{printable(first[1], 30)}' after a time is the name of a pose"
     return ("bal", "three counts on its first line") if BAL.match(data) else ("auto", "")
 
 

@@ -275,12 +275,12 @@ def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) ->
             problem, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission"), *table]
         elif word.lstrip(b"+-.")[:1].isdigit():
             advice = table
-            problem = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
+            problem = f"is no graph but a table of numbers: a line begins with '{printable(word, 30)}' instead of a tag"
         elif b";" in text.line(line) or b"\t" in text.line(line).strip():
             sign = "semicolons" if b";" in text.line(line) else "tabs"
             problem, advice = f"is no graph but a table, its cells separated by {sign}", table
         else:
-            problem = f"is no graph: {printable(word, 30)!r} is no tag of a graph"
+            problem = f"is no graph: '{printable(word, 30)}' is no tag of a graph"
     elif tags:
         line, problem = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
     elif len(comments):

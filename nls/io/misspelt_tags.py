@@ -72,7 +72,7 @@ def refuse_misspelt(
                 wrong += _split(text, form, lines[count > 0], count[count > 0], forms, known)
     if wrong:
         line, expected = min(wrong)
-        raise text.error(f"{printable(text.token(int(text.first[line])), 40)!r} is no tag; {expected}", line)
+        raise text.error(f"'{printable(text.token(int(text.first[line])), 40)}' is no tag; {expected}", line)
 
 
 def _form(tag: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, and CSV with a head.
+"""Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, CSV with a head, graphs.
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
 yaw_rad. It has i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
@@ -9,6 +9,8 @@ columns keyframe, time, x, y and yaw.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,9 +20,12 @@ from models import euler
 from models.algebra import Array, Numbers
 from models.errors import OptionError
 from models.options import did_you_mean
+from nls.io import load
+from nls.io.dialects import SUFFIXES
+from nls.io.files import GRAPH_FILES
 from nls.io.mission.columns import ANGLES, PLACE, UPRIGHT, suffixed
 from nls.io.mission.table import Table
-from nls.io.trajectory import TRAJECTORIES, load_trajectory
+from nls.io.trajectory import TRAJECTORIES, lifted, load_trajectory, track_of
 
 __all__ = ["Poses", "read_poses"]
 
@@ -28,6 +33,7 @@ NEEDED = (*ANGLES, *PLACE)
 SIGMAS = suffixed(PLACE)
 OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)
 COLUMNS = ("x_m", "y_m", *OPTIONAL)
+FILES, TRUE_FILES = ("trajectory.csv",), ("truth.csv", "truth.npz", "trajectory.csv")  # of a solution; a mission
 ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
 
 
@@ -53,27 +59,42 @@ class Poses:
     oriented: bool = True
 
 
-def read_poses(path: str | Path) -> Poses:
-    """The poses of a trajectory, ``*.tum``, ``*.kitti`` or ``*.csv``, which may be gzip-compressed.
+def read_poses(path: str | Path, folder_files: Sequence[str] = FILES) -> Poses:
+    """The poses of a trajectory, ``*.tum``, ``*.kitti`` or ``*.csv``, or of a graph; files may be gzip-compressed.
+
+    Parameters
+    ----------
+    path : the file; or a folder with one of `folder_files`, the first of which counts, or with a graph.
+    folder_files : their names without ``.gz``.
 
     Raises
     ------
     OptionError
-        A name that says no such format.
+        A name that says no such format; a folder without such a file.
+    GraphError
+        A graph whose poses are none, or of several kinds.
     GraphFileError
         No such file, a column that is missing, a cell that is no number, a number given twice: with file and line.
     SingularGeometryError
         Euler angles at gimbal lock.
     """
+    if os.path.isdir(path):
+        names = (Path(path, name + end) for name in (*folder_files, *GRAPH_FILES) for end in ("", ".gz"))
+        if (file := next((name for name in names if name.is_file()), None)) is None:
+            cure = f"a folder with {' or '.join(folder_files)}, as nls solve {path} -o OUT writes"
+            raise OptionError("folder of poses", str(path), cure)
+        path = file
     form = Path(str(path).lower().removesuffix(".gz")).suffix[1:]
     if form in TRAJECTORIES:
         values, report = load_trajectory(path, form)
         return Poses(str(path), np.asarray(values.stack("x").X), report.vertex_times.get("x") if len(values) else None)
-    if form != "csv":
-        raise OptionError(
-            "file of poses", str(path), "a file ending in .tum, .kitti or .csv; nls convert writes the first two"
-        )
-    return _table(path)
+    if form == "csv":
+        return _table(path)
+    if f".{form}" not in (known := [name for name in SUFFIXES if name != ".ply"]):
+        raise OptionError("file of poses", str(path), f"a folder, or a file ending in {', '.join(known)}")
+    _, values, report = load(path)
+    stack = track_of(path, values)
+    return Poses(str(path), lifted(stack.X), report.vertex_times.get(stack.kind), stack.numbers)
 
 
 def _table(path: str | Path) -> Poses:

@@ -93,24 +93,20 @@ class Batch:
     table: Array
 
 
-PLANE = {
-    "VERTEX_SE2": Tag(None, SE2, 1),
-    "VERTEX_XY": Tag(None, R(2), 1, timed=False),
-    "VERTEX_SE2:PRIOR": Tag(Prior, SE2, 1),
-    "VERTEX_XY:PRIOR": Tag(Prior, R(2), 1),
-    "EDGE_SE2": Tag(Between, SE2, 2),
-    "EDGE_SE2_XY": Tag(Landmark, R(2), 2),
-    "EDGE_RANGE": Tag(Range, R(1), 2),
-}
-SPACE = {
-    "VERTEX_SE3:QUAT": Tag(None, SE3, 1),
-    "VERTEX_XYZ": Tag(None, R(3), 1, timed=False),
-    "VERTEX_SE3:QUAT:PRIOR": Tag(Prior, SE3, 1),
-    "VERTEX_XYZ:PRIOR": Tag(Prior, R(3), 1),
-    "EDGE_SE3:QUAT": Tag(Between, SE3, 2),
-    "EDGE_SE3_XYZ": Tag(Landmark, R(3), 2),
-    "EDGE_RANGE": Tag(Range, R(1), 2),
-}
+def _tags(group: LieGroup, pose: str, space: LieGroup, point: str) -> dict[str, Tag]:
+    """The tags of a dimension, whose poses and points have these names."""
+    return {
+        f"VERTEX_{pose}": Tag(None, group, 1),
+        f"VERTEX_{point}": Tag(None, space, 1, timed=False),
+        f"VERTEX_{pose}:PRIOR": Tag(Prior, group, 1),
+        f"VERTEX_{point}:PRIOR": Tag(Prior, space, 1),
+        f"EDGE_{pose}": Tag(Between, group, 2),
+        f"EDGE_{pose[:3]}_{point}": Tag(Landmark, space, 2),
+        "EDGE_RANGE": Tag(Range, R(1), 2),
+    }
+
+
+PLANE, SPACE = _tags(SE2, "SE2", R(2), "XY"), _tags(SE3, "SE3:QUAT", R(3), "XYZ")
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -231,7 +227,7 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
 
     def problem(k: int) -> str:
         word = printable(text.token(int(tokens[k])), LONGEST)
-        return f"name {word!r}: expected letters and a number of at most {DIGITS} digits, such as A17"
+        return f"name '{word}': expected letters and a number of at most {DIGITS} digits, such as A17"
 
     text.refuse(bad, lines, problem)
     number = np.zeros(len(C), dtype=np.int64)

@@ -11,6 +11,7 @@ import numpy as np
 from factors.base import Factor
 from factors.noise import Noise
 from models.algebra import Array, Index, Mask, Numbers
+from models.visible import visible
 
 __all__ = ["LoadReport", "Source", "Statement"]
 
@@ -159,4 +160,4 @@ class LoadReport:
         lines = [f"{self.path}: {self.format}{chosen}, {self.dimension}, convention {self.convention}"]
         lines += [f"  {tag:18s} {count:8d}" for tag, count in self.tags.items()]
         lines += [f"  {note}" for note in self.notes]
-        return "\n".join(lines)
+        return visible("\n".join(lines))

@@ -173,6 +173,6 @@ class Roles:
                 word = printable(text.token(head), 40)
                 raise text.error(
                     f"the edge on line {edge + 1} needs vertex {number}, which no {tag} line has; this line may mean "
-                    f"it, but {word!r} is no tag",
+                    f"it, but '{word}' is no tag",
                     line,
                 )

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError, NoiseModelError, ResourceLimitError
+from models.visible import visible
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.io.files import read_bytes
 from nls.linear.limits import default_limit, gigabytes
@@ -47,7 +48,7 @@ PER_TAG = 700  # bytes of memory for every line of a first word of its own
 
 def printable(word: bytes, most: int | None = None) -> str:
     """Bytes of a file as text for a message, whatever their encoding; at most so many characters of them."""
-    return (word if most is None else word[: 4 * most]).decode("utf-8", "backslashreplace")[:most]
+    return visible((word if most is None else word[: 4 * most]).decode("utf-8", "backslashreplace")[:most])
 
 
 def strange(line: bytes) -> str:
@@ -270,7 +271,7 @@ class Text:
             word = self.token(int(tokens[place]))
             exact = int(word) if re.fullmatch(INTEGER, word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
-                raise self.error(f"id {printable(word, 40)!r} is not a whole number below 2^63", int(lines[place[-1]]))
+                raise self.error(f"id '{printable(word, 40)}' is not a whole number below 2^63", int(lines[place[-1]]))
             value[place] = exact
         return value
 
@@ -291,11 +292,11 @@ class Text:
             k = good.index(False)
             comma = re.fullmatch(DECIMAL_COMMA, words[k])
             cure = "; it has a decimal comma: write points, such as by LC_ALL=C of the program that writes the file"
-            raise self.error(f"{printable(words[k], 40)!r} is not a number{cure if comma else ''}", int(lines[k]))
+            raise self.error(f"'{printable(words[k], 40)}' is not a number{cure if comma else ''}", int(lines[k]))
         number = np.array(list(map(float, words)))
         if not np.isfinite(number).all():
             k = int(np.argmin(np.isfinite(number)))
-            raise self.error(f"{printable(words[k], 40)!r} is beyond the largest number", int(lines[k]))
+            raise self.error(f"'{printable(words[k], 40)}' is beyond the largest number", int(lines[k]))
         self._decimals[0][tokens] = number
 
 

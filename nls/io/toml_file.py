@@ -42,8 +42,11 @@ class TomlFile:
         try:
             self.tree: dict[str, Any] = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # no TOML, or a number or a nesting beyond all bounds
-            place = re.search(r" \(at line (\d+), column \d+\)", str(error))
-            line = int(place[1]) if place else text.count("\n") + 1
+            place = re.search(r" \(at line (\d+), column (\d+)\)", str(error))
+            lines = text.split("\n")
+            read = [*lines[: int(place[1]) - 1], lines[int(place[1]) - 1][: int(place[2]) - 1]] if place else lines
+            behind = not place or "Unclosed" in str(error)  # it is noticed behind the last word
+            line = len(("\n".join(read).rstrip().split("\n")) if behind else read)
             raise self._at(line, f"is no TOML: {str(error).split(' (at')[0]}") from error
 
     @classmethod

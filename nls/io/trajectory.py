@@ -27,20 +27,9 @@ from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import measurements_left_out, note_comments
-from nls.values import Values
+from nls.values import Stack, Values
 
-__all__ = [
-    "TRAJECTORIES",
-    "kitti_text",
-    "lifted",
-    "load_trajectory",
-    "read_kitti",
-    "read_tum",
-    "trajectory_text",
-    "tum_text",
-    "write_kitti",
-    "write_tum",
-]
+__all__ = ["TRAJECTORIES", "load_trajectory", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
 
 TRAJECTORIES = ("tum", "kitti")
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
@@ -200,17 +189,28 @@ def _text(table: Array) -> bytes:
     return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
 
 
-def trajectory_text(
-    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
-) -> tuple[bytes, list[str]]:
-    """Poses in the order of their times or numbers."""
-    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
+def track_of(path: str | Path, values: Values, form: str = "tum") -> Stack:
+    """The poses of a graph, which are of one kind besides places of sensors, o; the form is for the cure.
+
+    Raises
+    ------
+    GraphError
+        No poses, or several kinds.
+    """
+    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3) and stack.kind != "o"]
     if len(poses) != 1:
         names = ", ".join(stack.kind for stack in poses) or "none"
         advice = [Advice("one kind", (stack.kind, form)) for stack in poses[:1]] + [Advice("table"), Advice("native")]
         message = f"{path}: a trajectory file holds the poses of one kind, this graph has {names}"
         raise GraphError(message, advice=advice)
-    (stack,) = poses
+    return poses[0]
+
+
+def trajectory_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
+) -> tuple[bytes, list[str]]:
+    """Poses in the order of their times or numbers."""
+    stack = track_of(path, values, form)
     known = {} if report is None else report.vertex_times
     timed = stack.kind in known
     times = known[stack.kind] if timed else stack.numbers.astype(float)

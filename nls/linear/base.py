@@ -17,7 +17,11 @@ from nls.system import LinearSystem
 
 __all__ = ["Analysis", "LinearSolution", "LinearSolver"]
 
-INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"
+INSTALL_SUITESPARSE = (
+    'missing; pip install "leadline[cholmod]", which needs SuiteSparse: apt-get install libsuitesparse-dev '
+    "libopenblas0, dnf install suitesparse-devel, or brew install suite-sparse; CHOLMOD alone: conda install -c "
+    'conda-forge "scikit-sparse<0.5"'
+)
 
 
 class LinearSolution(NamedTuple):

@@ -12,6 +12,8 @@ The absolute trajectory error compares positions, pose by pose, after one motion
 
 The last three are those of `models.alignment`. s = 1 but for the last: sonar and odometry measure meters.
 
+The rotation error is the angle of Q_i^-1 T P_i, its rmse as that of the distances.
+
 Navigators state accuracy by the circle that holds 50 % or 95 % of the errors, and by 2DRMS:
 
     CEP(p) = the p-quantile of d_i,   d_i = sqrt(e_x^2 + e_y^2),   2DRMS = 2 sqrt(mean d_i^2)
@@ -32,7 +34,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from models import SE2, SE3, LieGroup
+from models import SE2, SE3, SO2, SO3, LieGroup
 from models.algebra import Array
 from models.alignment import align, align_similarity, align_yaw
 from models.errors import GraphError, OptionError, SingularGeometryError
@@ -52,11 +54,13 @@ class TrajectoryError:
     Attributes
     ----------
     rmse, mean, largest : of the distances, m.
+    rotation : rmse of the angles, rad.
     align : the alignment, one of `ALIGNMENTS`.
     T : (3,) or (7,) the motion in SE2 or SE3 that was applied to the estimate.
     distances : (n,) array, m.
     scale : that was applied to the estimate, 1 but for ``similarity``.
     errors : (n, 2) or (n, 3) array, e_i along the axes of the truth, m.
+    angles : (n,) array, of the rotations that are left, 0 to pi, rad.
     """
 
     rmse: float
@@ -67,6 +71,11 @@ class TrajectoryError:
     distances: Array = field(repr=False)
     scale: float
     errors: Array = field(repr=False)
+    angles: Array = field(repr=False)
+
+    @property
+    def rotation(self) -> float:
+        return float(np.sqrt(np.mean(np.square(self.angles))))
 
     def __str__(self) -> str:
         scaled = f", scale {self.scale:.6g}" if self.align == "similarity" else ""
@@ -82,7 +91,7 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     Parameters
     ----------
     estimate, truth : (n, 3) SE2 or (n, 7) SE3, the same n poses in the same order. Of the orientations only those of
-        the first poses matter, and only for ``first``.
+        the first poses matter for the alignment, and only for ``first``.
     align : one of `ALIGNMENTS`, see the module. In the plane ``yaw`` is ``rigid``.
 
     Returns
@@ -125,7 +134,13 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     if not np.isfinite(rmse):
         raise _too_far()
     largest = float(distances.max())
-    return TrajectoryError(rmse, float(distances.mean()), largest, align, T[0], distances, scale, errors)
+    angles = angle(group.between(group.compose(T, P), Q), group is SE3)
+    return TrajectoryError(rmse, float(distances.mean()), largest, align, T[0], distances, scale, errors, angles)
+
+
+def angle(E: Array, space: bool) -> Array:
+    """Angles (n,) of the rotations of motions, 0 to pi."""
+    return np.asarray(np.linalg.norm(SO3.log(E[:, 3:]), axis=1) if space else np.abs(SO2.log(E[:, 2:])[:, 0]))
 
 
 def group_of(who: str, estimate: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[LieGroup, Array, Array]:

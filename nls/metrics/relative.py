@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models import SE3, SO3
-from models.algebra import Array, distance_along
+from models import SE3
+from models.algebra import distance_along
 from models.errors import GraphError, OptionError
 from models.finite import finite
-from nls.metrics.absolute import group_of
+from nls.metrics.absolute import angle, group_of
 
 __all__ = ["DISTANCES", "RelativeError", "rpe"]
 
@@ -105,12 +105,7 @@ def rpe(
         j = j[i]
         E = group.between(group.between(P[i], P[j]), group.between(Q[i], Q[j]))
         gone = way[j] - way[i]
-        moved, turned = np.linalg.norm(group.position(E), axis=1), _angle(E, group is SE3)
+        moved, turned = np.linalg.norm(group.position(E), axis=1), angle(E, group is SE3)
         means = (float(np.mean(v)) if len(i) else float("nan") for v in (gone, moved / gone, turned / gone))
         out.append(RelativeError(length, len(i), *means))
     return tuple(out)
-
-
-def _angle(E: Array, space: bool) -> Array:
-    """Angles (n,) of the rotations of motions, 0 to pi."""
-    return np.asarray(np.linalg.norm(SO3.log(E[:, 3:]), axis=1) if space else np.abs(E[:, 2]))

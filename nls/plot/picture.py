@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from models.visible import CONTROLS, visible
 from nls.io.files import write_bytes
 from nls.plot.style import REJECTED
 
@@ -38,8 +39,18 @@ def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) 
     write_bytes(path, drawn(path, figure))
 
 
+def escape_controls(figure: Figure) -> None:
+    """Escape what a name of a file, a kind or a landmark may have and a picture must not."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and CONTROLS.search(text.get_text()):
+            text.set_text(visible(text.get_text()))
+
+
 def drawn(path: str | Path, figure: Figure) -> bytes:
     """The bytes `write_picture` writes."""
+    escape_controls(figure)
     picture = BytesIO()
     figure.savefig(picture, format=Path(path).suffix[1:].lower(), dpi=150)
     return picture.getvalue()

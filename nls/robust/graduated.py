@@ -66,10 +66,15 @@ __all__ = ["Left", "Rejected", "Robustified", "gnc"]
 
 @dataclass(frozen=True)
 class Rejected:
-    """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off."""
+    """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off.
+
+    `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0.
+    """
 
     factor: str
     sigmas: float
+    number: int
+    measurement: int
 
 
 @dataclass(frozen=True)
@@ -246,9 +251,9 @@ def gnc(
         )
     ]
     off = [
-        Rejected(factor.describe(n), float(s[n]) ** 0.5)
-        for factor, d, m, s, leaves in zip(
-            graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True
+        Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n)
+        for k, (factor, d, m, s, leaves) in enumerate(
+            zip(graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
         )
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]

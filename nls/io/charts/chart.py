@@ -12,6 +12,7 @@ from factors.keys import Keys, Kind
 from models import R
 from models.algebra import Array, Index, Numbers, distance_along
 from models.geodesy import LocalPlane
+from models.visible import visible
 from nls.covariance import Marginals
 from nls.covariance.ellipse import outlines
 from nls.io.mission.report import MissionReport
@@ -123,7 +124,7 @@ def chart_of(
     track = Points("pose", stack.numbers[order], p, Sigma)
     times = None if times is None else times[order]
     bottom = _bottom(track.p, times, report.soundings)
-    return Chart(Path(report.path).name or report.path, track, times, points, report.plane, bottom)
+    return Chart(visible(Path(report.path).name or report.path), track, times, points, report.plane, bottom)
 
 
 def _bottom(p: Array, times: Array | None, soundings: Array | None) -> Array:

@@ -6,10 +6,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, date, datetime, timedelta
+from typing import Any
 
 import numpy as np
 
 from models.algebra import Index
+from models.options import is_number
 
 __all__ = ["EXAMPLE", "NANOSECONDS", "check_format", "formats", "is_date", "iso", "parse_zero", "since_1970"]
 
@@ -19,6 +21,7 @@ NANOSECONDS = 1_000_000_000
 LONG = re.compile(r"([.,]\d{6})\d{1,3}(?!\d)")  # a fraction that `datetime` does not take
 EXAMPLE = "2022-08-14"  # a Sunday, with which a week of GPS begins
 YEARS = range(1970, 2191)  # of a log
+LATEST = 7e9  # s, of 2191
 PROBE = datetime(2022, 8, 25, 13, 59, 38, tzinfo=UTC)  # a format that omits one of its first four parts reads another
 CLOCK = (  # text of a time of the day, its directives
     (r"(:\d\d(?:[.,]\d+)?)( ?)[+-]\d\d:?\d\d$", r"\1\2%z"),
@@ -180,10 +183,10 @@ def iso(nanoseconds: int) -> str:
     return f"{np.datetime64(nanoseconds, 'ns')}Z"
 
 
-def parse_zero(value: object) -> int | None:
-    """Nanoseconds since 1970 of a time zero in a mapping: ISO 8601 or seconds; None where it is neither."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return round(value * NANOSECONDS)
+def parse_zero(value: Any) -> int | None:
+    """Nanoseconds since 1970 of a time zero in a mapping: ISO 8601 or seconds; None where it is no time of a log."""
+    if is_number(value):
+        return round(value * NANOSECONDS) if abs(value) < LATEST else None
     with suppress(ValueError):
         return int(since_1970([str(value)])[0][0])
     return None

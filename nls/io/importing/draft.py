@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from models.visible import CONTROLS
 from nls.io.importing.bags import Bag, is_bag, refuse_no_log
 from nls.io.importing.guess import guess, guesses, plain
 from nls.io.importing.quantities import LARGEST
 from nls.io.importing.templates import NOISE, example
 from nls.io.importing.text_log import Log, TextLog
-from nls.io.importing.units import dimension, header_unit, mission_unit
+from nls.io.importing.units import header_unit, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, GEODETIC, OPTIONAL, PLACE, VELOCITY
 
 __all__ = ["draft"]
@@ -48,13 +49,7 @@ MESSAGES = {  # sections by type of message; {topic} is filled in
         "# meters a Pascal in sea water, 1 / (1026 kg/m3 9.81 m/s2); less the pressure of the air",
         'z_m = { column = "fluid_pressure", scale = 9.936e-5, offset = -10.07 }',
     ],
-    "NavSatFix": [
-        "[fixes]",
-        'lat_deg = "latitude"',
-        'lon_deg = "longitude"',
-        "sigma_x_m = 2.0",
-        "sigma_y_m = 2.0",
-    ],
+    "NavSatFix": ["[fixes]", 'lat_deg = "latitude"', 'lon_deg = "longitude"', "sigma_x_m = 2.0", "sigma_y_m = 2.0"],
     "Odometry": [
         "[truth]   # if it is one",
         'quaternion = "pose.pose.orientation"',
@@ -145,9 +140,11 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             continue  # a whole pose beside a DVL is a truth
         if table == "truth" and "fixes" in tables[drafted:]:
             continue
-        if table == "path" and ("dvl" in tables or ({*ANGLES, *PLACE} <= set(chosen) and not _is_odometry(chosen))):
-            continue  # sensors measure the way; a whole pose is a truth
-        if table == "ranges" and ("contacts" in tables or not _is_acoustic(chosen)):
+        whole = table == "path" and {*ANGLES, *PLACE} <= set(chosen) and "odo" not in plain(chosen["x_m"])
+        if whole or (table == "path" and "dvl" in tables):
+            continue  # sensors measure the way; a whole pose that is not called odometry is a truth
+        acoustic = "beacon" in chosen or "slant" in plain(chosen.get("range_m", "")).split()
+        if table == "ranges" and ("contacts" in tables or not acoustic):
             continue  # a range alone may be one of an echo sounder, or a setting of the sonar
         if "path" in (tables[drafted:] if table == "truth" else tables) and table in ("ahrs", "depth", "truth"):
             continue  # the path has these columns
@@ -198,25 +195,16 @@ def _sonar() -> list[str]:
     return [f"{line}   # {REMARKS[column]}" if column in REMARKS else line for column, line in columns]
 
 
-def _is_odometry(chosen: dict[str, str]) -> bool:
-    """Whether the name of a place says that the vehicle has reckoned it."""
-    return "odo" in plain(chosen["x_m"])
-
-
-def _is_acoustic(chosen: dict[str, str]) -> bool:
-    """Whether a range is one to a beacon by the names of its columns."""
-    return "beacon" in chosen or "slant" in plain(chosen["range_m"]).split()
-
-
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:
     """A line of a mapping; says which unit is taken where the log names none."""
     name = chosen[column]
-    quoted, words = json.dumps(name, ensure_ascii=False), set(plain(name).split())
+    quoted = CONTROLS.sub(lambda control: f"\\u{ord(control[0]):04x}", json.dumps(name, ensure_ascii=False))
+    words = set(plain(name).split())
     kind, own = mission_unit(column)
     if column == "z_m" and {"altitude", "height", "alt"} & words:
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
     keys, remarks = f"column = {quoted}", ""
-    if kind and kind != "time" and not dimension(header_unit(name)[0]):
+    if kind and kind != "time" and not (log.units.get(name) or header_unit(name)[0]):
         unit, why = ("deg", BY_SIZE) if own == "rad" and _in_degrees(chosen, log) else (own, NO_UNIT)
         if column in LARGEST and np.nanmax(np.abs(log.numbers(name)), initial=0.0) > LARGEST[column]:
             unit, why = "ddmm", "by the size of its numbers: degrees and minutes"

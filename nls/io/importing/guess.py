@@ -74,7 +74,7 @@ def plain(name: str) -> str:
     return " ".join(ABBREVIATIONS.get(word, word) for word in words)
 
 
-def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str | None:
+def guess(column: str, names: Sequence[str]) -> str | None:
     """The column of a log that is most likely a mission column; None where none looks like it.
 
     Examples
@@ -82,7 +82,7 @@ def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str |
     >>> guess("vx_m_s", ["Time [s]", "DVL X [m/s]", "V East [m/s]"]), guess("z_m", ["Time [s]"])
     ('DVL X [m/s]', None)
     """
-    return next(iter(guesses(column, names, taken)), None)
+    return next(iter(guesses(column, names)), None)
 
 
 def guesses(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:

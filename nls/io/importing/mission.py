@@ -13,6 +13,7 @@ from models.algebra import Array
 from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from models.listing import several
+from models.visible import visible
 from nls.io.files import write_folder
 from nls.io.importing.bags import refuse_no_log
 from nls.io.importing.cell import WHOLE as LARGEST
@@ -257,4 +258,4 @@ def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequen
         "",
         mapping.text.rstrip("\n"),
     ]
-    return ("\n".join(lines) + "\n").encode()
+    return (visible("\n".join(lines)) + "\n").encode()

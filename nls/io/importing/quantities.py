@@ -22,6 +22,7 @@ SIDES = {
     "lat_deg": {"n": 1.0, "north": 1.0, "s": -1.0, "south": -1.0},
     "lon_deg": {"e": 1.0, "east": 1.0, "w": -1.0, "west": -1.0},
 }
+CLOCKS = {"utc", "gmt", "gps", "tai", "unix", "posix", "epoch", "local"}  # in brackets behind a time, which are no unit
 LOOKED_AT = 20  # rows in which a column of letters shows itself
 
 
@@ -31,7 +32,7 @@ def unit_of(section: Section, column: str, log: Log) -> str:
     Raises
     ------
     GraphFileError
-        The header has a unit of another kind.
+        The header has a unit of another kind, or one that is not known.
     """
     kind, own = mission_unit(column)
     cell = section.cells[column]
@@ -40,7 +41,8 @@ def unit_of(section: Section, column: str, log: Log) -> str:
     header = log.units.get(name) or named
     if cell.unit or dimension(header) == kind:
         return cell.unit or header
-    if (bracket and kind != "time" and len(named) < 8) or dimension(header) not in ("", "fraction"):
+    states = (bracket or name in log.units) and not (kind == "time" and CLOCKS & set(header.lower().split()))
+    if states or dimension(header) not in ("", "fraction"):
         known = dimension(header) or "an unknown unit"
         write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
         cure = f"write {write} if it is" if known != "pressure" else "scale and offset turn a pressure into a depth"

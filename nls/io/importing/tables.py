@@ -84,7 +84,7 @@ def rows_of(section: Section, log: Log) -> Rows:
         elif column in WORDS:
             own = [log.words(name, cell.missing) for name in _known(section, column, cell, log).columns]
             rows.words[column] = own[0] if own else [str(cell.constant)] * count
-        else:
+        elif cell.row is None:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
     for source, values in section.together:
         cells = log.words(source) if source in log.names else [str(source)]
@@ -95,10 +95,8 @@ def rows_of(section: Section, log: Log) -> Rows:
     if "time_s" in rows.times:
         _order(rows)
     for column, cell in section.cells.items():
-        if cell.row is not None:
-            rows.numbers[column] = np.asarray(
-                (cell.row + np.arange(len(rows.rows))) * cell.scale + cell.offset, dtype=np.float64
-            )
+        if cell.row is not None:  # numbered when it is known which rows there are
+            rows.numbers[column] = (cell.row + np.arange(float(len(rows.rows)))) * cell.scale + cell.offset
     _refuse_sigmas(rows)
     _turned(rows)
     return rows
@@ -129,13 +127,11 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
 
 def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, notes: list[str]) -> Array:
     """The numbers (n,) of a column in the unit of the mission; nan where there is none."""
-    if cell.row is not None:
-        return np.arange(count, dtype=float)  # numbered when it is known which rows there are
     if not cell.columns:
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
         if mission_unit(column)[1] == "rad" and abs(cell.constant) > FULL_TURN:
-            radians, wrapped = (f"{column} = {float(f(cell.constant)):.4g}" for f in (np.radians, wrap))
+            radians, wrapped = (f"{column} = {float(f(float(cell.constant))):.4g}" for f in (np.radians, wrap))
             raise section.error(
                 column,
                 f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {radians}; or wrap "
@@ -274,9 +270,9 @@ def _refuse_sigmas(rows: Rows) -> None:
     for column, cell in section.cells.items():
         if not cell.columns or column not in rows.numbers:
             continue
-        bad = sigmas_out(column, rows.numbers[column]) & (
-            rows.numbers["valid"] == 1 if section.table == "dvl" else True
-        )
+        bad = sigmas_out(column, rows.numbers[column])
+        if section.table == "dvl":
+            bad &= rows.numbers["valid"] == 1
         if bad.any():
             k = int(np.argmax(bad))
             number, write = float(rows.numbers[column][k]), f"missing = NUMBER in [{section.table}] of the mapping"
@@ -298,9 +294,7 @@ def _order(rows: Rows) -> None:
         _take(rows, order)
         t = t[order]
     late = t[1:] < t[:-1]
-    if late.any():
-        k = int(np.argmax(late)) + 1
-        raise log.error(int(rows.rows[k]), f"the time falls from the row before; {_cure_of_fall(rows, t, k)}")
+    log.refuse(late, rows.rows[1:], lambda k: f"the time falls from the row before; {_cure_of_fall(rows, t, k + 1)}")
     if section.table not in STRICT:
         return
     again = np.append(False, t[1:] == t[:-1])
@@ -310,13 +304,9 @@ def _order(rows: Rows) -> None:
             f"{log.place(int(rows.rows[np.argmax(again)]))} the first: left out"
         )
         _take(rows, np.flatnonzero(~again))
-    elif again.any():
-        k = int(np.argmax(again))
-        raise log.error(
-            int(rows.rows[k]),
-            f'the time is that of the row before; write duplicates = "first" in [{section.table}] of the mapping to '
-            "leave such rows out",
-        )
+    else:
+        cure = f'write duplicates = "first" in [{section.table}] of the mapping to leave such rows out'
+        log.refuse(again, rows.rows, lambda _: f"the time is that of the row before; {cure}")
 
 
 def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import copy
 import csv
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Self
 
 import numpy as np
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphFileError
 from models.options import did_you_mean
 from nls.io.files import read_bytes
@@ -108,6 +108,17 @@ class Log:
         """An error at a row."""
         line = self.number(row)
         return GraphFileError(message, self.path, line, self.text[line - 1].strip())
+
+    def refuse(self, bad: Mask, rows: Index, problem: Callable[[int], str]) -> None:
+        """Refuse the first of rows (n,) that is bad (n,); `problem` says what is wrong with number k of them.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise self.error(int(rows[k]), problem(k))
 
     def number(self, row: int) -> int:
         """The number of a row in the file, from 1."""
@@ -214,7 +225,7 @@ class TextLog(Log):
             self.lines, self.rows = self.lines[chosen], [cells[k] for k in chosen]
             self.names = names if head else names[: len(self.rows[0])]
         if line:
-            self.units = {name: unit for name, unit in units.items() if dimension(unit)}
+            self.units = {name: unit for name, unit in units.items() if any(map(str.isalpha, unit)) or dimension(unit)}
             self.notes.append(f"{self.title}:{line} is taken for a row of units")
         self._refuse_counts()
         self.decimal = decimal or self._decimal(sign)

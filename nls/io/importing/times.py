@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.io.importing.dates import EXAMPLE, NANOSECONDS, formats, since_1970
+from nls.io.importing.dates import EXAMPLE, LATEST, NANOSECONDS, formats, since_1970
 from nls.io.importing.mapping import Section
 from nls.io.importing.quantities import unit_of
 from nls.io.importing.text_log import MISSING, Log, is_number
@@ -16,7 +16,6 @@ from nls.io.importing.units import factor
 
 __all__ = ["DAY", "WEEK", "Stamps", "stamps"]
 
-LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
 DAY, WEEK = 86_400 * NANOSECONDS, 604_800 * NANOSECONDS
@@ -96,13 +95,9 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
 
 def _refuse_late(section: Section, log: Log, column: str, seconds: Array) -> None:
     """Refuse seconds (n,) that no log has; as nanoseconds they may be no whole numbers of 64 bits."""
-    if (late := np.abs(seconds) >= LATEST).any():
-        k, name = int(np.argmax(late)), section.cells[column].columns[-1]
-        raise log.error(
-            k,
-            f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit and offset of "
-            f"{column} in [{section.table}] of the mapping",
-        )
+    late, rows, name = np.abs(seconds) >= LATEST, np.arange(len(log)), section.cells[column].columns[-1]
+    cure = f"give the right unit and offset of {column} in [{section.table}] of the mapping"
+    log.refuse(late, rows, lambda k: f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; {cure}")
 
 
 def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
@@ -171,10 +166,8 @@ def _on_day(section: Section, log: Log, stamp: Stamps, notes: list[str]) -> Stam
     rows = np.flatnonzero(stamp.present)
     ns = stamp.ns[rows]
     period = DAY if ns.max(initial=0) <= DAY else WEEK
-    if (late := np.abs(ns) > period).any():
-        k = int(np.argmax(late))
-        cure = f"leave date out of [{section.table}] of the mapping"
-        raise log.error(int(rows[k]), f"{ns[k] / NANOSECONDS:.10g} s is later than a day or a week of GPS; {cure}")
+    problem = f"is later than a day or a week of GPS; leave date out of [{section.table}] of the mapping"
+    log.refuse(np.abs(ns) > period, rows, lambda k: f"{ns[k] / NANOSECONDS:.10g} s {problem}")
     if (falls := np.diff(ns) < -period // 2).any():
         place = log.place(int(rows[1:][np.argmax(falls)]))
         notes.append(f"{section.table}: the times begin anew at {place}, {period // NANOSECONDS} s later")

@@ -18,11 +18,8 @@ from factors.keys import Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Index, Mask, Numbers
 from models.listing import some as listed
-from nls.graph import FactorGraph
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, PLACE, USBL, suffixed
-from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
+from nls.io.mission.rows import Assembly, add_rows, arms, columns_together, horizontal
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, leave_out, one_of
 
@@ -42,8 +39,7 @@ class Acoustics:
 
     Parameters
     ----------
-    graph, report : of the mission, which get factors and their lines.
-    tables, timeline, calibrations : of its folder.
+    mission, timeline : which get factors and their lines.
     depth : (n,) of the poses, m, in the order of their numbers.
 
     Attributes
@@ -59,39 +55,33 @@ class Acoustics:
         Columns that do not fit together, no such pose, time or ship, a range that cannot be.
     """
 
-    def __init__(
-        self,
-        graph: FactorGraph,
-        report: MissionReport,
-        tables: dict[str, Table],
-        timeline: Timeline,
-        calibrations: Calibrations,
-        depth: Array,
-    ) -> None:
-        self._graph, self._report, self._tables, self._timeline = graph, report, tables, timeline
-        ranges, usbl = tables.get("ranges"), tables.get("usbl")
-        self._rows = {t: timeline.poses(name, t) for name in ("ranges", "usbl") if (t := tables.get(name)) is not None}
+    def __init__(self, mission: Assembly, timeline: Timeline, depth: Array) -> None:
+        self._mission, self._timeline = mission, timeline
+        self._report, self._tables = mission.report, mission.tables
+        measured = {name: mission.tables[name] for name in ("ranges", "usbl") if name in mission.tables}
+        self._rows = {table: timeline.poses(name, table) for name, table in measured.items()}
         beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
         self.places = np.full((len(self.numbers), 3), np.nan)
         self._shifts: list[str] = []
         self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
-        self._beacons(tables.get("beacons"))
-        if ranges is not None:
-            self._ranges(ranges, calibrations, depth)
-        if usbl is not None:
-            self._usbl(usbl, calibrations)
+        self._beacons(self._tables.get("beacons"))
+        if "ranges" in measured:
+            self._ranges(measured["ranges"], depth)
+        if "usbl" in measured:
+            self._usbl(measured["usbl"])
         self._unused()
 
-    def shift(self, calibrations: Calibrations) -> None:
+    def shift(self) -> None:
         """Put the factors of usbl.csv under a `Shifted` of each of its calibrations that is a variable."""
+        factors, calibrations = self._mission.graph.factors, self._mission.calibrations
         for k, source in enumerate(self._report.sources if self._shifts else ()):
             if source.path != self._tables["usbl"].path:
                 continue
             for name in self._shifts:
-                factor, size = self._graph.factors[k], 1 + calibrations.value(name)
+                factor, size = factors[k], 1 + calibrations.value(name)
                 G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / size
-                self._graph.factors[k] = calibrations.shifted(factor, name, np.broadcast_to(G, factor.z.shape))
+                factors[k] = calibrations.shifted(factor, name, np.broadcast_to(G, factor.z.shape))
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
@@ -134,11 +124,11 @@ class Acoustics:
         self.places[np.searchsorted(self.numbers, ids[rows]), 3 - len(names) :] = z[rows]
         value = z[rows] if len(names) == 3 else np.column_stack([np.zeros((len(rows), 2)), z[rows]])
         components = None if len(names) == 3 else names
-        self._graph.add(Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components))
-        self._report.sources.append(table.source(rows))
+        prior = Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components)
+        self._mission.add(prior, table.source(rows))
 
-    def _ranges(self, table: Table, calibrations: Calibrations, depth: Array) -> None:
-        poses, rows = self._rows[table]
+    def _ranges(self, table: Table, depth: Array) -> None:
+        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
         beacon, mount = table.integers("beacon"), _mount(table)
         if one_of(table, ("range_m", "sigma_range_m"), ("travel_time_s", "sigma_travel_time_s")):
             for name in ("turn_around_s", "ways"):
@@ -151,15 +141,11 @@ class Acoustics:
         scale, value = calibrations.variable(SCALE), calibrations.value(SCALE)
         if scale is None:
             z, sigmas = z / (1 + value), sigmas / (1 + value)
-
-        def make(k: Index) -> Factor:
-            pose, target, noise = x[poses[k, 0]], b[beacon[k]], Diagonal(sigmas[k][:, None])
-            offset = None if mount is None else mount[k]
-            if scale is None:
-                return Range(pose, target, z[k], noise, offset)
-            return ScaledRange(pose, target, scale, z[k], noise, offset)
-
-        add_rows(self._graph, self._report, table, rows, make)
+        pose, target, noise = x[poses[:, 0]], b[beacon], Diagonal(sigmas[:, None])
+        factor: Factor = Range(pose, target, z, noise, mount)
+        if scale is not None:
+            factor = ScaledRange(pose, target, scale, z, noise, mount)
+        add_rows(self._mission.graph, self._report, table, rows, factor)
 
     def _meters(self, table: Table, poses: Numbers, beacon: Numbers, depth: Array) -> tuple[Array, Array]:
         """Ranges (n,) and their standard deviations from travel times, m."""
@@ -188,8 +174,8 @@ class Acoustics:
             c = Profile(profile).mean(at, np.where(unknown, at, to))
         return c * (t - wait) / ways, c * sigma / ways
 
-    def _usbl(self, table: Table, calibrations: Calibrations) -> None:
-        poses, rows = self._rows[table]
+    def _usbl(self, table: Table) -> None:
+        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
         steep = ~(np.abs(z[:, 1]) <= np.pi / 2)
@@ -201,13 +187,8 @@ class Acoustics:
         noise[:, 2] /= 1 + calibrations.value(USBL_SCALE)
         self._shifts = [name for name in (USBL_YAW, USBL_SCALE) if calibrations.variable(name) is not None]
         if table.has("beacon"):
-            beacon = table.integers("beacon")
-
-            def to_beacon(k: Index) -> Factor:
-                offset = None if mount is None else mount[k]
-                return BearingRange(x[poses[k, 0]], b[beacon[k]], z[k], Diagonal(noise[k]), offset)
-
-            add_rows(self._graph, self._report, table, rows, to_beacon)
+            to_beacons = BearingRange(x[poses[:, 0]], b[table.integers("beacon")], z, Diagonal(noise), mount)
+            add_rows(self._mission.graph, self._report, table, rows, to_beacons)
             return
         if mount is not None:
             raise table.at_names(
@@ -215,12 +196,9 @@ class Acoustics:
                 "and arm_z_m out, or 0, or write positions of the transponder to fixes.csv, which has a lever arm"
             )
         place, rows = self._ship(table, poses[:, 0], rows)
-        self._graph.fix(s[np.arange(len(self.ship))])
-
-        def to_vehicle(k: Index) -> Factor:
-            return BearingRange(s[place[k]], x[poses[k, 0]], z[k], Diagonal(noise[k]))
-
-        add_rows(self._graph, self._report, table, rows, to_vehicle)
+        self._mission.graph.fix(s[np.arange(len(self.ship))])
+        to_vehicle = BearingRange(s[place], x[poses[:, 0]], z, Diagonal(noise))
+        add_rows(self._mission.graph, self._report, table, rows, to_vehicle)
 
     def _ship(self, table: Table, poses: Numbers, rows: Mask) -> tuple[Index, Mask]:
         """The number of the pose of the ship (n,) of every row, and which rows (n,) have one."""
@@ -232,7 +210,7 @@ class Acoustics:
         t_s = ship.rising("time_s")
         rpy = np.unwrap(ship.attitude(*ANGLES), axis=0)
         p = np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")])
-        rowed = self._timeline.rows.get("usbl")
+        rowed = self._mission.times.get("usbl")
         t = self._timeline.at(poses) if rowed is None else rowed[:, 0]
         inside = (t >= t_s[0]) & (t <= t_s[-1])
         if (away := rows & ~inside).any():

@@ -37,7 +37,7 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["BIAS", "CLOCK", "Attitude", "attitude_of", "gyro_biases", "headings", "turn_covariance", "turn_variance"]
+__all__ = ["BIAS", "CLOCK", "Attitude", "attitude_of", "gyro_biases", "headings", "turn_covariance"]
 
 SMOOTH = 1.0  # s before and after a pose, whose means say how fast the heading turns
 MINUTE = 60.0  # s that a gyro has the same bias
@@ -137,7 +137,18 @@ def _rate(t: Array, y: Array, b: Array) -> Array:
     return np.asarray((integral(high) - 2 * integral(middle) + integral(low)) / half**2)
 
 
-def turn_variance(attitude: Attitude, b: Array, sigma_w: float, report: MissionReport) -> Array:
+def turn_covariance(attitude: Attitude, b: Array, xyh: Array, sigma_w: float, report: MissionReport) -> Array:
+    """Covariances (n - 1, 3, 3) of x, y and yaw of legs (n - 1, 3) by a gyro, whose error is new at every time."""
+    q = _turn_variance(attitude, b, sigma_w, report)
+    swing = np.column_stack([-xyh[:, 1], xyh[:, 0]])
+    Sigma = np.empty((len(q), 3, 3))
+    Sigma[:, :2, :2] = swing[:, :, None] * swing[:, None, :] / 3
+    Sigma[:, :2, 2] = Sigma[:, 2, :2] = swing / 2
+    Sigma[:, 2, 2] = 1.0
+    return np.asarray(q[:, None, None] * Sigma)
+
+
+def _turn_variance(attitude: Attitude, b: Array, sigma_w: float, report: MissionReport) -> Array:
     """Variances (n - 1,) of the turn between poses at times b (n,) by a gyro, rad^2; more over holes in its log."""
     q = sigma_w**2 * np.diff(b)
     assert attitude.gyro is not None
@@ -150,19 +161,7 @@ def turn_variance(attitude: Attitude, b: Array, sigma_w: float, report: MissionR
     return np.asarray(q)
 
 
-def turn_covariance(xyh: Array, q: Array) -> Array:
-    """Covariances (n, 3, 3) of x, y and yaw of legs (n, 3) that turn with the variance q (n,), new at every time."""
-    swing = np.column_stack([-xyh[:, 1], xyh[:, 0]])
-    Sigma = np.empty((len(q), 3, 3))
-    Sigma[:, :2, :2] = swing[:, :, None] * swing[:, None, :] / 3
-    Sigma[:, :2, 2] = Sigma[:, 2, :2] = swing / 2
-    Sigma[:, 2, 2] = 1.0
-    return np.asarray(q[:, None, None] * Sigma)
-
-
-def gyro_biases(
-    b: Array, noise: dict[str, float], table: Table, calibrations: Calibrations, report: MissionReport
-) -> tuple[Index, list[Factor]]:
+def gyro_biases(b: Array, noise: dict[str, float], calibrations: Calibrations) -> tuple[Index, list[Factor]]:
     """The bias (n - 1,) of every leg between poses at times b (n,), by number, and what is known of the biases."""
     legs = ((b[:-1] - b[0]) / MINUTE).astype(int)
     numbers, minute = np.unique(legs, return_inverse=True)
@@ -173,5 +172,4 @@ def gyro_biases(
         walk = noise[GYRO[2]] * np.sqrt(MINUTE * np.diff(numbers))
         k = np.arange(count)
         known.append(Between(BIAS[k[:-1]], BIAS[k[1:]], np.zeros((count - 1, 1)), Isotropic(walk)))
-    report.sources += [table.source(np.zeros(len(factor), dtype=np.intp)) for factor in known]
     return minute, known

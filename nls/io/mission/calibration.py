@@ -7,7 +7,6 @@ of the mission uses is an error, so that no row is without effect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from models import Manifold, R
 from models.algebra import Array, Numbers
 from models.options import did_you_mean
 from nls.io.mission.table import Table
-
-if TYPE_CHECKING:
-    from nls.io.mission.report import MissionReport
+from nls.io.report import Source
 
 __all__ = ["NAMES", "Calibrations", "Compass", "wide"]
 
@@ -103,7 +100,8 @@ class Calibrations:
         """Measurements z (n, m) as believed, which change by G (n, m) with a calibration; the same where it is held."""
         if (variable := self.variable(name)) is None:
             return factor
-        return Shifted(replaced(factor, z=factor.z + G * self.value(name)), G[:, :, None], variable)
+        z = np.reshape(factor.z, G.shape) + G * self.value(name)
+        return Shifted(replaced(factor, z=z), G[:, :, None], variable)
 
     def add(self, kind: Kind, count: int, sigma: float) -> None:
         """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""
@@ -133,8 +131,8 @@ class Calibrations:
         begin |= {kind: np.zeros((count, 1)) for kind, (count, _) in self._more.items()}
         return {kind: (R(1), X, np.arange(len(X), dtype=np.int64)) for kind, X in begin.items()}
 
-    def priors(self, report: MissionReport) -> list[Factor]:
-        """The prior of each variable in the file; the report gets their lines.
+    def priors(self) -> list[tuple[Factor, Source]]:
+        """The prior of each variable in the file, and its line.
 
         Raises
         ------
@@ -148,5 +146,5 @@ class Calibrations:
                 raise self._table.at(
                     calibration.row, f"no measurement of this mission has a {name}; leave the row out, or add its file"
                 )
-        report.sources += [self._table.source(np.array([self._rows[name].row])) for name in self.variables]
-        return [Prior(Kind(n)[0], [v], Diagonal([self._rows[n].sigma])) for n, v in self.variables.items()]
+        used = [(Kind(name)[0], self._rows[name]) for name in self.variables]
+        return [(Prior(k, [c.value], Diagonal([c.sigma])), self._table.source(np.array([c.row]))) for k, c in used]

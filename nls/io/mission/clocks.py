@@ -13,16 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Shifted
 from factors.base import Factor
-from factors.keys import Keys, kinds
-from factors.replaced import replaced
+from factors.keys import kinds
 from models import SE3
 from models.algebra import Array, apply
-from nls.graph import FactorGraph
-from nls.io.mission.calibration import Calibrations
-from nls.io.mission.report import MissionReport
-from nls.io.mission.table import Table
+from nls.io.mission.rows import Assembly
 from nls.io.mission.timeline import Timeline
 from nls.values import Values
 
@@ -32,39 +27,27 @@ CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
 
 
-def shift_clocks(
-    graph: FactorGraph,
-    report: MissionReport,
-    start: Values,
-    tables: dict[str, Table],
-    timeline: Timeline,
-    calibrations: Calibrations,
-    ship: Array,
-) -> None:
-    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable.
+def shift_clocks(mission: Assembly, timeline: Timeline, start: Values, ship: Array) -> None:
+    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable, each in its place.
 
     Parameters
     ----------
-    graph : its factors are replaced, each in its place.
+    mission, timeline : whose factors are replaced.
     start : poses whose track gives the rates.
     ship : (k, 6) twists of the ship at its poses, in its own axes.
     """
     moving = {s.name: ship}
     for name in CLOCKED:
-        clock = calibrations.variable(f"{name}_clock_s") if name in timeline.rows else None
-        if clock is None:
+        clock = f"{name}_clock_s"
+        if name not in mission.times or mission.calibrations.variable(clock) is None:
             continue
         if x.name not in moving:
             moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
-        for k, source in enumerate(report.sources):
-            if source.path == tables[name].path:
-                graph.factors[k] = _shifted(graph.factors[k], start, moving, clock)
-
-
-def _shifted(factor: Factor, start: Values, moving: dict[str, Array], clock: Keys) -> Shifted:
-    """A factor whose rows are late by the clock."""
-    G = -total(rates_by_time(factor, start, moving))
-    return Shifted(replaced(factor, z=start.gather(factor)[0].z + G * start[clock]), G[:, :, None], clock)
+        factors = mission.graph.factors
+        for k, source in enumerate(mission.report.sources):
+            if source.path == mission.tables[name].path:
+                G = -total(rates_by_time(factors[k], start, moving))
+                factors[k] = mission.calibrations.shifted(factors[k], clock, G)
 
 
 def rates_by_time(factor: Factor, values: Values, moving: dict[str, Array]) -> dict[str, Array]:

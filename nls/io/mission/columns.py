@@ -41,11 +41,7 @@ RELATIVE = tuple(  # of a pose from another one; what a vehicle that is level do
     name + "?" * (name.removeprefix("sigma_") in UPRIGHT) for name in (*SPATIAL, *suffixed(SPATIAL))
 )
 MARKED: dict[str, tuple[str, ...]] = {  # those with a question mark may be left out
-    "sonar": (
-        *("name", "beams", "bins", "fan_rad", "aperture_rad", "range_min_m", "range_max_m"),
-        *PLACE,
-        *ANGLES,
-    ),
+    "sonar": ("name", "beams", "bins", "fan_rad", "aperture_rad", "range_min_m", "range_max_m", *PLACE, *ANGLES),
     "contacts": (*maybe(*WHEN[::-1], "landmark"), *CONTACT, *suffixed(CONTACT)),
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
     "zpr": ("i", *TILT, *suffixed(TILT), *maybe(*COMPASS)),

@@ -12,9 +12,8 @@ from models import R, euler
 from models.algebra import Array, Index, Numbers
 from models.errors import OptionError
 from models.sensors import ImagingSonar
-from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
-from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
 from nls.stages import announce, stage
@@ -31,52 +30,42 @@ def are_named(tables: dict[str, Table]) -> bool:
     return "contacts" not in tables or tables["contacts"].has("landmark")
 
 
-def add_contacts(
-    tables: dict[str, Table], timeline: Timeline, graph: FactorGraph, report: MissionReport, elevation: str
-) -> Numbers:
+def add_contacts(mission: Assembly, timeline: Timeline, elevation: str) -> Numbers:
     """Add what the sonar saw of named landmarks to the graph; returns their numbers, rising."""
-    if (table := tables.get("contacts")) is None:
+    if (table := mission.tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
     refuse_search(elevation)
-    contacts, rows = _measured(tables, table, timeline, table.integers("landmark"), report)
-    _add(graph, report, table, contacts, rows, elevation)
+    contacts, rows = _measured(mission, timeline, table.integers("landmark"))
+    _add(mission, contacts, rows, elevation)
     return np.unique(contacts.keys[1].numbers)
 
 
-def add_unnamed_contacts(
-    tables: dict[str, Table],
-    timeline: Timeline,
-    graph: FactorGraph,
-    start: Values,
-    report: MissionReport,
-    elevation: str,
-) -> Values:
+def add_unnamed_contacts(mission: Assembly, timeline: Timeline, start: Values, elevation: str) -> Values:
     """Find which contacts are of one landmark and add those to the graph; the start with these landmarks."""
     from nls.sonar.contacts import associate
 
     refuse_search(elevation)
-    table = tables["contacts"]
-    contacts, rows = _measured(tables, table, timeline, np.arange(len(table)), report)
+    report = mission.report
+    contacts, rows = _measured(mission, timeline, np.arange(len(mission.tables["contacts"])))
     assert report.sonar is not None
     with stage("associate"):
         announce(f"{len(contacts):,} contacts without names")
-        associated = associate(graph, start, contacts, report.sonar.aperture)
+        associated = associate(mission.graph, start, contacts, report.sonar.aperture)
     rows = rows[associated.numbers >= 0]
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)
     if not len(rows):
         return start
-    _add(graph, report, table, associated.sightings, rows, elevation)
+    _add(mission, associated.sightings, rows, elevation)
     values = Values.of([*start.stacks.values()])
     values.add(l, R(3), associated.values[l])
     return values
 
 
-def _measured(
-    tables: dict[str, Table], table: Table, timeline: Timeline, k: Numbers, report: MissionReport
-) -> tuple[RangeAzimuth, Index]:
+def _measured(mission: Assembly, timeline: Timeline, k: Numbers) -> tuple[RangeAzimuth, Index]:
     """The contacts within the track as measurements of landmarks k (n,), and their rows; the sonar in the report."""
-    report.sonar, report.offset = _sonar(tables["sonar"])
+    table, report = mission.tables["contacts"], mission.report
+    report.sonar, report.offset = _sonar(mission.tables["sonar"])
     i, within = timeline.poses("contacts", table)
     table.positive("range_m")
     z = table.measured(*CONTACT)
@@ -97,16 +86,13 @@ def _measured(
     return RangeAzimuth(x[i[rows, 0]], l[k[rows]], z[rows], Diagonal(sigmas[rows]), report.offset), rows
 
 
-def _add(
-    graph: FactorGraph, report: MissionReport, table: Table, contacts: Sighting, rows: Index, elevation: str
-) -> None:
+def _add(mission: Assembly, contacts: Sighting, rows: Index, elevation: str) -> None:
     """Add contacts, of rows (n,) of the table, to the graph."""
+    report, (pose, target) = mission.report, contacts.keys[:2]
     assert report.sonar is not None
-    pose, target = contacts.keys[:2]
     for factor in sonar_factors(pose, target, contacts.z, contacts.noise, report.sonar, report.offset, elevation):
-        graph.add(factor)
         first = first_contacts(pose, target) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
-        report.sources.append(table.source(rows[first]))
+        mission.add(factor, mission.tables["contacts"].source(rows[first]))
 
 
 def _sonar(table: Table) -> tuple[ImagingSonar, Array]:

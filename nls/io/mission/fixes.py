@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from factors import XYH, Between, Diagonal, Position
-from factors.base import Factor
 from factors.keys import Keys, kinds
 from models import euler
-from models.algebra import Index
-from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, LEVEL, PLACE, UPRIGHT, suffixed
-from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
+from nls.io.mission.rows import Assembly, add_rows, arms, columns_together, horizontal
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
 
@@ -23,7 +17,7 @@ __all__ = ["add_closures", "add_fixes", "closures"]
 (x,) = kinds("x")
 
 
-def add_fixes(graph: FactorGraph, report: MissionReport, table: Table, timeline: Timeline) -> None:
+def add_fixes(mission: Assembly, timeline: Timeline) -> None:
     """Add the `Position` factors of fixes.csv.
 
     Raises
@@ -31,21 +25,19 @@ def add_fixes(graph: FactorGraph, report: MissionReport, table: Table, timeline:
     GraphFileError
         Columns that do not fit together, no such pose or time, a place that cannot be.
     """
+    if (table := mission.tables.get("fixes")) is None:
+        return
     poses, rows = timeline.poses("fixes", table)
     names: tuple[str, ...] = ("x", "y")
-    z = horizontal(table, report.plane)
+    z = horizontal(table, mission.report.plane)
     if columns_together(table, "z_m", "sigma_z_m"):
         names, z = ("x", "y", "z"), np.column_stack([z, table.measured("z_m")])
     sigmas, arm = table.positive(*suffixed(PLACE[: len(names)])), arms(table)
-
-    def fix(some: Index) -> Position:
-        offset = None if arm is None else arm[some]
-        return Position(x[poses[some, 0]], z[some], Diagonal(sigmas[some]), components=names, offset=offset)
-
-    add_rows(graph, report, table, rows, fix)
+    fixes = Position(x[poses[:, 0]], z, Diagonal(sigmas), components=names, offset=arm)
+    add_rows(mission.graph, mission.report, table, rows, fixes)
 
 
-def add_closures(graph: FactorGraph, report: MissionReport, table: Table, timeline: Timeline) -> None:
+def add_closures(mission: Assembly, timeline: Timeline) -> None:
     """Add the factors of closures.csv: `Between` where it has all six coordinates, `XYH` where it has three.
 
     Raises
@@ -53,14 +45,16 @@ def add_closures(graph: FactorGraph, report: MissionReport, table: Table, timeli
     GraphFileError
         Other columns, no such pose or time, a pose with itself.
     """
+    if (table := mission.tables.get("closures")) is None:
+        return
     poses, rows = timeline.poses("closures", table)
     same = rows & (poses[:, 0] == poses[:, 1])
     table.refuse_rows(same, lambda k: f"the closure joins pose {poses[k, 0]} to itself")
-    add_rows(graph, report, table, rows, closures(table, x[poses[:, 0]], x[poses[:, 1]]))
+    add_rows(mission.graph, mission.report, table, rows, closures(table, x[poses[:, 0]], x[poses[:, 1]]))
 
 
-def closures(table: Table, i: Keys, j: Keys) -> Callable[[Index], Factor]:
-    """The factor of some of n rows that say where the poses j (n,) are in the axes of the poses i (n,).
+def closures(table: Table, i: Keys, j: Keys) -> Between | XYH:
+    """The factor of n rows that say where the poses j (n,) are in the axes of the poses i (n,).
 
     Raises
     ------
@@ -72,8 +66,4 @@ def closures(table: Table, i: Keys, j: Keys) -> Callable[[Index], Factor]:
     z, sigmas = table.attitude(*names), table.positive(*suffixed(names))
     if whole:
         z = euler.to_se3(np.column_stack([z[:, 3:], z[:, :3]]))
-
-    def closure(some: Index) -> Factor:
-        return (Between if whole else XYH)(i[some], j[some], z[some], Diagonal(sigmas[some]))
-
-    return closure
+    return (Between if whole else XYH)(i, j, z, Diagonal(sigmas))

@@ -15,15 +15,10 @@ from nls.io.files import unreadable
 from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, TRACK, needed, optional
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.report import LoadReport
 from nls.io.unused_lines import note_comments
 
-NOT_MISSED = (
-    "README.txt",
-    "mapping.toml",
-    "templates",
-    "graph.npz",
-    "truth.npz",
-)  # for people, and the same graph in one file
+NOT_MISSED = ("README.txt", "mapping.toml", "templates", "graph.npz", "truth.npz")  # for people; the graph in one file
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv (or pressure.csv) and noise.csv, or "
     "path.csv, or motion.csv (and ahrs.csv, depth.csv, and then noise.csv), with contacts.csv and sonar.csv, both or "
@@ -56,11 +51,16 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     tables = {name: Table(file, COLUMNS[name], optional(name, files)) for name, file in files.items()}
     report = report_of(folder, tables)
     note_comments(report, sum(table.comments for table in tables.values()))
-    if tabular := [name for name in other_files if ".csv" in name.lower()]:
-        report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
-    if ignored_files := [name for name in other_files if name not in tabular and name not in NOT_MISSED]:
-        report.notes.append(f"not read: {_listed(ignored_files)}")
+    note_others(report, "mission", [name for name in other_files if name not in NOT_MISSED], list(COLUMNS))
     return tables, report
+
+
+def note_others(report: LoadReport, noun: str, others: list[str], expected: list[str]) -> None:
+    """Name the files that were not read: CSV files in a warning, other files of data in a note."""
+    if tabular := [name for name in others if ".csv" in name.lower()]:
+        report.warn(f"no file of a {noun}, not read: {_listed(tabular)}; expected names: {_listed(expected)}")
+    if unread := [name for name in others if name not in tabular]:
+        report.notes.append(f"not read: {_listed(unread)}")
 
 
 def names_in(folder: str | Path) -> list[str]:

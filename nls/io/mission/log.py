@@ -46,25 +46,15 @@ from models.dead_reckoning import Legs, integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.sensors import levelled
-from nls.io.mission.attitude import (
-    BIAS,
-    CLOCK,
-    Attitude,
-    attitude_of,
-    gyro_biases,
-    headings,
-    turn_covariance,
-    turn_variance,
-)
+from nls.io.mission.attitude import BIAS, CLOCK, Attitude, attitude_of, gyro_biases, headings, turn_covariance
 from nls.io.mission.bottom_lock import bottom_lock
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import noise_of, one_row
+from nls.io.mission.rows import Assembly, noise_of, one_row
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Times, poses_of_rows, united
+from nls.io.mission.timeline import poses_of_rows, united
 from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
 DVL = ("dvl_scale", "dvl_yaw_rad")
@@ -74,12 +64,8 @@ MOST = 10_000_000  # such poses: four months, or times that are no seconds
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 
 
-def integrated(
-    tables: dict[str, Table], report: MissionReport, calibrations: Calibrations, times: Times | None = None
-) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising in time, and their steps, `ZPR` and what is known of the heading.
-
-    `times` are those of other files, see `nls.io.mission.timeline`.
+def integrated(mission: Assembly) -> Numbers:
+    """Numbers of the poses, rising in time; adds their steps, `ZPR` and what is known of the heading.
 
     Raises
     ------
@@ -87,24 +73,20 @@ def integrated(
         Times that do not rise, a pose before or after the log, a log that cannot be integrated; a hole in the attitude
         or depth that nothing tells how to bridge.
     """
+    tables, report, calibrations = mission.tables, mission.report, mission.calibrations
     used = dict.fromkeys(GYRO, "gyro") if "gyro" in tables else {"sigma_yaw_rad": "ahrs"}
     noise, mount = noise_of(tables["noise"], used), _mount(tables, report)
     attitude = attitude_of(tables, calibrations)
     ahrs, gyro = attitude.ahrs, attitude.gyro
     depth, t_z, depths = depths_of(tables, report)
     dvl = tables["dvl"]
-    velocity = velocities(dvl, attitude, mount, noise, calibrations, report)
+    velocity = velocities(mission, attitude, mount, noise)
     t_v, valid = velocity.t, velocity.valid
     if dvl.has("altitude_m"):
         bottom = bottom_lock(dvl, [])
         report.soundings = np.column_stack([t_v, dvl.measured("altitude_m", rows=bottom)])[bottom]
-    numbers, b = _poses(
-        tables,
-        {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
-        t_v[valid],
-        report,
-        times or {},
-    )
+    logs = {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z}
+    numbers, b = _poses(mission, logs, t_v[valid])
     roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
     effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
     angles = attitude.rpy if gyro is None else attitude.tilt
@@ -155,14 +137,11 @@ def integrated(
 
     (x,) = kinds("x")
     Sigma = H_j @ legs.Sigma @ H_j.mT
-    in_log, measured_turn = ~turning.inside, None
-    if gyro is not None:
-        measured_turn = turn_covariance(xyh, turn_variance(attitude, b, noise[GYRO[0]], report))
-        in_log[:] = False
     try:
-        if measured_turn is None:
+        if gyro is None:
             W = _given_the_yaw(Sigma, noise["sigma_yaw_rad"], legs.unturned > 0, turning.inside)
         else:
+            measured_turn = turn_covariance(attitude, b, xyh, noise[GYRO[0]], report)
             W = np.linalg.inv(np.linalg.cholesky(0.5 * (Sigma + Sigma.mT) + measured_turn))
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
@@ -178,19 +157,21 @@ def integrated(
     by_row = ~turning.inside
     alike = poses_of_rows(attitude.t_a, b[by_row])
     tilts[by_row, 1:] *= alike[:, None]
-    zpr: Factor = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
-    report.sources += [dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))]
+    zpr = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
+    of_legs, of_poses = dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))
     if gyro is not None:
-        minute, known = gyro_biases(b, noise, tables["noise"], calibrations, report)
-        steps = Shifted(steps, np.diff(b)[:, None, None] * [[0.0], [0.0], [1.0]], BIAS[minute])
-        return np.sort(numbers), [steps, zpr, *known]
-    tilting = attitude.rates(b)[:, [1, 0]]
-    report.sources.append(ahrs.source(_latest(attitude.t_a, b[in_log])))
-    return np.sort(numbers), [
-        calibrations.shifted(steps, CLOCK, -turns),
-        calibrations.shifted(zpr, CLOCK, -np.column_stack([np.zeros(len(b)), tilting])),
-        headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"] * alike, calibrations),
-    ]
+        minute, known = gyro_biases(b, noise, calibrations)
+        mission.add(Shifted(steps, np.diff(b)[:, None, None] * [[0.0], [0.0], [1.0]], BIAS[minute]), of_legs)
+        mission.add(zpr, of_poses)
+        for factor in known:
+            mission.add(factor, tables["noise"].source(np.zeros(len(factor), dtype=np.intp)))
+        return np.sort(numbers)
+    tilting = np.column_stack([np.zeros(len(b)), attitude.rates(b)[:, [1, 0]]])
+    mission.add(calibrations.shifted(steps, CLOCK, -turns), of_legs)
+    mission.add(calibrations.shifted(zpr, CLOCK, -tilting), of_poses)
+    heading = headings(attitude, x[numbers[by_row]], b[by_row], noise["sigma_yaw_rad"] * alike, calibrations)
+    mission.add(heading, ahrs.source(_latest(attitude.t_a, b[by_row])))
+    return np.sort(numbers)
 
 
 def _tilted(roll: Array, pitch: Array) -> Array:
@@ -250,15 +231,13 @@ def _given_the_yaw(Sigma: Array, sigma_yaw: float, bridged: Mask, inside: Mask) 
     return np.asarray(W[:, x_y_yaw][:, :, x_y_yaw])
 
 
-def _poses(
-    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport, times: Times
-) -> tuple[Numbers, Array]:
+def _poses(mission: Assembly, logs: dict[str, Array], locked: Array) -> tuple[Numbers, Array]:
     """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
     one at each of the times of other files.
 
     The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
     """
-    t_v = logs["dvl.csv"]
+    tables, t_v = mission.tables, logs["dvl.csv"]
     late, early = float(locked[0] - t_v[0]), float(t_v[-1] - locked[-1])
     if late or early:
         logs = {"dvl.csv with bottom lock": locked} | {name: t for name, t in logs.items() if name != "dvl.csv"}
@@ -275,10 +254,9 @@ def _poses(
         if len(b) < 2:
             raise GraphFileError(f"the logs have less than a second in common: {_ranges(logs)}", tables["dvl"].path)
         if late or early:
-            report.notes.append(
-                f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
-            )
-        b = united(b, end, times, tables)
+            note = f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
+            mission.report.notes.append(note)
+        b = united(b, end, mission.times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
     out = (b < begin) | (b > end)

@@ -24,12 +24,11 @@ from models import SE3
 from models.algebra import Array, Numbers
 from models.dead_reckoning.drop_outs import longest_step
 from nls.io.mission.attitude import CLOCK, attitude_of, headings
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, ARM, TILT
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import noise_of, one_row
+from nls.io.mission.rows import Assembly, noise_of, one_row
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import SAME, Times, poses_of_rows, united
 from nls.io.report import Source
@@ -47,16 +46,15 @@ Log = tuple[Table, Array, Array, tuple[str, ...]]  # its times (m,), numbers (m,
 (x,) = kinds("x")
 
 
-def walking(
-    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
-) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses at the times of other files, rising; the walk between them, angles and depths at them.
+def walking(mission: Assembly) -> Numbers:
+    """Numbers of the poses at the times of other files, rising; adds the walk between them, angles and depths at them.
 
     Raises
     ------
     GraphFileError
         A second row; fewer than two times; no sigma of a sensor; an angle that a measurement needs and none measures.
     """
+    tables, report, calibrations = mission.tables, mission.report, mission.calibrations
     motion = tables["motion"]
     one_row(motion)
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
@@ -71,7 +69,7 @@ def walking(
         logs[cell] = (*depths_of(tables, report), ("z_m",))
     elif stray := [name for name in ("water", "tide") if name in tables]:
         raise tables[stray[0]].at(0, "is for pressure.csv, which is not there; leave it out")
-    t = _times(motion, {name: t_log for name, (_, t_log, _, _) in logs.items()}, times, tables)
+    t = _times(motion, {name: t_log for name, (_, t_log, _, _) in logs.items()}, mission.times, tables)
     n, measured = len(t), dict[str, Column]()
     for name, log in logs.items():
         measured |= _interpolated(t, name, log, tables.get("noise"), report)
@@ -86,10 +84,9 @@ def walking(
     columns = [measured.get(name, zero) for name in TILT]
     z, sigmas = np.column_stack([c[0] for c in columns]), np.column_stack([c[1] for c in columns])
     walk = XYH(i, j, np.zeros((n - 1, 3)), SqrtInformation(np.diag([1, 1, 0]) / way[:, None, None]))
-    rise: list[Factor] = []
-    if z_elsewhere and "z_m" not in measured:
-        W = SqrtInformation(np.diag([0, 0, 1]) / way[:, None, None])
-        rise, sigmas[:, 0] = [Landmark(i, j, np.zeros((n - 1, 3)), W)], np.inf
+    rises = z_elsewhere and "z_m" not in measured
+    if rises:
+        sigmas[:, 0] = np.inf
     zpr: Factor = ZPR(x[numbers], z, SqrtInformation((1 / sigmas)[:, :, None] * np.eye(3)))
     heading: Factor = Prior(x[numbers], SE3.identity(), Diagonal([HELD]), components=("yaw",))
     if "ahrs" in logs:
@@ -100,13 +97,18 @@ def walking(
     report.vertex_times["x"] = t
     tilt = next((measured[name] for name in TILT if name in measured), zero)
     walked = motion.source(np.zeros(n - 1, dtype=np.intp))
-    report.sources += [walked, tilt[2], measured.get("yaw_rad", zero)[2], *[walked] * len(rise)]
+    mission.add(walk, walked)
+    mission.add(zpr, tilt[2])
+    mission.add(heading, measured.get("yaw_rad", zero)[2])
+    if rises:
+        W = SqrtInformation(np.diag([0, 0, 1]) / way[:, None, None])
+        mission.add(Landmark(i, j, np.zeros((n - 1, 3)), W), walked)
     note = f"no sensor measures the motion: a random walk of {density:g} m in the first second, and by the root of more"
     report.notes.append(f"{note}, joins {n} poses at the times of the measurements")
     if report.unmeasured:
         note = f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv"
         report.notes.append(f"{note}; 0 in trajectory.tum, which has none")
-    return numbers, [walk, zpr, heading, *rise]
+    return numbers
 
 
 def _times(motion: Table, logs: Times, times: Times, tables: dict[str, Table]) -> Array:

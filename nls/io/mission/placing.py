@@ -14,9 +14,9 @@ import numpy as np
 
 from factors import BearingRange, Position, Range, ScaledRange
 from factors.base import Factor
-from factors.keys import Keys, kinds
+from factors.keys import kinds
 from models import SE3, euler
-from models.algebra import Array, Index, Numbers
+from models.algebra import Array, Index
 from models.alignment import align
 from models.errors import SingularGeometryError
 from nls.graph import FactorGraph
@@ -146,32 +146,27 @@ def _beacons(graph: FactorGraph, start: Values, places: Array) -> tuple[Array, I
 
     A direction with a range counts before ranges.
     """
-    numbers = start.stack(b).numbers
-    points: list[list[Array]] = [[] for _ in numbers]
-    heard: list[list[Array]] = [[] for _ in numbers]
+    none = np.zeros(0, dtype=np.int64)
+    points, ranges = [(none, np.zeros((0, 3)))], [(none, np.zeros((0, 4)))]
     for factor in graph.factors:
         if isinstance(factor, BearingRange) and factor.keys[1].kind == b.name:
             model, X = start.gather(factor)
             p = factor.locate(SE3, factor.sensor_pose(SE3, X[0]), model.z)
-            _sort(p, factor.keys[1], numbers, points)
+            points.append((factor.keys[1].numbers, p))
         elif isinstance(factor, Range | ScaledRange):
             model, X = start.gather(factor)
             scale = 1.0 if len(X) == 2 else 1 + X[2]
             plain = factor if isinstance(factor, Range) else factor.unscaled()
             from_places = SE3.position(plain.sensor_pose(SE3, X[0]))
-            _sort(np.hstack([from_places, model.z / scale]), factor.keys[1], numbers, heard)
+            ranges.append((factor.keys[1].numbers, np.hstack([from_places, model.z / scale])))
+    (of_points, p), (of_ranges, r) = (map(np.concatenate, zip(*parts, strict=True)) for parts in (points, ranges))
+    numbers = start.stack(b).numbers
     at, count = np.zeros((len(numbers), 3)), np.zeros(len(numbers), dtype=np.intp)
-    for k, (here, ranges) in enumerate(zip(points, heard, strict=True)):
-        if here:
+    for k, number in enumerate(numbers.tolist()):
+        here, rows = p[of_points == number], r[of_ranges == number]
+        if len(here):
             at[k], count[k] = np.median(here, axis=0), len(here)
-        elif ranges:
-            rows = np.array(ranges)
+        elif len(rows):
             z = None if np.isnan(places[k, 2]) else float(places[k, 2])
             at[k], count[k] = beacon_of_ranges(rows[:, :3], rows[:, 3], z), len(rows)
     return at, count
-
-
-def _sort(rows: Array, beacons: Keys, numbers: Numbers, lists: list[list[Array]]) -> None:
-    """Append every row to the list of its beacon."""
-    for k, row in zip(np.searchsorted(numbers, beacons.numbers), rows, strict=True):
-        lists[k].append(row)

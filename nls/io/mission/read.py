@@ -23,6 +23,7 @@ from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
 from nls.io.mission.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
 from nls.io.mission.tracks import track
@@ -36,6 +37,7 @@ __all__ = ["graph_of", "read_mission"]
 
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
 x, l = kinds("x", "l")
+Pose = tuple[Keys, Array]  # and x, y and yaw (3,) that it is to have
 
 
 def read_mission(
@@ -86,11 +88,7 @@ def read_mission(
 
 
 def graph_of(
-    tables: dict[str, Table],
-    report: MissionReport,
-    elevation: str = "hinge",
-    anchored: bool = True,
-    alone: bool = True,
+    tables: dict[str, Table], report: MissionReport, elevation: str, anchored: bool = True, alone: bool = True
 ) -> tuple[FactorGraph, Values]:
     """The graph of the tables of a mission and its start; the report gets what they say besides, see `read_mission`.
 
@@ -101,42 +99,37 @@ def graph_of(
     """
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
-    times = measured_times(tables, calibrations)
-    report.elsewhere = tables.get("dive_closures")
-    numbers, factors = track(tables, calibrations, times, report)
+    mission = Assembly(tables, report, calibrations, measured_times(tables, calibrations))
+    report.elsewhere, graph = tables.get("dive_closures"), mission.graph
+    numbers = track(mission)
+    compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
+    report.compass = compass is not None
     report.truth = true_values(tables, numbers, report)
-    graph = FactorGraph(factors)
     open_ended = not {"odometry", "poses"} & tables.keys()
-    timeline = Timeline(numbers, report.vertex_times.get("x"), times, open_ended, report)
-    if "fixes" in tables:
-        add_fixes(graph, report, tables["fixes"], timeline)
-    if "closures" in tables:
-        add_closures(graph, report, tables["closures"], timeline)
-    acoustics = Acoustics(graph, report, tables, timeline, calibrations, _depths(graph, numbers))
+    timeline = Timeline(numbers, report.vertex_times.get("x"), mission.times, open_ended, report)
+    add_fixes(mission, timeline)
+    add_closures(mission, timeline)
+    acoustics = Acoustics(mission, timeline, _depths(graph, numbers))
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
-    compass = next((known for factor in factors if (known := calibrations.headings(factor)) is not None), None)
-    report.compass = compass is not None
-    anchors, first = _anchor(tables, numbers, compass, report, anchored)
-    for factor in anchors:
-        graph.add(factor)
+    first = _anchor(mission, numbers, compass, anchored)
     if not (named := are_named(tables)) and not alone:
         raise tables["contacts"].at_names(
             "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or solve "
             "the dives one by one"
         )
-    points = add_contacts(tables, timeline, graph, report, elevation) if named else np.zeros(0, dtype=np.int64)
+    points = add_contacts(mission, timeline, elevation) if named else np.zeros(0, dtype=np.int64)
     if named:
         compare_landmarks(report, points)
     with stage("read start"):
-        start = _start(graph, numbers, points, first, compass, calibrations, acoustics, report)
-    acoustics.shift(calibrations)
-    shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
-    for prior in calibrations.priors(report):
-        graph.add(prior)
+        start = _start(mission, acoustics, numbers, points, first, compass)
+    acoustics.shift()
+    shift_clocks(mission, timeline, start, acoustics.ship_twist)
+    for prior, source in calibrations.priors():
+        mission.add(prior, source)
     report.calibrations = calibrations.given()
     if not named:
-        start = add_unnamed_contacts(tables, timeline, graph, start, report, elevation)
+        start = add_unnamed_contacts(mission, timeline, start, elevation)
     return graph, start
 
 
@@ -154,28 +147,27 @@ def _plane(origin: Table | None) -> LocalPlane | None:
 
 
 def _start(
-    graph: FactorGraph,
+    mission: Assembly,
+    acoustics: Acoustics,
     numbers: Numbers,
     points: Numbers,
-    first: tuple[Keys, Array] | None,
+    first: Pose | None,
     compass: Compass | None,
-    calibrations: Calibrations,
-    acoustics: Acoustics,
-    report: MissionReport,
 ) -> Values:
     """Dead reckoning, moved by a turn about the vertical and a step in the horizontal to where its anchor is, or to
     what was measured in the world; beacons and landmarks from there."""
     spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {x: (SE3, SE3.identity(len(numbers)), numbers)}
-    spaces |= acoustics.spaces() | calibrations.spaces()
+    spaces |= acoustics.spaces() | mission.calibrations.spaces()
     if len(points):
         spaces[l] = (R(3), np.zeros((len(points), 3)), points)
+    graph = mission.graph
     start = dead_reckoning(graph, Values(spaces))
     if first is None:
         turn = turn_to_measurements(graph, start, acoustics.places, compass)
     else:
         turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
-    if "motion.csv" in report.tags:
+    if "motion" in mission.tables:
         along_measurements(graph, start, acoustics.places, compass)
     place_beacons(graph, start, acoustics.places)
     return first_sighting(graph, start) if len(points) else start
@@ -183,30 +175,28 @@ def _start(
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
-    tilt = next((factor for factor in graph.factors if factor.states("tilts")), None)
-    if tilt is None:
-        return np.zeros(len(numbers))
+    tilt = next(factor for factor in graph.factors if factor.states("tilts"))  # every track has them
     order = np.argsort(tilt.keys[0].numbers)
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
 
 
-def _anchor(
-    tables: dict[str, Table], numbers: Numbers, compass: Compass | None, report: MissionReport, anchored: bool
-) -> tuple[list[Factor], tuple[Keys, Array] | None]:
-    """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
+def _anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anchored: bool) -> Pose | None:
+    """Add what holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose: at the
+    Nothing and None where other measurements are absolute. Else where nobody says so it is the first pose: at the
     truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
     compass it is the first pose that this one sees. Where the mission need not be anchored, nothing holds it.
     """
+    tables, report = mission.tables, mission.report
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
         i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
-        report.sources += [table.source()] * 2
-        return _held(x[i], z, sigmas), (x[i[:1]], z[0])
+        for factor in _held(x[i], z, sigmas):
+            mission.add(factor, table.source())
+        return x[i[:1]], z[0]
     if report.world:
-        return [], None
+        return None
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
     if "path" in tables:
         z, where = tables["path"].attitude(*LEVEL)[0], "the first row of path.csv"
@@ -218,15 +208,16 @@ def _anchor(
         true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
         z = true if compass is None else np.append(true[:2], z[2])
     if not anchored:
-        return [], (anchor, z)
+        return anchor, z
     factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
     if compass is not None:
         factors, held = factors[:1], "x and y"
-    report.sources += [Source(report.path, np.zeros(1, dtype=np.intp))] * len(factors)
+    for factor in factors:
+        mission.add(factor, Source(report.path, np.zeros(1, dtype=np.intp)))
     report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
     if report.plane is not None and compass is None and where == "0":
         report.warn(f"nothing says where {anchor} is on the Earth, nor its heading; write both to anchor.csv")
-    return factors, (anchor, z)
+    return anchor, z
 
 
 def _held(poses: Keys, z: Array, sigmas: Array) -> list[Factor]:

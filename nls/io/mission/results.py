@@ -105,10 +105,7 @@ def map_text(
         (*MAP, *extra),
         *(elevations.landmarks, values[l[elevations.landmarks]], or_empty(Sigma), elevations.views, elevations.poses),
         *(elevations.elevation[:, None], or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
-        [
-            "" if np.isnan(sigma) else str(int(m))
-            for sigma, m in zip(elevations.sigma, elevations.mirrored, strict=True)
-        ],
+        np.where(np.isnan(elevations.sigma), "", elevations.mirrored.astype(int).astype(str)),
         *extra.values(),
     )
 

@@ -1,25 +1,53 @@
-"""Columns that several files of a mission share: places in meters or degrees, lever arms, robust kernels; sigmas."""
+"""What the files of a mission share: the graph they add to, and columns: places, lever arms, robust kernels, sigmas."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from factors.base import Factor
 from factors.robust import Kernel, kernel_from_text
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Mask
 from models.errors import NoiseModelError, OptionError
 from models.geodesy import REACH, LocalPlane
 from nls.graph import FactorGraph
+from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ARM, GEODETIC, MAY_BE_0
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import one_of
+from nls.io.mission.timeline import Times, one_of
+from nls.io.report import Source
 
-__all__ = ["add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
+__all__ = ["Assembly", "add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
 
 NO_KERNEL = "none"
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The tables of a mission, and the graph that is made of them.
+
+    Attributes
+    ----------
+    tables : by name.
+    report : gets notes, and the lines of the factors.
+    calibrations : of calibration.csv.
+    times : of the rows of files, see `nls.io.mission.timeline`.
+    graph : gets the factors.
+    """
+
+    tables: dict[str, Table]
+    report: MissionReport
+    calibrations: Calibrations
+    times: Times
+    graph: FactorGraph = field(default_factory=FactorGraph)
+
+    def add(self, factor: Factor, source: Source) -> None:
+        """Add a factor, with the lines that it was read from."""
+        self.graph.add(factor)
+        self.report.sources.append(source)
 
 
 def horizontal(table: Table, plane: LocalPlane | None) -> Array:
@@ -84,14 +112,8 @@ def arms(table: Table) -> Array | None:
     return a if a.any() else None
 
 
-def add_rows(
-    graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, make: Callable[[Index], Factor]
-) -> None:
-    """Add factors of the rows that count, one for each robust kernel in the order of the file; note their lines.
-
-    Parameters
-    ----------
-    make : the factor of some rows.
+def add_rows(graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, factor: Factor) -> None:
+    """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
 
     Raises
     ------
@@ -112,8 +134,7 @@ def add_rows(
     column = np.array(words)
     for word, kernel in kernels.items():
         if len(some := index[column[index] == word]):
-            factor = make(some)
-            graph.add(factor if kernel is None else factor.robust(kernel))
+            graph.add(factor[some] if kernel is None else factor[some].robust(kernel))
             report.sources.append(table.source(some))
 
 

@@ -17,7 +17,7 @@ from nls.io.mission.columns import ANGLES, ARM, COLUMNS, PLACE, suffixed
 from nls.io.mission.rows import NO_KERNEL
 from nls.io.mission.table import csv_text
 
-__all__ = ["Columns", "measured", "positioned", "positioned_rows", "table_text"]
+__all__ = ["Columns", "measured", "positioned_rows", "table_text"]
 
 Columns = dict[str, npt.ArrayLike]
 PLACES = (None, ("x", "y"), ("x", "y", "z"))
@@ -28,10 +28,9 @@ def no_file(factor: Factor, why: str) -> GraphError:
     return GraphError(f"{factor!r} has no file in a mission folder: {why}", factor.keys, factor.name)
 
 
-def measured_numbers(factor: Factor) -> Array:
-    """Measurements (n, m); of one number each they may be (n,)."""
-    z = factor.z.reshape(-1, factor.sizes()[-1])  # of space
-    return np.broadcast_to(z, (len(factor), z.shape[1]))
+def elements(factor: Factor, size: int) -> Array:
+    """Measured elements (n, size), also where all measurements share one."""
+    return np.broadcast_to(factor.z.reshape(-1, size), (len(factor), size))
 
 
 def standard_deviations(factor: Factor, names: tuple[str, ...]) -> Array:
@@ -65,16 +64,12 @@ def table_text(table: str, rows: list[Columns]) -> bytes:
     return csv_text(names, *(whole[name] for name in names))
 
 
-def stated(ids: Columns, names: tuple[str, ...], z: Array, sigmas: Array) -> Columns:
-    """Columns of measurements (n, m) and of their standard deviations (n, m), after those of their ids."""
-    return ids | columns_of(names, z) | columns_of(suffixed(names), sigmas)
-
-
-def measured(factor: Factor, ids: tuple[str, ...], names: tuple[str, ...]) -> Columns:
-    """Columns of a factor: the numbers of its variables by `ids`, what it measures by `names`, and how well."""
+def measured(factor: Factor, ids: tuple[str, ...], names: tuple[str, ...], z: Array | None = None) -> Columns:
+    """Columns of a factor: the numbers of its variables by `ids`, what it measures, z (n, m), by `names`, how well."""
     numbers: Columns = {name: keys.numbers for name, keys in zip(ids, factor.keys, strict=True)}
     components = tuple(name.rpartition("_")[0] for name in names)
-    return stated(numbers, names, measured_numbers(factor), standard_deviations(factor, components))
+    z = elements(factor, factor.sizes()[-1]) if z is None else z
+    return numbers | columns_of(names, z) | columns_of(suffixed(names), standard_deviations(factor, components))
 
 
 def columns_of(names: tuple[str, ...], numbers: Array) -> Columns:
@@ -92,7 +87,7 @@ def _says_nothing(name: str, whole: dict[str, npt.NDArray[Any]]) -> bool:
 # --- fixes, beacons, ranges and closures ------------------------------------------------------------------------------
 
 
-def positioned(factors: list[Factor]) -> dict[int, str]:
+def _positioned(factors: list[Factor]) -> dict[int, str]:
     """Which of some factors, by their place, are rows of which of these tables."""
     headings = [factor.keys for factor in factors if isinstance(factor, Heading)]
     out = {}
@@ -109,12 +104,8 @@ def positioned(factors: list[Factor]) -> dict[int, str]:
     return out
 
 
-def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[str, list[Columns]]:
-    """The rows of the tables of these factors, by the names of the tables.
-
-    Parameters
-    ----------
-    factors, of_tables : those of a graph, and which of them are of which table, see `positioned`.
+def positioned_rows(factors: list[Factor]) -> tuple[dict[str, list[Columns]], list[Factor]]:
+    """The rows of these tables, by their names, and the factors that are of none of them.
 
     Raises
     ------
@@ -122,6 +113,7 @@ def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[st
         Factors of one table with other columns; noise with correlations; a kernel where there is no column for it.
     """
     tables: dict[str, list[Columns]] = {}
+    of_tables = _positioned(factors)
     for k, name in of_tables.items():
         columns = ROWS[name](factors[k])
         rows = tables.setdefault(name, [])
@@ -134,7 +126,7 @@ def positioned_rows(factors: list[Factor], of_tables: dict[int, str]) -> dict[st
         rows.append(columns)
     if "beacons" in tables and len(np.unique(beacons := joined(tables["beacons"])["beacon"])) < len(beacons):
         raise GraphError("write_mission: a beacon has two priors, and beacons.csv one row for each")
-    return tables
+    return tables, [factor for k, factor in enumerate(factors) if k not in of_tables]
 
 
 def _kernel(factor: Factor) -> str:
@@ -154,9 +146,8 @@ def _fix(factor: Factor) -> Columns:
 
 def _beacon(factor: Factor) -> Columns:
     assert isinstance(factor, Prior)
-    names, components = (PLACE[2:], ("z",)) if factor.components else (PLACE, ("x", "y", "z"))
-    z = np.broadcast_to(factor.z.reshape(-1, 3), (len(factor), 3))[:, -len(names) :]
-    return stated({"beacon": factor.keys[0].numbers}, names, z, standard_deviations(factor, components))
+    names = PLACE[2:] if factor.components else PLACE
+    return measured(factor, ("beacon",), names, elements(factor, 3)[:, -len(names) :])
 
 
 def _range(factor: Factor) -> Columns:
@@ -168,10 +159,8 @@ def _range(factor: Factor) -> Columns:
 
 
 def _closure(factor: Factor) -> Columns:
-    z = euler.from_se3(np.broadcast_to(factor.z.reshape(-1, SE3.size), (len(factor), SE3.size)))
-    i, j = (keys.numbers for keys in factor.keys)
-    sigmas = standard_deviations(factor, SE3.components)
-    return stated({"i": i, "j": j}, (*PLACE, *ANGLES), z[:, [3, 4, 5, 0, 1, 2]], sigmas)
+    z = euler.from_se3(elements(factor, SE3.size))
+    return measured(factor, ("i", "j"), (*PLACE, *ANGLES), z[:, [3, 4, 5, 0, 1, 2]])
 
 
 def _arm(factor: Factor, offset: Array | None) -> Columns:

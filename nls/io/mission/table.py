@@ -194,10 +194,6 @@ class Table(Text):
         other._other = self._other | dict(zip(names, numbers.T, strict=True))
         return other
 
-    def every(self, step: int) -> Table:
-        """The same table with the first row of every so many."""
-        return self.part(slice(None, None, step))
-
     def part(self, rows: Index | Mask | slice) -> Table:
         """The same table with some of its rows."""
         other = copy(self)
@@ -225,6 +221,17 @@ class Table(Text):
         if rows is not None:
             bad &= rows[:, None]
         self._refuse(bad, numbers, names, expected)
+        return numbers
+
+    def within(self, limit: float, expected: str, *names: str) -> Array:
+        """Numbers (n, k) of columns whose names say no unit, none farther from 0 than a limit.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        numbers = self.floats(*names)
+        self._refuse(np.abs(numbers) > limit, numbers, names, [expected] * len(names))
         return numbers
 
     def attitude(self, *names: str) -> Array:

@@ -13,18 +13,15 @@ from __future__ import annotations
 import numpy as np
 
 from factors import XYH, ZPR, Diagonal, Heading
-from factors.base import Factor
 from factors.keys import kinds
 from models import euler
 from models.algebra import Array, Numbers, wrap
 from models.sensors import levelled
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.motion import walking
-from nls.io.mission.report import MissionReport
-from nls.io.mission.rows import columns_together
+from nls.io.mission.rows import Assembly, columns_together
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Times, poses_of_rows, united
+from nls.io.mission.timeline import poses_of_rows, united
 from nls.sparse.components import connected
 
 __all__ = ["track"]
@@ -33,34 +30,27 @@ LEVEL_SIGMA = 1e-3  # m and rad, of a depth and a tilt that the file takes to be
 (x,) = kinds("x")
 
 
-def track(
-    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
-) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising, and the factors between and at them, from the files that say them.
-
-    Parameters
-    ----------
-    tables, calibrations : of the folder.
-    times : of its rows, see `nls.io.mission.timeline`.
-    report : gets notes, the lines of the factors, and the times of the poses.
+def track(mission: Assembly) -> Numbers:
+    """Numbers of the poses, rising; adds the factors between and at them, from the files that say them.
 
     Raises
     ------
     GraphFileError
     """
-    if "odometry" in tables:
-        return _odometry(tables, report)
-    if "path" in tables:
-        return _reckoned(tables, times, report)
-    if "motion" in tables:
-        return walking(tables, calibrations, times, report)
+    if "odometry" in mission.tables:
+        return _odometry(mission)
+    if "path" in mission.tables:
+        return _reckoned(mission)
+    if "motion" in mission.tables:
+        return walking(mission)
     from nls.io.mission.log import integrated
 
-    return integrated(tables, report, calibrations, times)
+    return integrated(mission)
 
 
-def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
+def _odometry(mission: Assembly) -> Numbers:
+    """Numbers of the poses, rising; adds the factors of odometry.csv and zpr.csv."""
+    tables, report = mission.tables, mission.report
     odometry, zpr = tables["odometry"], tables["zpr"]
     i, j = odometry.integers("i"), odometry.integers("j")
     odometry.refuse_rows(i == j, lambda k: f"the step joins pose {i[k]} to itself")
@@ -80,15 +70,13 @@ def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers,
         report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
     if "poses" in tables:
         report.vertex_times["x"] = _times(tables["poses"], numbers)
-    report.sources += [odometry.source(), zpr.source()]
-    factors: list[Factor] = [
-        XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
-        ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
-    ]
+    steps = XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL))))
+    mission.add(steps, odometry.source())
+    mission.add(ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))), zpr.source())
     if columns_together(zpr, *COMPASS):
-        report.sources.append(zpr.source())
-        factors.append(Heading(x[tilted], wrap(zpr.attitude(COMPASS[0])), Diagonal(zpr.positive(COMPASS[1]))))
-    return numbers, factors
+        yaw, sigma = wrap(zpr.attitude(COMPASS[0])), Diagonal(zpr.positive(COMPASS[1]))
+        mission.add(Heading(x[tilted], yaw, sigma), zpr.source())
+    return numbers
 
 
 def _times(poses: Table, numbers: Numbers) -> Array:
@@ -102,8 +90,8 @@ def _times(poses: Table, numbers: Numbers) -> Array:
     return t[np.argsort(ids)]
 
 
-def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, at the times of path.csv and of other files, and `XYH` and `ZPR` between and at them.
+def _reckoned(mission: Assembly) -> Numbers:
+    """Numbers of the poses, at the times of path.csv and of other files; adds `XYH` and `ZPR` between and at them.
 
     Between two rows the path is straight, and the variance of its step grows evenly.
 
@@ -112,7 +100,7 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
     GraphFileError
         Times that do not rise, one pose, numbers that cannot be.
     """
-    path = tables["path"]
+    path, report = mission.tables["path"], mission.report
     t_p = path.rising("time_s")
     if len(t_p) < 2:
         raise path.at(0, "one pose; a track has at least two")
@@ -120,7 +108,7 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
     if absent:
         report.unmeasured = tuple(name.split("_")[0] for name in absent)
         report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0 and empty in the results")
-    t = united(t_p, float(t_p[-1]), times, tables)
+    t = united(t_p, float(t_p[-1]), mission.times, mission.tables)
     numbers = np.arange(len(t))
     row = np.searchsorted(t_p, t)  # the first one that is not before
     state = {name: np.interp(t, t_p, _column(path, name, 0.0)) for name in (*ANGLES, *PLACE)}
@@ -130,11 +118,11 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
     sigmas = np.column_stack([_column(path, f"sigma_{name}", LEVEL_SIGMA)[row] for name in TILT])
     sigmas *= poses_of_rows(t_p, t)[:, None]
     report.vertex_times["x"] = t
-    report.sources += [path.source(row[1:]), path.source(row)]
-    return numbers, [
-        XYH(x[numbers[:-1]], x[numbers[1:]], step, Diagonal(path.positive(*suffixed(LEVEL))[row[1:]] * part)),
-        ZPR(x[numbers], np.column_stack([state[name] for name in TILT]), Diagonal(sigmas)),
-    ]
+    spread = Diagonal(path.positive(*suffixed(LEVEL))[row[1:]] * part)
+    mission.add(XYH(x[numbers[:-1]], x[numbers[1:]], step, spread), path.source(row[1:]))
+    tilts = np.column_stack([state[name] for name in TILT])
+    mission.add(ZPR(x[numbers], tilts, Diagonal(sigmas)), path.source(row))
+    return numbers
 
 
 def _column(path: Table, name: str, absent: float) -> Array:

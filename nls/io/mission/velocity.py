@@ -29,9 +29,9 @@ from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.attitude import Attitude
 from nls.io.mission.bottom_lock import bottom_lock, locked_rows
-from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import VELOCITY
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import Assembly
 from nls.io.mission.table import Table
 
 __all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]
@@ -58,14 +58,7 @@ class Velocities:
     sigma: Array = field(repr=False)
 
 
-def velocities(
-    dvl: Table,
-    attitude: Attitude,
-    mount: Array,
-    noise: dict[str, float],
-    calibrations: Calibrations,
-    report: MissionReport,
-) -> Velocities:
+def velocities(mission: Assembly, attitude: Attitude, mount: Array, noise: dict[str, float]) -> Velocities:
     """The velocities of dvl.csv; notes say how many rows do not count, and why.
 
     Raises
@@ -73,6 +66,7 @@ def velocities(
     GraphFileError
         No column that says where there is bottom lock; fewer than two rows with it; numbers that cannot be.
     """
+    dvl, report, calibrations = mission.tables["dvl"], mission.report, mission.calibrations
     t, valid = dvl.rising("time_s"), bottom_lock(dvl, report.notes)
     v = np.where(valid[:, None], dvl.measured(*VELOCITY, rows=valid), 0.0)
     if dvl.has("earth_axes"):

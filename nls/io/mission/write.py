@@ -17,19 +17,7 @@ from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
 from nls.io.mission.columns import COLUMNS, COMPASS, CONTACT, LEVEL, PLACE, POSE, TILT, TRACK
-from nls.io.mission.statements import (
-    Columns,
-    columns_of,
-    joined,
-    measured,
-    measured_numbers,
-    no_file,
-    positioned,
-    positioned_rows,
-    standard_deviations,
-    stated,
-    table_text,
-)
+from nls.io.mission.statements import Columns, columns_of, joined, measured, no_file, positioned_rows, table_text
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -131,9 +119,7 @@ def mission_files(
             "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
             [first],
         )
-    of_tables = positioned(factors)
-    tables = positioned_rows(factors, of_tables)
-    factors = [factor for k, factor in enumerate(factors) if k not in of_tables]
+    tables, factors = positioned_rows(factors)
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
             rows.setdefault(name, []).append(measured(factor, *MEASURED[name]))
@@ -239,18 +225,15 @@ def _anchors(factors: list[Factor]) -> tuple[list[Columns], list[Heading]]:
         if isinstance(factor, Prior):
             if factor.components != ("x", "y", "yaw") or factor.offset is not None:
                 raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
-            z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
-            sigmas = standard_deviations(factor, ("x", "y", "yaw"))
-            rows.append(stated({"i": factor.keys[0].numbers}, LEVEL, z[:, [3, 4, 2]], sigmas))
+            z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))[:, [3, 4, 2]]
+            rows.append(measured(factor, ("i",), LEVEL, z))
     headings = [factor for factor in factors if isinstance(factor, Heading)]
     for p in (factor for factor in factors if isinstance(factor, Position)):
         own = [k for k, h in enumerate(headings) if h.keys == p.keys]
         if not own or p.components != ("x", "y") or p.offset is not None:
             raise no_file(p, "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose")
         h = headings.pop(own[-1])
-        sigmas = np.hstack([standard_deviations(p, ("x", "y")), standard_deviations(h, ("yaw",))])
-        z = np.hstack([measured_numbers(p), measured_numbers(h)])
-        rows.append(stated({"i": p.keys[0].numbers}, LEVEL, z, sigmas))
+        rows.append(measured(p, ("i",), LEVEL[:2]) | measured(h, ("i",), LEVEL[2:]))
     return rows, headings
 
 
@@ -262,8 +245,8 @@ def _with_headings(zpr: dict[str, Any], compass: list[Heading]) -> Columns:
     GraphError
         A pose with a depth has no heading, or several, or one with a heading has no depth.
     """
-    numbers = np.concatenate([h.keys[0].numbers for h in compass])
-    unique, count = np.unique(numbers, return_counts=True)
+    headings = joined([measured(h, ("i",), COMPASS[:1]) for h in compass])
+    unique, first, count = np.unique(headings["i"], return_index=True, return_counts=True)
     wrong = [*unique[count > 1], *np.setxor1d(unique, zpr["i"])]
     if wrong:
         h = next((h for h in compass if wrong[0] in h.keys[0].numbers), compass[0])
@@ -272,8 +255,8 @@ def _with_headings(zpr: dict[str, Any], compass: list[Heading]) -> Columns:
             f"zpr.csv has a depth and a heading for every pose, once: not for x{wrong[0]}; one of a large sigma says "
             "nothing",
         )
-    yaw = np.vstack([np.hstack([measured_numbers(h), standard_deviations(h, ("yaw",))]) for h in compass])
-    return zpr | columns_of(COMPASS, yaw[np.argsort(numbers)[np.searchsorted(unique, zpr["i"])]])
+    rows = first[np.searchsorted(unique, zpr["i"])]
+    return zpr | {name: headings[name][rows] for name in COMPASS}
 
 
 def _sonar(sonar: ImagingSonar, mount: Array) -> Columns:

@@ -84,7 +84,7 @@ def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # NumPy's for a header of Python 2
             shape, columns_first, dtype = read(file)
-    except (TypeError, MemoryError, SyntaxError, TokenError, UserWarning) as error:
+    except (TypeError, ValueError, MemoryError, SyntaxError, TokenError, UserWarning) as error:
         raise ValueError(f"the header of {name!r:.60} is damaged") from error
     if dtype.kind not in KINDS:
         raise ValueError(f"{name!r:.60} holds {dtype}, expected numbers or text")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
@@ -14,6 +15,8 @@ __all__ = ["json_of", "plain_of", "without_arrays"]
 
 DEEPEST = 40  # of brackets in brackets
 LONGEST = 1 << 20  # of an axis of an array without numbers
+STRING = r'"(?:[^"\\]|\\.)*"'
+KEY = re.compile(rf"({STRING})\s*:|{STRING}|[{{}}]")  # keys, other strings, ends of dictionaries
 
 
 def json_of(plain: Any, depth: int = 0) -> str:
@@ -69,19 +72,52 @@ def plain_of(text: str, path: str, arrays: dict[str, Any] | None = None) -> Any:
     Raises
     ------
     GraphFileError
-        No JSON; an array that is missing, or of no numbers.
+        No JSON; a key that is given twice; an array that is missing, or of no numbers.
     """
 
     def refused(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is no finite number")
 
+    def once(entries: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(named := dict(entries)) < len(entries):
+            key, line = _repeated(text)
+            raise GraphFileError(f"the key {key!r:.60} is given twice; expected each once in its braces", path, line)
+        return named
+
     arrays = {} if arrays is None else arrays
     try:
-        return _plain(json.loads(text, parse_constant=refused), arrays, 0)
+        return _plain(json.loads(text, parse_constant=refused, object_pairs_hook=once), arrays, 0)
+    except GraphFileError:
+        raise
     except json.JSONDecodeError as error:
-        raise GraphFileError(f"is no JSON: {error.msg}", path, error.lineno) from error
+        read = text[: error.pos]
+        if "delimiter" in error.msg or not text[error.pos : error.pos + 1].strip(" \n\t}],"):  # behind the last word
+            read = read.rstrip()
+        raise GraphFileError(f"is no JSON: {error.msg}", path, read.count("\n") + 1) from error
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise GraphFileError(f"{error}", path) from error
+
+
+def _repeated(text: str) -> tuple[str, int]:
+    """The first key that its dictionary has twice, and its line; of JSON up to there.
+
+    Examples
+    --------
+    >>> _repeated('{"a": {"b": 1},\\n "b": "\\\\"a\\\\": {",\\n "a": 2}')
+    ('a', 3)
+    """
+    keys: list[set[str]] = []
+    for word in KEY.finditer(text):
+        if word[0] == "{":
+            keys.append(set())
+        elif word[0] == "}":
+            keys.pop()
+        elif word[1]:
+            key = json.loads(word[1])
+            if key in keys[-1]:
+                return key, text.count("\n", 0, word.start()) + 1
+            keys[-1].add(key)
+    raise AssertionError("no key is repeated")
 
 
 def _plain(node: Any, arrays: dict[str, Any], depth: int) -> Any:

@@ -12,7 +12,7 @@ from models.errors import GraphFileError
 from models.listing import some
 from nls.graph import FactorGraph
 from nls.io.mission.columns import ALONE, LOG, TRACK, TURNS
-from nls.io.mission.folder import names_in
+from nls.io.mission.folder import names_in, note_others
 from nls.io.mission.table import Table
 from nls.io.report import LoadReport, Source
 from nls.io.scan_mission.settings import Settings, read_settings
@@ -174,29 +174,23 @@ def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanRe
 
 
 def _note_others(report: ScanReport, names: list[str], read: set[str]) -> None:
-    """Name the files that were not read: CSV files in a warning, other files of data in a note."""
+    """Name the files that were not read; the keyframes hold the odometry."""
     others = [name for name in names if name not in (*read, *NOT_MISSED) and not name.upper().startswith("README")]
     reckoned = [name for name in others if name in ("odometry.csv", "odometry.csv.gz")]
     if reckoned:
         report.notes.append(f"not needed: {reckoned[0]}; the keyframes hold dead reckoning")
-    others = [name for name in others if name not in reckoned]
-    if tabular := [name for name in others if ".csv" in name.lower()]:
-        expected = ", ".join([*COLUMNS, SETTINGS])
-        report.warn(f"no file of a scan mission, not read: {some(tabular, 12)}; expected names: {expected}")
-    if unread := [name for name in others if name not in tabular]:
-        report.notes.append(f"not read: {some(unread, 12)}")
+    note_others(report, "scan mission", [name for name in others if name not in reckoned], [*COLUMNS, SETTINGS])
 
 
 def _keyframes(table: Table) -> tuple[Numbers, Array, Array]:
     """Numbers (n,), times (n,) and reckoned poses (n, 3) of the keyframes."""
     numbers, times = table.unique("keyframe", "keyframe"), table.rising("time")
-    if (falls := np.diff(numbers) < 0).any():
-        k = int(np.argmax(falls)) + 1
-        raise table.at(k, f"keyframe {numbers[k]} after {numbers[k - 1]}; expected numbers that rise, sort the rows")
+    falls, rise = np.append(False, np.diff(numbers) < 0), "expected numbers that rise, sort the rows"
+    table.refuse_rows(falls, lambda k: f"keyframe {numbers[k]} after {numbers[k - 1]}; {rise}")
     if len(numbers) < LEAST:
         raise table.at(0, "is the only keyframe; expected two or more")
-    within(table, FAR, "meters, within 1e9", "x", "y")
-    within(table, TURNS, "radians, -2 pi to 2 pi", "yaw")
+    table.within(FAR, "meters, within 1e9", "x", "y")
+    table.within(TURNS, "radians, -2 pi to 2 pi", "yaw")
     return numbers, times, table.floats("x", "y", "yaw")
 
 
@@ -205,8 +199,8 @@ def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, A
     problem = f"no such keyframe in keyframes.csv, which has {len(numbers)} from {numbers[0]} to {numbers[-1]}"
     rows = np.searchsorted(numbers, table.known("keyframe", numbers, problem))
     r = table.positive("range")[:, 0]
-    within(table, RANGE, "meters, within 1000 (in millimeters?)", "range")
-    azimuth = settings.side * within(table, TURNS, "radians, -2 pi to 2 pi", "azimuth")[:, 0]
+    table.within(RANGE, "meters, within 1000 (in millimeters?)", "range")
+    azimuth = settings.side * table.within(TURNS, "radians, -2 pi to 2 pi", "azimuth")[:, 0]
     points = r[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     intensity = table.measured("intensity")[:, 0] if table.has("intensity") else None
     order = np.argsort(rows, kind="stable")
@@ -216,8 +210,8 @@ def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, A
 
 def _truth(table: Table, times: Array, report: ScanReport) -> Truth:
     """True poses at the keyframes: on the line between two rows."""
-    t, p = table.rising("time"), within(table, FAR, "meters, within 1e9", "x", "y")
-    yaw = within(table, TURNS, "radians, -2 pi to 2 pi", "yaw")[:, 0] if table.has("yaw") else np.zeros(len(t))
+    t, p = table.rising("time"), table.within(FAR, "meters, within 1e9", "x", "y")
+    yaw = table.within(TURNS, "radians, -2 pi to 2 pi", "yaw")[:, 0] if table.has("yaw") else np.zeros(len(t))
     inside = (times >= t[0]) & (times <= t[-1])
     if (count := int(inside.sum())) < LEAST:
         raise table.at(
@@ -229,17 +223,3 @@ def _truth(table: Table, times: Array, report: ScanReport) -> Truth:
         report.notes.append(f"errors are of {count} keyframes, not of {outside} before or after the truth")
     columns = [*p.T, np.unwrap(yaw)]
     return Truth(np.flatnonzero(inside), np.column_stack([np.interp(times[inside], t, c) for c in columns]))
-
-
-def within(table: Table, limit: float, expected: str, *names: str) -> Array:
-    """Numbers (n, k) of columns, none farther from 0 than a limit.
-
-    Raises
-    ------
-    GraphFileError
-    """
-    numbers = table.floats(*names)
-    if (bad := np.abs(numbers) > limit).any():
-        k, column = divmod(int(np.argmax(bad)), len(names))
-        raise table.at(k, f"{names[column]} is {float(numbers[k, column])!r}; expected {expected}")
-    return numbers

@@ -16,10 +16,8 @@ __all__ = ["CLOSURES", "MAP", "TRAJECTORY", "WORDS", "closures_text", "map_text"
 
 POSE = ("x_m", "y_m", "yaw_rad")
 SIGMAS = tuple(f"sigma_{name}" for name in POSE)
-TRAJECTORY = (
-    *("keyframe", "time_s", *POSE, *SIGMAS),
-    *("correlation_x_y", "correlation_x_yaw", "correlation_y_yaw"),
-)
+CORRELATIONS = ("correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
+TRAJECTORY = ("keyframe", "time_s", *POSE, *SIGMAS, *CORRELATIONS)
 MAP = ("x_m", "y_m", "keyframe", "intensity")
 CLOSURES = ("keyframe_i", "keyframe_j", *POSE, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
 WORDS = {
@@ -59,11 +57,9 @@ def map_text(poses: Array, report: ScanReport) -> bytes:
 
 def points_text(poses: Array, report: ScanReport) -> bytes:
     """map.ply: the keyframes and the points, at z = 0."""
-    points = np.concatenate([poses[:, :2], in_world(poses, report.scans)])
-    kinds = np.repeat([0, 1], [len(poses), len(points) - len(poses)])
-    numbers = np.concatenate([report.numbers, report.numbers[report.scans.keyframe]])
-    lines = ["x, y and z = 0 of the world, m", "kind: 0 keyframe, 1 point; number: of the keyframe"]
-    return ply_text(np.pad(points, ((0, 0), (0, 1))), kinds, numbers, lines)
+    points, numbers = in_world(poses, report.scans), report.numbers[report.scans.keyframe]
+    parts = [("keyframe", report.numbers, poses[:, :2]), ("point", numbers, points)]
+    return ply_text(parts, "x, y and z = 0 of the world, m", "; number: of the keyframe")
 
 
 def closures_text(matches: Matches, numbers: Numbers) -> bytes:

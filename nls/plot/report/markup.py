@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from models.visible import visible
+
 __all__ = ["Html"]
 
 EMPTY = {"img", "meta"}  # elements without content
@@ -24,7 +26,8 @@ def joined(parts: Iterable[str], between: str = "") -> Html:
     >>> joined(["a < b", tag("b", "!")])
     'a &lt; b<b>!</b>'
     """
-    return Html(escape(between).join(piece if isinstance(piece, Html) else escape(piece) for piece in parts))
+    pieces = (piece if isinstance(piece, Html) else escape(visible(piece)) for piece in parts)
+    return Html(escape(between).join(pieces))
 
 
 def tag(name: str, /, *inside: str, **attributes: str | float) -> Html:
@@ -35,7 +38,7 @@ def tag(name: str, /, *inside: str, **attributes: str | float) -> Html:
     >>> tag("p", "<script>", class_="note")
     '<p class="note">&lt;script&gt;</p>'
     """
-    written = "".join(f' {key.rstrip("_")}="{escape(str(value))}"' for key, value in attributes.items())
+    written = "".join(f' {key.rstrip("_")}="{escape(visible(str(value)))}"' for key, value in attributes.items())
     return Html(f"<{name}{written}>" if name in EMPTY else f"<{name}{written}>{joined(inside)}</{name}>")
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nls.plot.picture import escape_controls
 from nls.plot.report.markup import Html, tag
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     """The file of a figure, without dates and chance names."""
     from matplotlib import rc_context
 
+    escape_controls(figure)
     out = BytesIO()
     with rc_context({"svg.hashsalt": "leadline"}):
         figure.savefig(out, format=kind, dpi=DPI, metadata={"Software" if kind == "png" else "Date": None})

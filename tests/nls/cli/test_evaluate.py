@@ -6,15 +6,19 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from models import SE3, euler
+import nls
+from models import SE2, SE3, euler
 from models.algebra import Array
 from nls.io import write_kitti, write_tum
 from nls.metrics import ALIGNMENTS, ate, cep, drms2, rpe
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.graphs import moved, walk
+from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.mission.mission_files import folder
 
+BUNDLE = "1 1 1\n0 0 1 2\n" + "0\n" * 12
 HEAD = "i,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m"
 
 
@@ -105,6 +109,8 @@ def test_refusals(shell: Shell) -> None:
     }
     for name, text in files.items():
         shell.file(text, name)
+    shell.file(BUNDLE, "b.bal")
+    (shell / "empty").mkdir()
     for words, message in (
         ("a.tum late.tum", "none of 4 poses has a match"),
         ("a.tum n.csv", "a.tum has times alone; n.csv has numbers alone. Expected times in both"),
@@ -120,7 +126,11 @@ def test_refusals(shell: Shell) -> None:
         ("n.csv empty.csv", "empty.csv:1: has no row below its names"),
         ("n.csv image.csv", "image.csv:1: no column 'x_m'"),
         ("n.csv lost.csv", "lost.csv"),
-        ("n.csv graph.g2o", "a file ending in .tum, .kitti or .csv"),
+        ("n.csv graph.txt", "a folder, or a file ending in .g2o, .toro, "),
+        ("n.csv lost.g2o", "lost.g2o: cannot be read"),
+        ("n.csv b.bal", "holds the poses of one kind, this graph has none"),
+        ("empty n.csv", "expected a folder with trajectory.csv, as nls solve empty -o OUT writes"),
+        ("n.csv empty", "expected a folder with truth.csv or truth.npz or trajectory.csv"),
         ("n.csv n.csv --distances 0,5", "meters above 0 with commas between"),
         ("n.csv n.csv --distances far", "meters above 0 with commas between"),
         ("n.csv n.csv --tolerance 1", "the poses are matched by number, not by time"),
@@ -173,3 +183,80 @@ def test_a_straight_track_has_no_sense(shell: Shell) -> None:
     record = json.loads(shell("evaluate a.csv b.csv --distances 10 --json -"))
     assert record["rpe_unknown"] is None
     assert record["rpe"][0]["pairs"] == 30
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_the_rotation_error_and_the_alignment_are_those_of_other_code(shell: Shell, align: str) -> None:
+    """Angles of R_i^-1 S_i by SciPy, after a motion that is known; the report says this motion in words."""
+    P, Q = pair()
+    write_tum(shell / "a.tum", np.arange(60.0), P)
+    write_tum(shell / "b.tum", np.arange(60.0), Q)
+    out = shell(f"evaluate a.tum b.tum --align {align} --distances 5 --json r.json")
+    record = json.loads((shell / "r.json").read_text())
+    R, p, q = Rotation.from_quat(record["T"][3:]), Rotation.from_quat(P[:, 3:]), Rotation.from_quat(Q[:, 3:])
+    rmse = np.degrees(np.sqrt(np.mean((q.inv() * R * p).magnitude() ** 2)))
+    assert record["ate"]["rotation_rmse_deg"] == pytest.approx(rmse, rel=1e-9, abs=1e-9)
+    assert record["ate"]["rotation_rmse_deg"] > 1
+    assert f"rotation {rmse:.4g} deg rmse" in row(out, "ATE")
+    assert record["translation_m"] == record["T"][:3]
+    yaw = R.as_euler("ZYX", degrees=True)[0]
+    assert record["yaw_deg"] == pytest.approx(yaw, abs=1e-9)
+    assert record["tilt_deg"] == pytest.approx(np.degrees(np.arccos(min(R.as_matrix()[2, 2], 1.0))), abs=1e-5)
+    assert (f"turned by {yaw:.4g} deg" in row(out, "alignment")) == (align != "none")
+    assert not record["turned_over"]
+
+
+@pytest.mark.parametrize("align", ["rigid", "similarity"])
+def test_a_mirrored_track_is_called_so_and_its_cure_helps(shell: Shell, align: str) -> None:
+    """A level track and its mirror image differ by half a turn about a horizontal axis, which no ATE shows."""
+    t, X = circle()
+    (shell / "truth.csv").write_text(plane("time,x,y,yaw", t, X))
+    (shell / "mirrored.csv").write_text(plane("time,x,y,yaw", t, X * [1, -1, -1]))
+    out, err = shell.both(f"evaluate mirrored.csv truth.csv --align {align} --json r.json")
+    record = json.loads((shell / "r.json").read_text())
+    assert record["ate"]["rmse_m"] < 1e-9
+    assert (record["turned_over"], record["tilt_deg"]) == (True, pytest.approx(180.0))
+    assert record["ate"]["rotation_rmse_deg"] > 90
+    assert err.startswith(f"nls: warning: mirrored.csv: the alignment {align} turned the track over")
+    assert "tilted by 180 deg" in row(out, "alignment")
+    # the cures: another alignment shows it, other signs remove it
+    assert json.loads(shell("evaluate mirrored.csv truth.csv --align yaw --json -"))["ate"]["rmse_m"] > 5
+    (shell / "signs.csv").write_text(plane("time,x,y,yaw", t, X))
+    assert json.loads(shell(f"evaluate signs.csv truth.csv --align {align} --json -"))["turned_over"] is False
+
+
+def test_graphs_are_compared_as_they_are_written(shell: Shell) -> None:
+    """A g2o file, its npz and json, its TUM: the same errors, of the plane and of space, in any order of vertices."""
+    _, X = circle(20)
+    vertices = [f"VERTEX_SE2 {k} {' '.join(map(repr, pose))}" for k, pose in enumerate(X.tolist())]
+    edges = [f"EDGE_SE2 {k} {k + 1} 1 0 0.2 {INFORMATION_2}" for k in range(19)]
+    shell.file("\n".join([*vertices[::-1], *edges]) + "\n", "truth.g2o")
+    shell("solve truth.g2o --allow-doubtful -o solved.g2o --quiet")
+    for name in ("npz", "json", "tum"):
+        shell(f"convert solved.g2o solved.{name}")
+    shell("convert truth.g2o truth.tum")
+    records = {
+        name: shell.report(f"evaluate solved.{name} truth.{'tum' if name == 'tum' else 'g2o'} --align rigid")
+        for name in ("g2o", "npz", "json", "tum")
+    }
+    P, Q = ([nls.load(shell / f"{name}.g2o")[1][nls.Kind("x")[range(20)]]] for name in ("solved", "truth"))
+    error = ate(P[0], Q[0], "rigid")
+    assert error.rmse > 0.1
+    for name, record in records.items():
+        assert record["matched"] == 20, name
+        assert record["ate"]["rmse_m"] == pytest.approx(error.rmse, rel=1e-9), name
+        assert record["ate"]["rotation_rmse_deg"] == pytest.approx(np.degrees(error.rotation), rel=1e-9), name
+    angles = np.abs(SE2.local(SE2.compose(error.T[None], P[0]), Q[0])[:, 2])
+    assert error.angles == pytest.approx(angles)
+    assert "nls convert GRAPH OUT.tum" in shell.refused("evaluate solved.g2o truth.tum")
+
+
+def test_folders_of_missions_are_compared_by_their_names(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
+    folder(shell / "m")
+    shell("solve m -o solved")
+    files = shell.report("evaluate solved/trajectory.csv m/truth.csv --distances 1")
+    assert files["ate"]["rmse_m"] > 0
+    assert shell.report("evaluate solved m --distances 1") == files
+    assert shell.report("evaluate solved solved --distances 1")["ate"]["rmse_m"] == 0
+    assert "nls solve m -o OUT writes" in shell.refused("evaluate m m")

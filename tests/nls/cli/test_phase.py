@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.nls.cli.shell import Shell
+from tests.nls.io.g2o_files import PLANE
 from tests.nls.plot.html_page import undrawn
 
 ROOT = Path(__file__).parents[3]
@@ -169,3 +170,27 @@ def test_standard_output_that_nobody_reads(unbuffered: bool, shell: Shell) -> No
 def test_standard_output_that_is_closed(shell: Shell) -> None:
     program = "import os, sys\nos.close(1)\nos.execv(sys.executable, [sys.executable, '-m', 'nls', 'info', {!r}])"
     assert run(program.format(shell.file()))[::2] == (0, "")
+
+
+@posix
+@pytest.mark.parametrize("closed", [(2,), (0, 2), (1, 2), (0, 1, 2)])
+def test_standard_error_that_is_closed(closed: tuple[int, ...], shell: Shell) -> None:
+    """Results are as they were, what is said there is said nowhere, and no file gets the number of standard error."""
+    good, unknown = shell.file(), shell.file(PLANE + "OTHER 1\n", "other.g2o")
+    program = "import os, sys\nfor k in {}: os.close(k)\nos.execv(sys.executable, [sys.executable, '-m', {!r}, *{!r}])"
+    for module, words, status in (
+        ("nls", ["solve", good, "-o", "out.g2o", "--json", "r.json"], 0),
+        ("nls", ["solve", unknown, "-o", "other.toro"], 0),
+        ("nls", ["solve", "lost.g2o"], 2),
+        ("nls", ["solve"], 2),
+        ("nls", ["stream", good], 0),
+        ("nls", ["explain", good], 0),
+        ("sim", ["ring", "--laps", "1", "--per-lap", "4"], 0),
+        ("sim", ["rung"], 2),
+    ):
+        done, out, err = run(program.format(closed, module, words))
+        assert (done, err) == (status, ""), words
+        assert "nls" not in out.replace("nls-sim ring", ""), words
+    text = (shell / "out.g2o").read_text()
+    assert "VERTEX_SE2" in text
+    assert "nls" not in text

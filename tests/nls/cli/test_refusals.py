@@ -33,6 +33,7 @@ FILES = {
     "t.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
     "bad": "0 1 2 3 0 0 0 2\n",
     "empty": "",
+    "huge.g2o": "\nEDGE_SE2 0 1 1.5 0 0 1e300 0 0 100 0 100\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 100\n",
     "b.bal": "1 1 1\n0 0 10.5 -3\n0 0 0 0 0 0 500 0 0\n0.1 0.2 -5\n",
     "log.csv": "a,b\n1,2\n",
     "a log.csv": "a,b\n1,2\n",
@@ -41,12 +42,18 @@ FILES = {
     "alone/survey.g2o": PLANE,
 }
 REFUSED = r"""
-solve => the following arguments are required: FILE
 frobnicate => invalid choice: 'frobnicate'
 slove graph.g2o => ; did you mean 'solve'\?
 solve graph.g2o --frobnicate => unrecognized arguments: --frobnicate
 solve graph.g2o --certfy => ; did you mean '--certify'\?
-explain graph.g2o --certfy => unrecognized arguments: --certfy; see
+explain graph.g2o --certfy => unrecognized arguments: --certfy; see 'nls explain --help'$
+solve => the following arguments are required: FILE; see 'nls solve --help'$
+stream {|graph.g2o} {--foo|--bar=3} => ^nls: unrecognized arguments: (--foo|--bar=3); see 'nls stream --help'$
+solve {|graph.g2o} --robst dcs => arguments: --robst.*; did you mean '--robust'\?; see 'nls solve --help'$
+info graph.g2o other.g2o => unrecognized arguments: other.g2o; see 'nls info --help'$
+--foo => unrecognized arguments: --foo; see 'nls --help'$
+solve square.g2o --robust gnc => ; did you mean 'gnc-tls'\?$
+{solve|explain} huge.g2o => ^nls: huge.g2o:2: Between\(x0, x1\): its measurement .* too many for a chi2
 solve graph.g2o {--init|--linear-solver|--convention|--gauge|--method|--dialect} zzz => invalid choice: 'zzz' [^;]*; see
 explain graph.g2o --init nothing => invalid choice: 'nothing'
 solve graph.g2o --gauge frist => ; did you mean 'first'\?
@@ -57,6 +64,7 @@ solve graph.g2o {--update-tol|--chi2-rtol} {nan|-1|inf} => --(update-tol|chi2-rt
 stream graph.g2o --lag {-1|0} => --lag: (-1|0) is not possible; expected a whole number of poses of at least 1$
 {solve|explain|info} graph.g2o {--json ''|--json alone} => --json: '(|alone)' is not possible; expected
 solve graph.g2o {-o|--covariance|--plot|--report} '' => (-o|--covariance|--plot|--report): '' is not possible
+solve graph.g2o --covariance {c.xlsx|c|c.zip} => --covariance: 'c.*' is not possible; expected a file name ending in
 {plot|convert} graph.g2o '' => ^nls: OUT: '' is not possible
 stream m => m: is a folder; expected a file or a pipe: nls convert m m.npz writes one$
 stream graph.g2o --checkpoint '' => --checkpoint: '' is not possible
@@ -132,8 +140,8 @@ explain square.g2o --robust gnc-tls => one of huber, .*; nls solve has gnc-tls a
 solve chain.g2o --robust gnc-tls => no loop closures, (.|\n)*-> use a robust kernel: --robust cauchy:1$
 solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certify: .
 solve graph.g2o --improve --sigmas estimate => expected stated with --improve
-solve ray.g2o --improve => ^nls: certify: Bearing\(x0, l20\)
-solve ray.g2o --certify => ^nls: certify: Bearing\(x0, l20\)
+solve ray.g2o --improve => ^nls: ray.g2o:10: certify: Bearing\(x0, l20\)
+solve ray.g2o --certify => ^nls: ray.g2o:10: certify: Bearing\(x0, l20\)
 
 solve m -o m => -o: 'm' is not possible; expected another folder than that of the mission
 solve m -o {m/zpr.csv|m/zpr.csv/in|-|''} => -o: '.*' is not possible; expected a folder

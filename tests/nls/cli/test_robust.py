@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,10 @@ def test_what_was_rejected_is_said_and_left_out(
     record = json.loads((shell / "r.json").read_text())
     rejected = {each["factor"] for each in record["rejected"]}
     assert wrong <= rejected
+    lines = path.read_text().splitlines()
+    for each in record["rejected"]:
+        assert each["file"] == str(path)
+        assert lines[each["line"] - 1].split()[1:3] == re.findall(r"x(\d+)", each["factor"])
     assert len(rejected) <= len(wrong) + 0.05 * record["doubted"]
     assert (record["init"], record["certificate"]["verdict"]) == ("gnc-tls", "certified")
     assert record["chi2_final"] < 2 * record["dof"]

@@ -21,6 +21,7 @@ from tests.nls.io.g2o_files import PLANE, write
 
 SCHEMA = json.loads(Path(nls.explanation.__file__).with_name("schema.json").read_text(encoding="utf-8"))
 SOLVE = json.loads(Path(nls.cli.__file__).with_name("schema.json").read_text(encoding="utf-8"))
+EVALUATE = json.loads(Path(nls.cli.__file__).with_name("evaluate.json").read_text(encoding="utf-8"))
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "json.md"
 FREE = "VERTEX_XY 9 1 1\nEDGE_BEARING_SE2_XY 1 9 0.3 100\n"
 APART = "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n"
@@ -64,6 +65,15 @@ def test_reports_of_solve_are_as_their_schema(
     Path("r.json").unlink()
 
 
+@for_all(words=[[], ["--align", "similarity"], ["--distances", "1,1e9"]])
+def test_reports_of_evaluate_are_as_their_schema(words: list[str], tmp_path: Path) -> None:
+    graph, where = str(write(tmp_path, PLANE)), tmp_path / "r.json"
+    assert main(["evaluate", graph, graph, *words, "--json", str(where)]) == 0
+    Draft202012Validator(EVALUATE).validate(json.loads(where.read_text()))
+    with pytest.raises(Exception, match="is a required property"):
+        Draft202012Validator(EVALUATE).validate({"schema": "evaluate 1"})
+
+
 def test_the_report_of_a_mission_is_as_its_schema(tmp_path: Path) -> None:
     mission, where = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6), tmp_path / "r.json"
     write_mission(tmp_path / "m", mission.graph, mission.sonar, mission.offset, mission.truth)
@@ -86,7 +96,7 @@ def test_every_kind_of_finding_is_as_the_schema_and_its_page_say() -> None:
 
 
 def test_every_field_is_described_and_none_is_left_over() -> None:
-    for described in [*objects(SCHEMA), *objects(SOLVE)]:
+    for described in [*objects(SCHEMA), *objects(SOLVE), *objects(EVALUATE)]:
         assert described["additionalProperties"] is False
         assert set(described["required"]) <= set(described["properties"])
         for name, field in described["properties"].items():

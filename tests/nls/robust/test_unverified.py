@@ -11,6 +11,7 @@ from factors import Between, Diagonal
 from nls import FactorGraph, kinds
 from nls.analysis import unverified_groups
 from nls.cli.outliers import record
+from nls.io.report import Source
 from nls.robust import Robustified
 
 (x,) = kinds("x")
@@ -39,7 +40,7 @@ def test_the_choice_its_report_and_its_record_have_the_group(carried: Robustifie
     assert carried.unverified is carried.unverified
     numbers = f"redundancy 0.00, the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas) without it"
     assert f"accepted, not verified: Between(x0, x50) and 9 more: {numbers}" in carried.report()
-    (entry,) = record(carried)["unverified"]
+    (entry,) = record(carried, [Source("a.g2o", np.zeros(len(w), np.intp)) for w in carried.weights])["unverified"]
     assert entry["factors"] == [f"Between(x{k}, x{k + 50})" for k in range(10)]
     assert [entry[name] for name in ("redundancy", "meters", "rms", "sigmas")] == [
         group.redundancy,
@@ -53,5 +54,5 @@ def test_a_choice_of_right_closures_has_none() -> None:
     world = sim.ring(np.random.default_rng(0), laps=2, per_lap=60)
     choice = nls.gnc(world.graph, world.truth)
     assert choice.unverified == ()
-    assert record(choice)["unverified"] == []
+    assert record(choice, ())["unverified"] == []
     assert not any("not verified" in line for line in choice.report())

@@ -11,8 +11,9 @@ from nls.io.mission.checks.findings import Cause, Implausible, Reading
 from nls.io.mission.checks.log import Log, middle
 from nls.io.mission.checks.readings import DEGREES, SPEED_UNITS
 from nls.io.mission.columns import ANGLES, VELOCITY
+from nls.io.mission.table import Table
 
-__all__ = ["ALONE", "depth_of", "outliers_of", "scatter_of", "step_of", "stuck_of", "tilt_of", "turn_of"]
+__all__ = ["depth_of", "outliers_of", "scatter_of", "sound_speeds", "step_of", "stuck_of", "tilt_of", "turn_of"]
 FASTEST = 10.0  # m/s, of a vehicle under water
 USUAL = 0.05, 5.0  # m/s
 STEEPEST, LONG = np.radians(30.0), 0.2  # rad, and the part of a log that may be beyond
@@ -31,6 +32,8 @@ FEW_ROWS = 20
 DAY = 86400.0  # s
 AIR, WEATHER = 10.1325, 0.06  # dbar at the surface, about m of water, and how much it changes
 PRESSURES = (1.0, 10.0, 100.0, 1e4)  # dbar, kPa, hPa and Pa in a dbar
+SOUND = 1400.0, 1600.0  # m/s, in fresh water at 0 deg C, and in the Red Sea or the deepest trench
+SOUND_UNITS = (3.2808, 1e3, 100.0, 1e-3)  # ft/s, mm/s, cm/s and km/s in a m/s
 
 
 def _at(check: str, column: str, row: int, measured: float, limit: float, unit: str, *causes: Reading) -> Implausible:
@@ -207,6 +210,21 @@ def scatter_of(file: str, column: str, y: Array, sigmas: dict[str, float], sigma
     if (ratio := measured / sigmas[sigma]) > ROUGH:
         cause = Reading(Cause.SIGMA, "noise.csv", sigma, ratio)
         yield Implausible("scatter", file, 0, column, measured, ROUGH * sigmas[sigma], "", (cause,))
+
+
+def sound_speeds(table: Table | None) -> list[Implausible]:
+    """Speeds of sound that water does not have."""
+    if table is None:
+        return []
+    c = table.floats("sound_speed_m_s")[:, 0]
+    if not (out := (c < SOUND[0]) | (c > SOUND[1])).any():
+        return []
+    row = int(np.argmax(out))
+    low, high = SOUND
+    factor = next((f for f in SOUND_UNITS if low < c[row] / f < high), None)
+    file, column = "sound-speed.csv", "sound_speed_m_s"
+    cause = Reading(Cause.UNIT, file, column, factor) if factor else Reading(Cause.UNKNOWN, file, column)
+    return [_at("sound speed", column, row, c[row], low if c[row] < low else high, "m/s", cause)]
 
 
 ALONE = (steps, speeds, locks, tilts, turns, depths, outliers, scatter)

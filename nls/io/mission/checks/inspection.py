@@ -8,15 +8,13 @@ import numpy as np
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.checks.acoustics import sound_speeds
 from nls.io.mission.checks.agreement import of_way_down
-from nls.io.mission.checks.alone import ALONE
+from nls.io.mission.checks.alone import ALONE, sound_speeds
 from nls.io.mission.checks.clocks import of_clocks
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
-from nls.io.mission.checks.fixes import jumping, of_fixes
 from nls.io.mission.checks.log import Log, read_fixes, read_log
 from nls.io.mission.checks.special import repeated, special_values, stale, without
-from nls.io.mission.checks.track import of_heading, of_ship, of_track
+from nls.io.mission.checks.track import jumping, of_fixes, of_heading, of_ship, of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]

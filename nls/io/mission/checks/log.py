@@ -130,18 +130,10 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     largest = max(float(np.abs(y).max()) for y in (v[valid], rpy, z, mount) if len(y)) if valid.any() else np.inf
     if min(len(t_v[valid]), len(t_a), len(t_z)) < FEWEST or not largest < LARGEST:
         return None
-    log = Log(
-        t_v,
-        np.where(valid[:, None] | (np.abs(v) < LARGEST), v, 0.0),
-        valid,
-        t_a,
-        rpy,
-        t_z,
-        z[:, 0],
-        euler.to_se3(mount),
-        dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True)),
-        read_fixes(tables.get("fixes"), plane),
-    )
+    v = np.where(valid[:, None] | (np.abs(v) < LARGEST), v, 0.0)
+    sigmas = dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True))
+    fixes = read_fixes(tables.get("fixes"), plane)
+    log = Log(t_v, v, valid, t_a, rpy, t_z, z[:, 0], euler.to_se3(mount), sigmas, fixes)
     if dvl.has("earth_axes"):
         earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
         log = replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))

@@ -42,10 +42,7 @@ OF_TABLES: dict[str, tuple[tuple[tuple[str, ...], Iterable[float]], ...]] = {  #
     "zpr": tuple(((name,), (DEGREES,) if name.endswith("_rad") else LENGTH_UNITS) for name in TILT),
     "closures": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS)),
     "contacts": ((("azimuth_rad",), TURN_UNITS), (("range_m",), PLACE_UNITS)),
-    "usbl": (
-        (("bearing_rad", "elevation_rad"), TURN_UNITS),
-        (("range_m",), (*PLACE_UNITS, 2.0, 0.5)),
-    ),
+    "usbl": ((("bearing_rad", "elevation_rad"), TURN_UNITS), (("range_m",), (*PLACE_UNITS, 2.0, 0.5))),
     "ranges": ((("range_m",), (*PLACE_UNITS, 2.0, 0.5)), (("travel_time_s",), TIME_UNITS)),
     "ship": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS), (("roll_rad", "pitch_rad"), ()), (("z_m",), ())),
     "beacons": ((LEVEL, PLACE_UNITS), (("z_m",), ())),

@@ -12,7 +12,6 @@ it is special between two rows only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from copy import copy
 
 import numpy as np
 
@@ -52,8 +51,7 @@ def without(tables: dict[str, Table], findings: list[Implausible]) -> dict[str, 
     out = dict(tables)
     for name in {entry.file.removesuffix(".csv") for entry in findings}:
         rows = np.concatenate([entry.lines for entry in findings if entry.file == f"{name}.csv"])
-        out[name] = copy(tables[name])
-        out[name].lines = np.delete(tables[name].lines, rows)
+        out[name] = tables[name].part(np.delete(np.arange(len(tables[name])), rows))
     return out
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from nls.io.mission.checks.alone import (
     FAR,
     FASTEST,
@@ -29,12 +29,15 @@ from nls.io.mission.checks.alone import (
     turn_of,
 )
 from nls.io.mission.checks.findings import Cause, Implausible, Reading
-from nls.io.mission.checks.log import Fixes, Log
+from nls.io.mission.checks.log import Fixes, Log, middle
 from nls.io.mission.columns import ANGLES, VELOCITY
 from nls.io.mission.table import Table
 
-__all__ = ["of_heading", "of_ship", "of_track"]
+__all__ = ["jumping", "of_fixes", "of_heading", "of_ship", "of_track"]
 LARGEST = 1e9  # m, as the reader has it
+FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more; a voyage may be longer
+FEW_FIXES, WILD_SHARE = 10, 0.02  # fixes of which some may jump, and the part of them that may
+DRIFT = 0.1  # of the way between three fixes
 AHEAD, ASIDE = 0.9, 0.8  # R of a vehicle that goes ahead; at most that of one that does not
 CLEAR = 6.0  # sigmas of a fix that the middle way from one to the next has
 TURNED, MANY = 2 * np.pi, 40  # rad, of at most so many headings: less is by chance
@@ -121,6 +124,47 @@ def _between_fixes(fixes: Fixes, ahrs: Table) -> Iterator[Implausible]:
         Reading(Cause.SIGN, file, north, -1.0): np.pi - course - yaw,
     }
     yield from _heads(course - yaw, others, np.abs(steps))
+
+
+def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
+    """Implausible fixes, of which some (n,) are `jumping`; lines are rows of the table."""
+    return [] if fixes is None else [*_far(fixes), *_jumps(fixes, wild)]
+
+
+def _far(fixes: Fixes) -> Iterator[Implausible]:
+    """Fixes beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost."""
+    away = np.linalg.norm(fixes.p, axis=1)
+    low, high = np.quantile(fixes.p, [0.05, 0.95], axis=0)
+    if (distance := float(np.median(away))) <= max(FARTHEST, float(np.linalg.norm(high - low))):
+        return
+    near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < FARTHEST]
+    reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
+    row = int(fixes.rows[np.argmax(away > FARTHEST)])
+    yield Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, FARTHEST, "m", (reading,))
+
+
+def _jumps(fixes: Fixes, wild: Mask) -> Iterator[Implausible]:
+    """So many single fixes leave those before and after that a robust kernel is needed."""
+    if wild.any() and wild.mean() > WILD_SHARE:
+        row = int(fixes.rows[np.argmax(wild)])
+        reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
+        yield Implausible(
+            "jumps", "fixes.csv", row, fixes.columns[0], wild.mean(), WILD_SHARE, "of the rows", (reading,)
+        )
+
+
+def jumping(log: Log) -> Mask:
+    """Single fixes (n,) of a thinned log that leave those before and after, which the DVL joins; none of a few."""
+    fixes = log.fixes
+    if fixes is None or len(fixes.t) < FEW_FIXES:
+        return np.zeros(0 if fixes is None else len(fixes.t), dtype=bool)
+    d = np.column_stack([np.interp(fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
+    off = fixes.p - d
+    away = np.linalg.norm(off - middle(off), axis=1)
+    step = np.linalg.norm(np.diff(d, axis=0), axis=1)
+    allowed = FAR * fixes.sigma + DRIFT * (np.append(step, 0.0) + np.append(0.0, step))
+    wild = away > np.maximum(allowed, 3 * float(np.median(away)))
+    return np.asarray(wild & (fixes.t >= log.t_v[0]) & (fixes.t <= log.t_v[-1]))
 
 
 def of_heading(log: Log) -> list[Implausible]:

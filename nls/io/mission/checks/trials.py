@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from pathlib import Path
 
 import numpy as np
 
@@ -91,7 +90,7 @@ def explained(
     center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
     tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     whole = _mission(tables, elevation, chi2, dof)
-    few = {name: table.every(-(-len(table) // MOST)) if name in TIMED else table for name, table in tables.items()}
+    few = {name: t.part(slice(None, None, -(-len(t) // MOST))) if name in TIMED else t for name, t in tables.items()}
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
     mission = _mission(few, elevation) if thinned else whole
     trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings(mission.tables))]
@@ -256,7 +255,7 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
 def _files(mission: Mission) -> dict[str, str]:
     """The file of every type of measurement; not of contacts, which are judged one by one."""
     files = {f"{name}.csv" for name in TIMED if name != "contacts"}
-    files_of = [Path(source.path).name.removesuffix(".gz") for source in mission.report.sources]
+    files_of = [file.removesuffix(".gz") for file in mission.report.tables]
     pairs = zip(mission.graph.factors, files_of, strict=True)
     return {factor.name: file for factor, file in pairs if file in files}
 

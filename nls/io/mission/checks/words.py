@@ -60,6 +60,7 @@ CAUSES = {
     Cause.OUTLIERS: "{column} of {file} {has} outliers: {act}, or give them no weight",
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small (or a variance): multiply {column} by {ratio}",
     Cause.SCALE: "{column} of {file} looks {factor:.4g} times too large: divide {column} by {factor:.4g}",
+    Cause.SWAPPED: "{column} of {file} look exchanged: exchange the names of {column}{origin}",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
     Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
 }
@@ -109,7 +110,7 @@ def cause(reading: Reading, rows: str = "") -> str:
         return f"{_none(reading)}, or leave out {rows} of {reading.file}"
     of = {"column": reading.column, "file": reading.file, "factor": reading.factor, "lines": rows}
     of["ratio"] = f"{float(f'{reading.factor:.2g}'):g}"
-    of["has"] = "have" if ", " in reading.column else "has"
+    of |= {"has": "have" if ", " in reading.column else "has", "origin": _origin(reading)}
     of["act"] = f"leave out {rows} of {reading.file}" if rows else "delete these rows"
     return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
 
@@ -118,11 +119,9 @@ def _none(r: Reading) -> str:
     names = r.column.split(", ")
     numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
     keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
-    key, table = (
-        "missing" if r.cause is Cause.NONE or len(names) == 1 else "missing_together",
-        r.file.removesuffix(".csv"),
-    )
-    return f"no {r.column} was measured there: write `{key} = {{ {keys} }}` in [{table}] of the mapping"
+    option = "missing" if r.cause is Cause.NONE or len(names) == 1 else "missing_together"
+    cure = _key(r, f"{option} = {{ {keys} }}")
+    return f"no {r.column} was measured there: {cure}"
 
 
 def _unit(r: Reading) -> str:
@@ -165,10 +164,6 @@ def _sign(r: Reading) -> str:
         f"{r.column} of {r.file} {looks} had the other sign: multiply {r.column} by -1{_origin(r)}"
         f"{_mapped(r, 'sign = -1', r.column)}{f'; {positive}' if positive else ''}"
     )
-
-
-def _swapped(r: Reading) -> str:
-    return f"{r.column} of {r.file} look exchanged: exchange the names of {r.column}{_origin(r)}"
 
 
 def _origin(r: Reading) -> str:
@@ -215,19 +210,18 @@ def _earth(r: Reading) -> str:
 
 
 def _clock(r: Reading) -> str:
-    late, act = ("late", "subtract") if r.factor > 0 else ("early", "add")
-    looks = f"times of {r.file} look about {abs(r.factor):.3g} s {late}"
+    size = f"{abs(r.factor):.3g} s"
+    late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
+    looks = f"times of {r.file} look about {size} {late}"
     if (name := f"{r.file.removesuffix('.csv')}_clock_s") in NAMES:
         return f"{looks}: {_row(name, r.factor, COARSE)}"
-    prefix = "to" if act == "add" else "from"
-    return f"{looks}: {act} {abs(r.factor):.3g} s {prefix} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
+    return f"{looks}: {act} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
 
 
 def _fast(r: Reading) -> str:
     if r.column == "yaw_rad":
-        return (
-            f"yaw_rad of {r.file} drifts by {math.degrees(60 * r.factor):.2g} deg a minute: log it by another compass"
-        )
+        drift = f"{math.degrees(60 * r.factor):.2g} deg a minute"
+        return f"yaw_rad of {r.file} drifts by {drift}: log it by another compass"
     act = f"divide time_s by {1 + r.factor:.12g}, then add {r.offset:.6f} s to it"
     return f"the clock of {r.file} looks {100 * r.factor:.2g} % fast: {act}"
 
@@ -294,7 +288,6 @@ def _zone(r: Reading) -> str:
 DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
-    Cause.SWAPPED: _swapped,
     Cause.AXES: _axes,
     Cause.EARTH: _earth,
     Cause.NORTH: _north,

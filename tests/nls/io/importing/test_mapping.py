@@ -13,6 +13,11 @@ from tests.combinations import for_all
     case=[
         ("[dvl\n", "m.toml:1: is no TOML"),
         ('a = 1\n\nb = "x\n', "m.toml:3: is no TOML"),
+        ("[dvl]\nvalid = [1, 2\n\n\n\n", "m.toml:2: is no TOML: Unclosed array"),
+        ("[dvl]\nvalid = [1,\n2 3]\n\n", "m.toml:3: is no TOML: Unclosed array"),
+        ("[dvl]\nvalid = [1, 2\n\n\nvx_m_s = 3\n", "m.toml:2: is no TOML: Unclosed array"),
+        ('[dvl]\nvalid = """abc\n\n\n', "m.toml:2: is no TOML: Unterminated string"),
+        ("[dvl]\nvalid =\n\n\n", "m.toml:2: is no TOML: Invalid value"),
         ("", "has no section"),
         ("[dvll]\n", "m.toml:1: [dvll] is no table of a mission; did you mean 'dvl'?"),
         (

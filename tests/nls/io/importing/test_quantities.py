@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nls import GraphFileError
+from nls.io.importing import draft
 from tests.combinations import for_all
 from tests.nls.io.importing.logs import imported, table
 
@@ -143,3 +145,68 @@ def test_a_special_value_of_an_angle_is_no_unit(special: str, header: str, tmp_p
         imported(tmp_path, f'{ahrs}"{header}"\n', log=log)
     cured = f'{ahrs}{{ column = "{header}", unit = "deg" }}\nmissing = {special}\n'
     assert table(imported(tmp_path, cured, log=log), "ahrs")["time_s"].tolist() == [0, 1, 4]
+
+
+UNKNOWN = """\
+t [s];z [furlong] | "t [s]" | "z [furlong]" | :3: 'z [furlong]' is in furlong, an unknown unit; z_m is a length, m
+t [s];z [nautical miles] | "t [s]" | "z [nautical miles]" | is in nautical miles, an unknown unit
+t;z\\ns;furlong | "t" | "z" | :3: 'z' is in furlong, an unknown unit
+t;z\\n[s];[fm] | "t" | "z" | 'z' is in fm, an unknown unit
+t [fortnight];z [m] | "t [fortnight]" | "z [m]" | :2: 't [fortnight]' is in fortnight, an unknown unit; time_s is a time
+t;z\\nfortnight;m | "t" | "z" | :2: 't' is in fortnight, an unknown unit
+"""
+
+
+@for_all(case=UNKNOWN.splitlines())
+def test_a_unit_that_is_not_known_is_refused_and_not_taken_for_that_of_the_mission(case: str, tmp_path: Path) -> None:
+    """The line that is printed is the cure; a draft of the log is refused as well, with the same cure."""
+    head, time, column, sentence = case.split(" | ")
+    mapping, log = f"[depth]\ntime_s = {time}\nz_m = {column}\n", head.replace("\\n", "\n") + "\n0;1\n1;2\n"
+    with pytest.raises(GraphFileError) as caught:
+        imported(tmp_path, mapping, log=log)
+    assert sentence in str(caught.value)
+    key, written = str(caught.value).split("; write ")[1].split(" if it is")[0].split(" = ", 1)
+    cured = "".join(f"{key} = {written}\n" if line.startswith(key) else f"{line}\n" for line in mapping.splitlines())
+    rows = table(imported(tmp_path, cured, log=log), "depth")
+    assert (rows["time_s"].tolist(), rows["z_m"].tolist()) == ([0.0, 1.0], [1.0, 2.0])
+    drafted = draft([tmp_path / "log.csv"]).split("[noise]")[0]
+    with pytest.raises(GraphFileError, match="an unknown unit"):
+        imported(tmp_path, drafted, log=log)
+
+
+@for_all(head=["t (UTC)", "t [Unix time]", "time [GPS]", "t [s]"])
+def test_the_clock_of_a_time_is_no_unit(head: str, tmp_path: Path) -> None:
+    rows = table(
+        imported(tmp_path, f'[depth]\ntime_s = "{head}"\nz_m = "z [m]"\n', log=f"{head},z [m]\n0,1\n1,2\n"), "depth"
+    )
+    assert rows["time_s"].tolist() == [0.0, 1.0]
+
+
+def test_a_draft_takes_the_units_of_their_row(tmp_path: Path) -> None:
+    log = "time,depth\ns,cm\n0,100\n1,200\n"
+    (tmp_path / "log.csv").write_text(log)
+    rows = table(imported(tmp_path, draft([tmp_path / "log.csv"]).split("[noise]")[0], log=log), "depth")
+    assert rows["z_m"].tolist() == [1.0, 2.0]
+
+
+EXTREMES = ("1e300", "-1e300", "inf", "nan", "9223372036854775808", "-9223372036854775809", "1" + 400 * "0", "1e-300")
+NUMBERS = """\
+time_zero = {}\\n[depth]\\ntime_s = "t [s]"\\nz_m = "z [m]"
+[depth]\\ntime_s = {{ column = "date", offset = {} }}\\nz_m = "z [m]"
+[depth]\\ntime_s = {{ column = "t [s]", offset = {} }}\\nz_m = {{ column = "z [m]", offset = {} }}
+[depth]\\ntime_s = {{ column = "t [s]", scale = {} }}\\nz_m = {{ column = "z [m]", scale = {} }}
+[depth]\\ntime_s = {{ row = {} }}\\nz_m = "z [m]"
+[depth]\\nskip = {}\\ntime_s = "t [s]"\\nz_m = "z [m]"
+[depth]\\nmissing = {}\\ntime_s = "t [s]"\\nz_m = {}
+[ahrs]\\ntime_s = "t [s]"\\nroll_rad = {}\\npitch_rad = 0\\nyaw_rad = 0
+[origin]\\nlat_deg = {}\\nlon_deg = {}
+"""
+
+
+@for_all(mapping=NUMBERS.splitlines(), number=EXTREMES)
+def test_a_number_of_any_size_is_used_or_refused(mapping: str, number: str, tmp_path: Path) -> None:
+    """Never another exception: dates and whole numbers overflow where other numbers do not."""
+    text = mapping.replace("\\n", "\n").replace("{}", number).replace("{{", "{").replace("}}", "}") + "\n"
+    log = "t [s],z [m],date\n1600000000,1,2022-08-15 09:59:38\n1600000001,2,2022-08-15 09:59:39\n"
+    with suppress(GraphFileError):
+        imported(tmp_path, text, log=log)

@@ -15,7 +15,7 @@ from models.algebra import Array
 from nls.io.mission.checks import Cause, Fixes, Log, implausible
 from nls.io.mission.checks.alone import tilt_of
 from nls.io.mission.checks.clocks import of_clocks
-from nls.io.mission.checks.fixes import of_fixes
+from nls.io.mission.checks.track import of_fixes
 from nls.io.mission.checks.words import sentence
 from nls.io.mission.columns import COLUMNS, OPTIONAL
 from nls.io.mission.table import Table
