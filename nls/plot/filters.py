@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models import LINE
+from nls.covariance import frames
 from nls.covariance.ellipse import outlines
-from nls.covariance.frames import axes as axes_of
-from nls.covariance.frames import turned
+from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
 from nls.plot.axes import axes_or_new, figure_of, legend_below
@@ -104,8 +104,8 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
     axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     axes.plot(*manifold.position(track.X).T, color=ESTIMATE, linewidth=1.0, label=track.method)
     shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
-    J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
-    p, P = manifold.position(track.X[shown]), turned(J, track.P[shown])
+    J, _ = frames.axes(track.x, manifold, track.X[shown], None, "position")
+    p, P = manifold.position(track.X[shown]), frames.turned(J, track.P[shown])
     scale = magnification(float(np.ptp(p, axis=0).max()), float(np.sqrt(np.linalg.eigvalsh(P).max())))
     label = f"95 % of the vehicle{larger(scale)}"
     _outlines(axes, p, scale * outlines(P), color=ELLIPSE, linewidth=0.8, label=label)
@@ -239,8 +239,8 @@ def belief(
     axes = axes_or_new(axes, (6, 6))
     keys, L, P_landmarks = estimator.landmarks
     (X, P), poses = estimator.pose, truth.stack(POSE)
-    J, _ = axes_of(pose, poses.manifold, X[None], None, "position")
-    Sigma, path = turned(J, P[None]), np.asarray(poses.manifold.position(poses.X))
+    J, _ = frames.axes(pose, poses.manifold, X[None], None, "position")
+    Sigma, path = frames.turned(J, P[None]), np.asarray(poses.manifold.position(poses.X))
     if scale is None:
         spread = [np.sqrt(np.linalg.eigvalsh(P_i).max()) for P_i in (Sigma, P_landmarks) if len(P_i)]
         scale = magnification(LARGE * float(np.ptp(path, axis=0).max()), float(max(spread)))
@@ -300,9 +300,6 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
     """
     from matplotlib.figure import Figure
 
-    from nls.filters.consistency import nees as nees_of
-    from nls.filters.consistency import nees_bounds, regular
-
     figure = Figure(figsize=(10.5, 9), layout="constrained")
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
@@ -320,10 +317,10 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
         style = {"color": colors[k % len(colors)], "linewidth": 1.3, "linestyle": DASHES[k % len(DASHES)]}
         off(manifold.position(track.X), track.method, **style)
         sigmas.plot(x.numbers, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
-        e2, valid = np.full(len(x), np.nan), regular(track.P)
-        e2[valid] = nees_of(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
+        e2, valid = np.full(len(x), np.nan), consistency.regular(track.P)
+        e2[valid] = consistency.nees(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
         nees.plot(x.numbers, e2, **style)
-    for bound in nees_bounds(manifold.dim, 1, probability):
+    for bound in consistency.nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
     places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
     places.set_aspect("equal", adjustable="datalim")
