@@ -22,8 +22,8 @@ from nls import Marginals, kinds
 from nls.sonar.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
 from nls.sonar.scans.candidates import HALF, centers, pairs
 from nls.sonar.scans.matches import verdicts
+from nls.sonar.scans.matching import match_submap
 from nls.sonar.scans.scans import in_world
-from nls.sonar.scans.submaps import match_submap
 
 Array = npt.NDArray[np.float64]
 GEOMETRIES = ("marina", "quay", "rocks")

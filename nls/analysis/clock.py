@@ -21,13 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from models import SE2, SE3, LieGroup
-from models.algebra import Array, Mask, apply
+from models.algebra import Array, Index, Mask, apply
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import checks, kinds_of
 from nls.analysis.linearization import Checked
 from nls.values import Stack, Values
 
-__all__ = ["ClockOffset", "clock_offsets"]
+__all__ = ["ClockOffset", "central_differences", "clock_offsets"]
 
 UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
 LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock
@@ -80,7 +80,8 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
     kinds = {
         name: [k for k, _ in kind]
         for name, kind in kinds_of(checked.linear.pattern, count).items()
-        if sum(len(indices) for _, indices in kind) >= MANY and all(_attached(checked, k, speeds) for k, _ in kind)
+        if sum(len(indices) for _, indices in kind) >= MANY
+        and all(len(_moving(checked, k, speeds)) == 1 for k, _ in kind)
     }
     names = list(kinds)
     if not names:
@@ -132,11 +133,16 @@ def velocities(stack: Stack) -> Array:
     group = stack.manifold
     assert isinstance(group, LieGroup)
     order = np.argsort(stack.numbers, kind="stable")
-    place = np.arange(len(order))
-    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(place) - 1)
     v = np.zeros((len(order), group.dim))
-    v[order] = group.log(group.between(stack.X[order[before]], stack.X[order[after]])) / (after - before)[:, None]
+    v[order] = central_differences(group, stack.X[order], np.arange(len(order)))
     return v
+
+
+def central_differences(group: LieGroup, X: Array, t: Array | Index) -> Array:
+    """Velocities (n, dim) of poses X (n, size) at rising times t (n,), over the steps before and after each."""
+    place = np.arange(len(X))
+    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(place) - 1)
+    return np.asarray(group.log(group.between(X[before], X[after])) / (t[after] - t[before])[:, None])
 
 
 def _tracks(values: Values) -> list[tuple[str, Stack]]:
@@ -147,11 +153,6 @@ def _tracks(values: Values) -> list[tuple[str, Stack]]:
 def _moving(checked: Checked, k: int, speeds: Mapping[str, object]) -> list[str]:
     """Kinds of poses with a velocity among the variables of a factor."""
     return [kind for kind in checked.linear.pattern.batches[k].kinds if kind in speeds]
-
-
-def _attached(checked: Checked, k: int, speeds: Mapping[str, object]) -> bool:
-    """Whether measurements are of one moving pose, and of points or nothing else."""
-    return len(_moving(checked, k, speeds)) == 1
 
 
 def _test(checked: Checked, kinds: list[list[int]], speeds: Mapping[str, Array]) -> tuple[Array, Array, Mask]:

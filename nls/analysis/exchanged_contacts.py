@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import Keys
+from factors.replaced import replaced
 from factors.sighting import Sighting
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
-from nls.values import Values, take
+from nls.values import Values
 
 __all__ = ["Exchanged", "exchanged_contacts"]
 
@@ -69,6 +70,8 @@ def exchanged_contacts(graph: FactorGraph, values: Values, rejected: Sequence[Ma
         stack = values.stack(factor.keys[1].kind)
         rows = np.flatnonzero(mask & np.isin(factor.keys[1].numbers, stack.numbers))
         a, b = _together(factor.keys[0].numbers[rows])
+        if not len(a):
+            continue
         a, b = rows[a], rows[b]
         s_ab, s_ba = _misfit(factor, values, a, b), _misfit(factor, values, b, a)
         s_a, s_b = _misfit(factor, values, a, a), _misfit(factor, values, b, b)
@@ -100,9 +103,5 @@ def _together(pose: Index) -> tuple[Index, Index]:
 
 def _misfit(factor: Sighting, values: Values, a: Index, b: Index) -> Array:
     """Squared whitened residuals of contacts a (k,) with the landmarks of contacts b."""
-    if not len(a):
-        return np.zeros(0)
-    model, X = values.gather(factor[a])
-    stack = values.stack(factor.keys[1].kind)
-    target = take(stack.X, stack.index(factor.keys[1][b]))
-    return np.asarray(np.square(model.error(X[0], target, *X[2:])).sum(axis=1))
+    contacts = factor[a]
+    return replaced(contacts, [contacts.keys[0], factor.keys[1][b], *contacts.keys[2:]]).chi2(values)

@@ -21,7 +21,7 @@ from factors.predicted import predicted
 from models import LieGroup
 from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
-from nls.analysis.observable import Observability, in_unit
+from nls.analysis.observable import Observability, columns, in_unit
 from nls.analysis.variable import check_one, observability
 from nls.graph import FactorGraph
 from nls.values import Values
@@ -68,15 +68,11 @@ class Motions:
     def __str__(self) -> str:
         names = self.before.components
         rows = [["", *names], *([m.name, *_cells(m)] for m in self.ranking)]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        lines = [
+        head = (
             f"one more view from {self.pose!r}: sigmas of {self.before.key!r}, before / after; weakest before: "
             f"{names[self.before.weakest]}"
-        ]
-        for name, *cells in rows:
-            shown = [f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True)]
-            lines.append("  ".join(["", f"{name:{widths[0]}}", *shown]))
-        return "\n".join(lines)
+        )
+        return "\n".join([head, *columns(rows)])
 
 
 def _cells(motion: Motion) -> list[str]:

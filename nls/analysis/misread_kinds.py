@@ -93,10 +93,10 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
     if expected(standing):
         return ()
     alternatives = [
-        (name, places, reading.name, factors)
+        (name, places, reading, factors)
         for name, places in _sources(graph.pattern(values)).items()
-        for reading in READINGS
-        if (factors := _reread(graph, values, places, reading)) is not None
+        for reading, read in READINGS.items()
+        if (factors := _reread(graph, values, places, read)) is not None
     ]
     fits = [
         solved(FactorGraph([*reread, *other_factors], graph.fixed), standing.values, True, FIRST, WORSE * standing.chi2)
@@ -136,7 +136,7 @@ def _sources(pattern: Pattern) -> dict[str, Places]:
 
 
 def _reread(
-    graph: FactorGraph, values: Values, places: Places, reading: Reading
+    graph: FactorGraph, values: Values, places: Places, read: Reading
 ) -> tuple[list[Factor], list[Factor]] | None:
     """The source read otherwise, and all other measurements; None where the reading makes no sense for the source."""
     chosen, reread, other_factors = dict(places), [], []
@@ -144,7 +144,7 @@ def _reread(
         if k not in chosen:
             other_factors.append(factor)
             continue
-        meant = reading.read(values.gather(factor)[0])
+        meant = read(values.gather(factor)[0])
         if meant is None:
             return None
         outside = np.ones(len(factor), dtype=bool)

@@ -24,7 +24,7 @@ from models import SE3, SO3
 from models.algebra import Array
 from models.manifolds.units import unit
 from nls.analysis.alternatives import UNLIKELY
-from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.chi_squared import chi2_tail, mahalanobis
 from nls.analysis.linearization import Checked, Linearization
 from nls.analysis.readings import READINGS
 from nls.analysis.suspects import weights_without
@@ -98,10 +98,10 @@ def misread_measurements(
         doubtful.setdefault(k, []).append(i)
     meant = []  # (number of the factor, reading, factor)
     for k, indices in doubtful.items():
-        for reading in READINGS:
-            factor = reading.read(pattern.batches[k].model)
+        for reading, read in READINGS.items():
+            factor = read(pattern.batches[k].model)
             if factor is not None:
-                meant.append((k, reading.name, factor[indices]))
+                meant.append((k, reading, factor[indices]))
     whole = Pattern([*factors, *(factor for *_, factor in meant)], values).holding(pattern.held)
     nothing = [np.zeros(len(factor)) for *_, factor in meant]
     checked = Checked(Linearization(whole, values, [*weights_without(pattern, places, len(factors)), *nothing]))
@@ -121,8 +121,7 @@ def misread_measurements(
 
 def _distances(checked: Checked, k: int) -> Array:
     """t (n,) of the measurements of a batch that do not count: e' (I + C)^-1 e."""
-    e, C = checked.e[k], checked.C[k]
-    return np.asarray(np.vecdot(e, np.linalg.solve(np.eye(e.shape[1]) + C, e[..., None])[..., 0]))
+    return mahalanobis(checked.e[k], np.eye(checked.e[k].shape[1]) + checked.C[k])
 
 
 def _accidental(model: Model, room: float, C: Array, t: Array) -> Array:

@@ -8,7 +8,7 @@ from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.values import Values
 
-__all__ = ["cross_covariances", "motion_covariances"]
+__all__ = ["motion_covariances"]
 
 
 def motion_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> Array:
@@ -31,25 +31,3 @@ def motion_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> 
     array([0.02, 0.03, 0.02])
     """
     return Marginals(graph, values, pairs=[(i, j)]).relative(i, j)
-
-
-def cross_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> Array:
-    """Covariance (n, d, d) of any pairs of poses, or of one with itself, in the axes of the body; one pass for all.
-
-    Parameters
-    ----------
-    graph, values, i, j : as for `motion_covariances`.
-
-    Examples
-    --------
-    >>> from factors import Between, Isotropic
-    >>> from models import SE2
-    >>> from nls import kinds
-    >>> (x,) = kinds("x")
-    >>> graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.0], Isotropic(0.1))])
-    >>> values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])})
-    >>> cross_covariances(graph, values, x[[2, 1]], x[[2, 2]]).diagonal(axis1=1, axis2=2).round(3)
-    array([[0.02, 0.03, 0.02],
-           [0.01, 0.01, 0.01]])
-    """
-    return Marginals(graph, values, pairs=[(i, j)]).cross(i, j, frame="body")

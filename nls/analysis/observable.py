@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees
 from typing import Any
@@ -14,10 +15,11 @@ from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
 
-__all__ = ["Observability", "in_unit", "shown"]
+__all__ = ["Observability", "columns", "in_unit", "shown"]
 
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
+HEADS = ("", "one sigma", "all else known", "compared")
 CORRELATED = 0.9  # correlations at least this high are printed
 
 Row = tuple[str, str, str, str]
@@ -133,16 +135,10 @@ class Observability:
         return notes
 
     def __str__(self) -> str:
-        table = [("", "one sigma", "all else known", "compared"), *self._rows()]
-        widths = [max(len(row[k]) for row in table) for k in range(4)]
-        lines = [
-            "  " + f"{row[0]:{widths[0]}}  " + "  ".join(f"{row[k]:>{widths[k]}}" for k in (1, 2, 3)) for row in table
-        ]
-        return "\n".join([self._head(), *(line.rstrip() for line in lines), *self._notes()])
+        return "\n".join([self._head(), *columns([HEADS, *self._rows()]), *self._notes()])
 
     def _repr_html_(self) -> str:
-        heads = ("", "one sigma", "all else known", "compared")
-        return html_table(self._head(), heads, self._rows(), self._notes())
+        return html_table(self._head(), HEADS, self._rows(), self._notes())
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON knows it: None for a sigma or correlation that does not exist."""
@@ -164,6 +160,12 @@ class Observability:
             "weak": self.weak.tolist(),
             "correlation": finite_or_none(self.correlation.tolist()),
         }
+
+
+def columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of a table as lines: the first column to the left, the others to the right."""
+    first, *widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(["", name.ljust(first), *map(str.rjust, cells, widths)]).rstrip() for name, *cells in rows]
 
 
 def shown(number: float, unit: str, infinite: str) -> str:

@@ -15,7 +15,6 @@ Source of that: J. Diebel, "Representing attitude", 2006; a reflection changes t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,19 +28,8 @@ __all__ = ["READINGS", "Reading"]
 
 ANGLES = ("bearing", "azimuth", "alpha")  # beginnings of names: EpipolarArc has azimuth_i and azimuth_j
 
-
-@dataclass(frozen=True)
-class Reading:
-    """One way to read measurements otherwise.
-
-    Attributes
-    ----------
-    name : of the mistake.
-    read : the factor that says what was meant, from a bound one; None where the mistake makes no sense for its type.
-    """
-
-    name: str
-    read: Callable[[Model], Factor | None]
+# What was meant by a bound factor; None where the mistake makes no sense for its type.
+Reading = Callable[[Model], Factor | None]
 
 
 def exchanged(model: Model) -> Factor | None:
@@ -81,7 +69,7 @@ def mirrored(model: Model) -> Factor | None:
     return replaced(model.factor, z=z)
 
 
-def flipped(axis: str) -> Callable[[Model], Factor | None]:
+def flipped(axis: str) -> Reading:
     """An axis of all frames points the other way."""
 
     def read(model: Model) -> Factor | None:
@@ -123,11 +111,11 @@ def swapped_axes(model: Model) -> Factor | None:
     return replaced(factor, z=z)
 
 
-READINGS = (
-    Reading("exchanged", exchanged),
-    Reading("transposed", transposed),
-    Reading("mirrored", mirrored),
-    Reading("y flipped", flipped("y")),
-    Reading("z flipped", flipped("z")),
-    Reading("x, y exchanged", swapped_axes),
-)
+READINGS: dict[str, Reading] = {
+    "exchanged": exchanged,
+    "transposed": transposed,
+    "mirrored": mirrored,
+    "y flipped": flipped("y"),
+    "z flipped": flipped("z"),
+    "x, y exchanged": swapped_axes,
+}

@@ -21,7 +21,6 @@ from itertools import combinations
 
 import numpy as np
 
-from factors import Sighting
 from factors.base import Factor
 from factors.keys import Keys
 from factors.replaced import replaced
@@ -34,7 +33,7 @@ from nls.analysis.leave_one_out import Tested
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.sparse.pattern import measuring
-from nls.starts import locate_points
+from nls.starts.landmarks import locate_points, sees_landmarks
 from nls.values import Values
 
 __all__ = ["SwappedLandmarks", "swapped_landmarks"]
@@ -208,13 +207,7 @@ def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int
 
 def landmark_factors(graph: FactorGraph, values: Values) -> list[int]:
     """Numbers of the factors that see landmarks."""
-    numbers = []
-    for k, factor in enumerate(graph.factors):
-        if isinstance(factor, Sighting):
-            manifolds = values.gather(factor)[0].manifolds
-            if manifolds[1] is not manifolds[0]:
-                numbers.append(k)
-    return numbers
+    return [k for k, factor in enumerate(graph.factors) if sees_landmarks(factor, values)]
 
 
 class Pair:

@@ -20,7 +20,6 @@ from nls.analysis.linearization import Checked
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import causes, doubts
-from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
 from nls.gauge import Gauge, choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
@@ -173,7 +172,7 @@ def _disagreement(
     whole, pattern, values, free, tests, parts : of the explanation.
     """
     assert free.checked is not None
-    findings = [] if free.count else duplicate_points(free.checked, pattern, values)
+    findings = [] if free.count else causes.duplicate_points(free.checked, pattern, values)
     wrong = calibrations(graph, values, free)
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):

@@ -19,23 +19,20 @@ Transactions on Robotics and Automation 17, 2001.
 from __future__ import annotations
 
 from abc import abstractmethod
-from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Kind
+from factors.replaced import replaced
 from factors.sighting import Sighting
 from models.abstract import Abstract
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
-
-if TYPE_CHECKING:
-    from models.algebra import Index
 
 __all__ = [
     "Assignment",
@@ -372,8 +369,7 @@ def identified(sightings: Sighting, associations: npt.ArrayLike, kind: Kind) -> 
         raise GraphError(f"{sightings.name}: {numbers.shape} landmarks found for {len(sightings)} sightings")
     of = np.empty_like(numbers)
     of[np.argsort(sightings.keys[0].numbers, kind="stable")] = numbers
-    associated = sightings[of >= 0]
+    chosen = sightings[of >= 0]
+    associated = replaced(chosen, [chosen.keys[0], kind[of[of >= 0]], *chosen.keys[2:]])
     assert isinstance(associated, Sighting)
-    substitute = copy(associated)
-    substitute.keys = (associated.keys[0], kind[of[of >= 0]], *associated.keys[2:])
-    return substitute
+    return associated

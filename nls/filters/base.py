@@ -16,7 +16,6 @@ from abc import abstractmethod
 from dataclasses import dataclass, field
 from itertools import pairwise
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,16 +23,13 @@ from factors.base import Factor
 from factors.keys import Keys, Kind
 from models import Manifold
 from models.abstract import Abstract
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 from nls.filters.consistency import nees
+from nls.graph import FactorGraph
 from nls.metrics import TrajectoryError, ate
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
-
-if TYPE_CHECKING:
-    from models.algebra import Index
-    from nls.graph import FactorGraph
 
 __all__ = ["POSE", "Filter", "Step", "Track", "landmark_kind", "steps"]
 

@@ -1,15 +1,14 @@
 """Pictures, and a page of them; here alone is matplotlib imported, and lazily."""
 
-from nls.plot.belief import belief
 from nls.plot.convergence import convergence
 from nls.plot.correlations import correlations
 from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
-from nls.plot.frustum import frustum
+from nls.plot.filters import belief
 from nls.plot.offsets import offsets
 from nls.plot.report import report
-from nls.plot.sonar import fan_image, polar_image
+from nls.plot.sonar import fan_image, frustum, polar_image
 from nls.plot.sparsity import spy
 from nls.plot.trajectory import before_after, trajectory
 

@@ -7,6 +7,9 @@ r"""What an estimator believed while a vehicle moved, against the truth: four pi
 
 Errors and sigmas of the pose are those of the tangent step from the truth to the estimate. They are along the axes of
 the body: ahead and to the left, m, and the heading, deg. The position of a landmark has one sigma, sqrt(trace(P) / d).
+
+`belief` draws one step of a filter: ellipses of pose and landmarks, and the cloud where it has particles. Errors and
+ellipses that are too small to be seen are drawn larger, about the truth, and the legend says how much.
 """
 
 from __future__ import annotations
@@ -17,10 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models import LINE
+from nls.covariance import frames
 from nls.covariance.ellipse import outlines
-from nls.covariance.frames import axes as axes_of
-from nls.covariance.frames import turned
-from nls.plot.axes import legend_below
+from nls.filters import consistency
+from nls.filters.base import POSE, Filter
+from nls.filters.fastslam import FastSLAM
+from nls.plot.axes import axes_or_new, figure_of, legend_below
 from nls.plot.ellipses import _outlines, larger, magnification
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
@@ -33,9 +38,11 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-__all__ = ["estimator_figure", "power_laws", "several"]
+__all__ = ["belief", "estimator_figure", "power_laws", "several"]
 
 BELOW = "0.82"  # of a true track, wide under the estimate
+DOT = 3  # points: a particle
+LARGE = 4.0  # times as large as the least that is seen: one of several ellipses may be much larger than the others
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
@@ -97,8 +104,8 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
     axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     axes.plot(*manifold.position(track.X).T, color=ESTIMATE, linewidth=1.0, label=track.method)
     shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
-    J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
-    p, P = manifold.position(track.X[shown]), turned(J, track.P[shown])
+    J, _ = frames.axes(track.x, manifold, track.X[shown], None, "position")
+    p, P = manifold.position(track.X[shown]), frames.turned(J, track.P[shown])
     scale = magnification(float(np.ptp(p, axis=0).max()), float(np.sqrt(np.linalg.eigvalsh(P).max())))
     label = f"95 % of the vehicle{larger(scale)}"
     _outlines(axes, p, scale * outlines(P), color=ELLIPSE, linewidth=0.8, label=label)
@@ -113,13 +120,16 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
             axes.plot(*L.T, ".", color=LANDMARK, markersize=4)
             label = f"95 % of the landmarks{larger(scale)}"
             _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
-            for number, place in zip(track.landmarks.numbers.tolist(), L, strict=True):
-                axes.annotate(
-                    f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=LANDMARK, fontsize=8
-                )
+            _named(axes, track.landmarks, L)
     axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
     legend_below(axes, *axes.get_legend_handles_labels())
+
+
+def _named(axes: Axes, landmarks: Keys, places: Array) -> None:
+    """The names of landmarks beside their places (m, 2)."""
+    for key, place in zip(landmarks, places, strict=True):
+        axes.annotate(f"{key!r}", place, (6, 4), textcoords="offset points", color=LANDMARK, fontsize=8)
 
 
 def _walls(axes: Axes, values: Values, walls: Keys, sightings: Sequence[Keys] | None, **style: Any) -> None:
@@ -194,6 +204,83 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     legend_below(axes, *axes.get_legend_handles_labels())
 
 
+def belief(
+    estimator: Filter, pose: Keys, truth: Values, axes: Axes | None = None, scale: float | None = None
+) -> Figure:
+    """The latest pose and the landmarks found so far with their 95 % ellipses, and the truth.
+
+    Parameters
+    ----------
+    estimator : a filter after some steps, in the plane, with points for landmarks. Of `FastSLAM` the particles are
+        drawn, too: a dot for the pose of each, and one for every landmark of each.
+    pose : the latest pose, ``step.pose``.
+    truth : poses ``x`` and landmarks.
+    axes : where; a new figure when omitted.
+    scale : errors and ellipses are drawn so many times as large; as many as they need to be seen when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.filters import FastSLAM, steps
+    >>> from nls.plot import belief
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1)
+    >>> first, *_ = steps(world.graph, world.start)
+    >>> particles = FastSLAM(50, rng=np.random.default_rng(0))
+    >>> particles.start(first, world.start)
+    >>> [text.get_text() for text in belief(particles, first.pose, world.truth).legends[0].get_texts()]
+    ['truth', 'particles', 'pose, 95 %', 'landmarks, 95 %']
+    """
+    alone = axes is None
+    axes = axes_or_new(axes, (6, 6))
+    keys, L, P_landmarks = estimator.landmarks
+    (X, P), poses = estimator.pose, truth.stack(POSE)
+    J, _ = frames.axes(pose, poses.manifold, X[None], None, "position")
+    Sigma, path = frames.turned(J, P[None]), np.asarray(poses.manifold.position(poses.X))
+    if scale is None:
+        spread = [np.sqrt(np.linalg.eigvalsh(P_i).max()) for P_i in (Sigma, P_landmarks) if len(P_i)]
+        scale = magnification(LARGE * float(np.ptp(path, axis=0).max()), float(max(spread)))
+    true, true_landmarks = poses.manifold.position(truth[pose]), truth[keys] if len(keys) else L
+
+    def drawn(p: Array, q: Array) -> Array:
+        """Places p where their error about the truth q is as many times as large as the ellipses."""
+        return np.asarray(q + scale * (p - q))
+
+    axes.plot(*path.T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
+    for stack in truth.stacks.values():
+        if stack is not poses:
+            axes.plot(*stack.X.T, "+", color=TRUE, markersize=9)
+    if isinstance(estimator, FastSLAM):
+        dots = {"linestyle": "none", "marker": ".", "markersize": DOT}
+        cloud = drawn(poses.manifold.position(estimator.X), true)
+        axes.plot(*cloud.T, color=ESTIMATE, alpha=0.5, label="particles", **dots)  # type: ignore[arg-type]
+        if estimator.map is not None:
+            clouds = drawn(estimator.map.L, true_landmarks).reshape(-1, 2)
+            axes.plot(*clouds.T, color=LANDMARK, alpha=0.2, **dots)  # type: ignore[arg-type]
+    place, places = drawn(poses.manifold.position(X[None]), true), drawn(L, true_landmarks)
+    axes.plot(*place.T, "o", color=ESTIMATE, markersize=5)
+    _outlines(axes, place, scale * outlines(Sigma), color=ELLIPSE, linewidth=1.2, label="pose, 95 %")
+    if len(keys):
+        style = {"color": LANDMARK, "linewidth": 1.2, "label": "landmarks, 95 %"}
+        _outlines(axes, places, scale * outlines(P_landmarks), **style)
+        axes.plot(*places.T, ".", color=LANDMARK, markersize=4)
+        _named(axes, keys, true_landmarks)
+    axes.set(
+        title=f"{pose!r}" + ("" if scale == 1 else f": errors and ellipses × {scale:g}"), xlabel="x [m]", ylabel="y [m]"
+    )
+    axes.set_aspect("equal", adjustable="datalim")
+    figure, (handles, labels) = figure_of(axes), axes.get_legend_handles_labels()
+    if alone:
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    else:
+        legend_below(axes, handles, labels)
+    return figure
+
+
 def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "", probability: float = 0.95) -> Figure:
     """Several estimators on one data set: tracks, errors and 3 sigma of the position, NEES with bounds.
 
@@ -213,9 +300,6 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
     """
     from matplotlib.figure import Figure
 
-    from nls.filters.consistency import nees as nees_of
-    from nls.filters.consistency import nees_bounds, regular
-
     figure = Figure(figsize=(10.5, 9), layout="constrained")
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
@@ -233,10 +317,10 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
         style = {"color": colors[k % len(colors)], "linewidth": 1.3, "linestyle": DASHES[k % len(DASHES)]}
         off(manifold.position(track.X), track.method, **style)
         sigmas.plot(x.numbers, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
-        e2, valid = np.full(len(x), np.nan), regular(track.P)
-        e2[valid] = nees_of(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
+        e2, valid = np.full(len(x), np.nan), consistency.regular(track.P)
+        e2[valid] = consistency.nees(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
         nees.plot(x.numbers, e2, **style)
-    for bound in nees_bounds(manifold.dim, 1, probability):
+    for bound in consistency.nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
     places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
     places.set_aspect("equal", adjustable="datalim")

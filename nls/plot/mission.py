@@ -6,7 +6,7 @@ Maps are charts: north (x) up, east (y) to the right. Side views look north, z, 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +36,7 @@ SIDE = 4.2  # inches of the widest of three panels side by side
 VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
 MANY = 250  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
+SHADED: dict[str, Any] = {"s": 14, "cmap": "YlOrRd", "vmin": 0.0, "edgecolors": "0.3", "linewidths": 0.4, "zorder": 3}
 POINTS = {"l": ("landmarks", "."), "b": ("beacons", "^")}  # kinds of points, with their names and markers
 x, l = kinds("x", "l")
 
@@ -136,6 +137,7 @@ def landmark_map(
     points = values[l[elevations.landmarks]]
     known = np.isfinite(elevations.sigma)
     sigma = np.degrees(elevations.sigma)
+    most = float(sigma[known].max(initial=0.0) if aperture is None else np.degrees(aperture / np.sqrt(12)))
     reach = (elevations.range * elevations.sigma)[:, None] * elevations.along  # one sigma along the arc, m
     path = _positions(values)
     figure, panels = _views(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
@@ -154,20 +156,7 @@ def landmark_map(
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
-            most = float(sigma[known].max()) if aperture is None else float(np.degrees(aperture / np.sqrt(12)))
-            dots = ax.scatter(
-                P[known, 0],
-                P[known, 1],
-                c=sigma[known],
-                s=14,
-                cmap="YlOrRd",
-                vmin=0.0,
-                vmax=most,
-                edgecolors="0.3",
-                linewidths=0.4,
-                zorder=3,
-                label="landmark",
-            )
+            dots = ax.scatter(P[known, 0], P[known, 1], c=sigma[known], vmax=most, label="landmark", **SHADED)
     if known.any():
         bar = figure.colorbar(
             dots,

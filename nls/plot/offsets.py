@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models import LINE
+from nls.covariance import frames
 from nls.covariance.ellipse import outlines
-from nls.covariance.frames import axes as axes_of
-from nls.covariance.frames import turned
 from nls.plot.axes import legend_below
 from nls.plot.filters import estimator_map
 from nls.plot.style import ESTIMATE, LANDMARK, SERIES, TRUE
@@ -75,8 +74,8 @@ def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Ke
     _band(heading, steps, np.degrees(e[:, 2]), np.degrees(np.sqrt(track.P[:, 2, 2])), ESTIMATE, "heading")
     heading.set(title="heading, estimate minus truth", ylabel="[deg]")
     away = track.manifold.position(track.X) - track.manifold.position(truth[track.x])
-    J, _ = axes_of(track.x, track.manifold, track.X, None, "position")
-    sigma = np.sqrt(np.diagonal(turned(J, track.P), axis1=1, axis2=2))
+    J, _ = frames.axes(track.x, track.manifold, track.X, None, "position")
+    sigma = np.sqrt(np.diagonal(frames.turned(J, track.P), axis1=1, axis2=2))
     for k, name in enumerate(("dX", "dY")):
         _band(position, steps, away[:, k], sigma[:, k], SERIES[k], name)
     position.set(title="position, estimate minus truth", ylabel="[m]")

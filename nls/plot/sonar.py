@@ -1,8 +1,11 @@
-"""What an imaging sonar saw: by beam and range, as a fan, and with the arcs on which landmarks must lie.
+"""What an imaging sonar saw: by beam and range, as a fan, with the arcs on which landmarks must lie, and in space.
 
 A contact of range r and azimuth az is one place in the fan, r (cos az, sin az), whatever its elevation. Seen from the
 same pose the whole arc of elevations falls onto it. Seen from another pose it does not. There an arc is drawn from the
 lower to the upper edge of the aperture. The landmark must lie where its other contacts cross it.
+
+In space the sonar sees its frustum: the range window, the fan in azimuth and the aperture in elevation. All points of
+the arc over the aperture, r (cos az cos el, sin az cos el, sin el), give the same image.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ import numpy.typing as npt
 from factors.range_azimuth import RangeAzimuth
 from models import SE3
 from models.errors import GraphError
-from models.sensors import ImagingSonar, cartesian, plane_projection
+from models.sensors import ImagingSonar, cartesian, plane_projection, range_azimuth
 from nls.plot.axes import axes_or_new, figure_of
-from nls.plot.style import ARC, CONTACT, LANDMARK
+from nls.plot.style import ARC, CONTACT, ECHO, ESTIMATE, LANDMARK
+from nls.plot.trajectory import space_box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,9 +32,13 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.values import Values
 
-__all__ = ["arcs", "fan_image", "polar_image"]
+__all__ = ["arcs", "fan_image", "frustum", "polar_image"]
 
 ALONG = 33  # points an arc is drawn through
+EDGE = 25  # points an edge of the frustum is drawn through
+FACE = 0.10  # opacity of a face
+RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))  # of a face: at the ends of the fan, of the aperture
+CORNERS = ((0, 0), (0, -1), (-1, 0), (-1, -1))  # of the fan and of the aperture
 WIDEST = 5.5  # inches of a fan
 DARKEST = -40.0  # dB below the strongest echo: a hundredth of its amplitude is black
 SHADES: dict[str, Any] = {"cmap": "gray", "vmin": DARKEST, "vmax": 0.0}
@@ -56,11 +64,10 @@ def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> 
     >>> polar_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
     'range [m]'
     """
-    _check(image, sonar)
     axes = axes_or_new(axes, (5, 5.5))
     half = np.degrees(sonar.fan) / 2
     extent = (-half, half, *sonar.window)
-    shades = axes.imshow(_decibels(image).T, **SHADES, origin="lower", aspect="auto", extent=extent)
+    shades = axes.imshow(_decibels(image, sonar).T, **SHADES, origin="lower", aspect="auto", extent=extent)
     axes.set(xlabel="azimuth [deg]", ylabel="range [m]")
     return _with_bar(axes, shades)
 
@@ -85,14 +92,13 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
     >>> fan_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
     'ahead [m]'
     """
-    _check(image, sonar)
     wide = 2 * np.sin(min(sonar.fan, np.pi) / 2)  # of the farthest range, which is the height
     side = WIDEST / max(wide, 1.0)
     axes = axes_or_new(axes, (side * wide + 2.5, side + 0.8))
     azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
     r = np.linspace(*sonar.window, sonar.bins + 1)
     ahead, starboard = r * np.cos(azimuth)[:, None], r * np.sin(azimuth)[:, None]
-    shades = axes.pcolormesh(starboard, ahead, _decibels(image), **SHADES, rasterized=True)
+    shades = axes.pcolormesh(starboard, ahead, _decibels(image, sonar), **SHADES, rasterized=True)
     _as_map(axes)
     return _with_bar(axes, shades)
 
@@ -199,8 +205,74 @@ def _point_at(axes: Axes, at: tuple[float, float], above: bool, text: str, color
     )
 
 
-def _decibels(image: npt.ArrayLike) -> Array:
-    """Decibels of amplitudes below the largest; without any echo all are the darkest."""
+def frustum(
+    sonar: ImagingSonar, pose: npt.ArrayLike | None = None, points: npt.ArrayLike = (), axes: Axes | None = None
+) -> Figure:
+    """The frustum of a sonar in a world with z down; points in it with their arcs of the same range and azimuth.
+
+    Parameters
+    ----------
+    sonar : its fan, aperture and window.
+    pose : (7,) of the sonar in the world, SE3; at the origin when omitted.
+    points : (n, 3) of the world, m. What is not in view is gray.
+    axes : where, with ``projection="3d"``; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from models.sensors import DIDSON_HIGH
+    >>> from nls.plot import frustum
+    >>> figure = frustum(replace(DIDSON_HIGH, window=(1.0, 6.0)), points=[[4.0, 0.5, 0.2], [4.0, 3.0, 0.0]])
+    >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    ['sonar', 'frustum', 'in view', 'same range and azimuth', 'place in the image, at elevation 0', 'out of view']
+    """
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
+
+    axes = axes_or_new(axes, (7, 5.5), projection="3d")
+    T = SE3.identity(1) if pose is None else SE3.stack(np.atleast_2d(np.asarray(pose, dtype=float)))
+    p = np.asarray(points, dtype=float).reshape(-1, 3)
+    inside = sonar.sees(SE3.act(SE3.inverse(T), p)) if len(p) else np.zeros(0, dtype=bool)
+    azimuth, elevation = (np.linspace(-a / 2, a / 2, EDGE) for a in (sonar.fan, sonar.aperture))
+    near, far = sonar.window
+
+    def placed(r: npt.ArrayLike, azimuth: npt.ArrayLike, elevation: npt.ArrayLike) -> Array:
+        polar = np.stack(np.broadcast_arrays(r, azimuth, elevation), axis=-1)
+        return np.asarray(SE3.act(T, cartesian(polar.reshape(-1, 3))[0])).reshape(polar.shape)
+
+    front = placed(far, azimuth[:, None], elevation)  # (fan, aperture, 3)
+    back = placed(near, azimuth[:, None], elevation)
+    rims = [face[rim] for face in (front, back) for rim in RIMS]
+    position = SE3.position(T)[0]
+    rims += [np.stack([position, front[corner]]) for corner in CORNERS]
+    sides = [np.concatenate([back[rim], front[rim][::-1]]) for rim in RIMS]
+    axes.plot(*position[:, None], "o", color=ESTIMATE, markersize=7, label="sonar")
+    axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="frustum")
+    faces = [*sides, np.concatenate([front[:, 0], front[::-1, -1]])]
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=ESTIMATE, alpha=FACE, linewidths=0))  # type: ignore[attr-defined]
+    axes.add_collection3d(Line3DCollection(rims, colors=ESTIMATE, linewidths=1.0))  # type: ignore[attr-defined]
+    if inside.any():
+        r, az = range_azimuth(SE3.act(SE3.inverse(T), p[inside]))[0].T
+        arcs = placed(r[:, None], az[:, None], elevation)
+        axes.plot(*p[inside].T, "o", color=LANDMARK, markersize=6, label="in view")
+        axes.add_collection3d(Line3DCollection(list(arcs), colors=ARC, linewidths=2.0, label="same range and azimuth"))  # type: ignore[attr-defined]
+        axes.plot(*placed(r, az, 0.0).T, "x", color=CONTACT, markersize=6, label="place in the image, at elevation 0")
+    if not inside.all():
+        axes.plot(*p[~inside].T, "o", color=ECHO, markersize=5, label="out of view")
+    space_box(axes, np.concatenate([front.reshape(-1, 3), back.reshape(-1, 3), position[None], p]), down=True)
+    axes.legend(loc="upper left", fontsize=9)
+    return figure_of(axes)
+
+
+def _decibels(image: npt.ArrayLike, sonar: ImagingSonar) -> Array:
+    """Decibels of amplitudes below the largest; without any echo all are the darkest. Refuses images of others."""
+    if np.shape(image) != (sonar.beams, sonar.bins):
+        raise GraphError(
+            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
+        )
     amplitude = np.asarray(image, dtype=float)
     largest = float(amplitude.max(initial=0.0)) or 1.0
     return np.asarray(20 * np.log10(np.maximum(amplitude / largest, 10 ** (DARKEST / 20))))
@@ -210,13 +282,6 @@ def _with_bar(axes: Axes, shades: ScalarMappable) -> Figure:
     figure = figure_of(axes)
     figure.colorbar(shades, ax=axes, label="dB below the strongest echo", extend="min", shrink=0.8)
     return figure
-
-
-def _check(image: Array, sonar: ImagingSonar) -> None:
-    if np.shape(image) != (sonar.beams, sonar.bins):
-        raise GraphError(
-            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
-        )
 
 
 def _as_map(axes: Axes) -> Figure:

@@ -60,6 +60,7 @@ from nls.posegraph import Edges
 from nls.robust.consistency import Odometry
 from nls.robust.landmarks import Landmarks
 from nls.starts.elevation import aperture_of
+from nls.starts.landmarks import sees_landmarks
 from nls.values import Values
 
 __all__ = ["Agreement", "Track", "agreement", "along", "doubted_contacts", "misfit", "selected"]
@@ -157,10 +158,7 @@ def doubted_contacts(graph: FactorGraph, values: Values, doubted: Sequence[Mask]
     return [
         number
         for number, (factor, mask) in enumerate(zip(graph.factors, doubted, strict=True))
-        if isinstance(factor, Sighting)
-        and factor.contact
-        and mask.any()
-        and values.gather(factor)[0].manifolds[1] is not SE3
+        if mask.any() and sees_landmarks(factor, values) and isinstance(factor, Sighting) and factor.contact
     ]
 
 

@@ -31,7 +31,7 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
-from nls.analysis.motions import cross_covariances
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.robust.consistency import Neighbors, unit_variance
@@ -112,7 +112,8 @@ def _joint(graph: FactorGraph, values: Values, loops: LoopGraph, groups: list[In
         return
     lower = [np.tril_indices(len(nodes)) for nodes in groups]
     i, j = (np.concatenate([nodes[at[side]] for nodes, at in zip(groups, lower, strict=True)]) for side in (0, 1))
-    blocks = cross_covariances(graph, values, Keys(kind, numbers[i]), Keys(kind, numbers[j]))
+    pairs = Keys(kind, numbers[i]), Keys(kind, numbers[j])
+    blocks = Marginals(graph, values, pairs=[pairs]).cross(*pairs, frame="body")
     begin = 0
     for nodes, (row, column) in zip(groups, lower, strict=True):
         k, end = len(nodes), begin + len(row)

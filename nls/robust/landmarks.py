@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from factors.sighting import Sighting
 from models.algebra import Index, Mask, Numbers
 from nls.gauge import fixed_of
 from nls.graph import FactorGraph
+from nls.starts.landmarks import sees_landmarks
 from nls.values import Values
 
 __all__ = ["Landmarks", "landmarks_of"]
@@ -160,12 +160,8 @@ def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) ->
     >>> landmarks.kept([np.array([True, False, True])], values)  # l1 lost nothing
     [array([False, False,  True])]
     """
-    kinds = set()
-    for factor, mask in zip(graph.factors, doubted, strict=True):
-        if isinstance(factor, Sighting) and mask.any():
-            manifolds = values.gather(factor)[0].manifolds
-            if manifolds[1] is not manifolds[0]:
-                kinds.add(factor.keys[1].kind)
+    pairs = zip(graph.factors, doubted, strict=True)
+    kinds = {factor.keys[1].kind for factor, mask in pairs if mask.any() and sees_landmarks(factor, values)}
     factors: dict[str, list[tuple[int, int, Index]]] = {kind: [] for kind in kinds}
     for number, factor in enumerate(graph.factors):
         for slot, keys in enumerate(factor.keys):

@@ -134,9 +134,7 @@ def _thinned(detections: Detections, edge: float) -> Detections:
     squares = np.floor(detections.points[strongest] / edge)
     _, first = np.unique(squares, axis=0, return_index=True)
     kept = np.sort(strongest[first])
-    return Detections(
-        detections.range[kept], detections.azimuth[kept], detections.intensity[kept], detections.sigma[kept]
-    )
+    return Detections(*(column[kept] for column in vars(detections).values()))
 
 
 def _amplitudes(image: npt.ArrayLike, sonar: ImagingSonar) -> Array:

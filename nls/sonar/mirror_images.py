@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.elevation import ElevationHinge
 from factors.keys import Keys
-from factors.sighting import Sighting
 from models.algebra import Array, Mask
 from nls.graph import FactorGraph
-from nls.starts.elevation import APERTURE, Arcs, misfit_of
+from nls.starts.elevation import Arcs, aperture_of, misfit_of
 from nls.values import Values
 
 __all__ = ["mirrored"]
@@ -70,11 +68,9 @@ def mirrored(graph: FactorGraph, values: Values, points: Keys, S: Array, h: Arra
     [True]
     [False]
     """
-    sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == points.kind]
-    limits = [factor.limit for factor in sightings if isinstance(factor, ElevationHinge)]
     elevation, columns = h[:, 2], np.arange(len(points))
-    largest = np.maximum(max(limits, default=APERTURE / 2), np.abs(elevation))
-    f = misfit_of(sightings, values, Arcs(points.kind, values.stack(points.kind).index(points), S, h[:, :2]))
+    largest = np.maximum(aperture_of(graph, points.kind), np.abs(elevation))
+    f = misfit_of(graph, values, Arcs(points.kind, values.stack(points.kind).index(points), S, h[:, :2]))
     side, step = np.where(elevation > 0, -1.0, 1.0), largest / STEPS
     other, lowest = np.zeros(len(points)), f(np.zeros(len(points)))
     for tried in (np.arange(1, STEPS + 1), *(np.arange(-3, 4) / part for part in FINER)):

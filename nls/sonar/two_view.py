@@ -1,7 +1,7 @@
 r"""Two sonar images of the same points become one factor between two poses: acoustic bundle adjustment of two views.
 
 The unknown is the relative pose T = X_i^-1 X_j of the vehicle, the sonar at G = O^-1 T O. In every iteration each point
-is put where its arc fits both images best (`arcs.search`), linearized with all three of its coordinates, and
+is put where its arc fits both images best (`relative_pose.search`), linearized with all three of its coordinates, and
 eliminated with a truncated block (`truncated_inverse`):
 
     S = sum A_T' N A_T - A_T' N A_l (A_l' N A_l)^+ A_l' N A_T,      g likewise with b
@@ -176,16 +176,18 @@ def two_views(
         for _ in range(ROUNDS):  # which points have two places is decided once, how much they weigh in every round
             T, more, converged = descended(problem, T, True, sonar.arcs, sonar.N)
             iterations, sonar = iterations + more, problem.sonar(T, True, sonar.arcs)
-    step = _shortest(sonar.S, known, tau, sonar.g)
-    arcs = sonar.arcs
+    gains, directions, rows = _compared(sonar.S, known)
+    kept, arcs = gains > tau, sonar.arcs
+    W = np.sqrt(np.where(kept, gains, 0.0))[:, None] * rows
+    shortest = directions[kept].T @ (directions[kept] @ sonar.g / gains[kept])  # in the metric of the odometry
     return TwoView(
         pose=T,
-        z=SE3.retract(T, step.step),
-        information=step.W.T @ step.W,
-        sqrt_information=step.W,
-        gains=step.gains,
-        directions=step.directions,
-        kept_directions=step.kept_directions,
+        z=SE3.retract(T, shortest),
+        information=W.T @ W,
+        sqrt_information=W,
+        gains=gains,
+        directions=directions,
+        kept_directions=kept,
         h=arcs.h,
         chi2=arcs.chi2,
         ambiguous=arcs.ambiguous,
@@ -195,25 +197,15 @@ def two_views(
     )
 
 
-@dataclass(frozen=True)
-class _Step:
-    """S = W'W along the directions kept, and the step S^+ g, the shortest in the metric."""
+def _compared(S: Array, known: Array) -> tuple[Array, Array, Array]:
+    """S v = w Lambda v: what S says, w (6,) in units of Lambda, and along what: rows v with v' Lambda v = 1.
 
-    gains: Array
-    directions: Array
-    kept_directions: Mask
-    W: Array
-    step: Array
-
-
-def _shortest(S: Array, known: Array, tau: float, g: Array) -> _Step:
-    """S v = w Lambda v: what S says, in units of Lambda = L'L, where w > tau."""
+    The rows r of the third matrix give S = sum of w r r'.
+    """
     L = np.linalg.cholesky(known).T
     L_inv = np.linalg.inv(L)
     w, U = np.linalg.eigh(L_inv.T @ S @ L_inv)
-    V, mask = (L_inv @ U).T, w > tau  # rows v_k, v_k' Lambda v_k = 1
-    W = np.sqrt(np.where(mask, w, 0.0))[:, None] * (U.T @ L)
-    return _Step(w, V, mask, W, V[mask].T @ (V[mask] @ g / w[mask]))
+    return w, (L_inv @ U).T, U.T @ L
 
 
 def _contacts(z_i: npt.ArrayLike, z_j: npt.ArrayLike, sigmas: npt.ArrayLike, limit: float) -> Contacts:

@@ -129,9 +129,8 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
     check_whole("search_elevation: steps", steps, 1, "a whole number of at least 1, on either side")
     landmarks = {}
     for arcs in _arcs(graph, values):
-        sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
         widest = aperture_of(graph, arcs.kind) if limit is None else limit
-        elevation = _best(misfit_of(sightings, values, arcs), len(arcs.rows), widest, steps)
+        elevation = _best(misfit_of(graph, values, arcs), len(arcs.rows), widest, steps)
         landmarks[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
     return values.replaced(landmarks)
 
@@ -168,8 +167,9 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
-def misfit_of(sightings: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
+def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array], Array]:
     """The function that takes elevations (k,) to the chi2 (k,) of all sightings of each landmark."""
+    sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
     stack = values.stack(arcs.kind)
     bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in sightings]
 

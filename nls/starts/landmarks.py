@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from factors.base import Factor
 from factors.mount import named_singularity
 from factors.sighting import Sighting
 from models import LieGroup
@@ -33,7 +34,7 @@ from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
-__all__ = ["locate_points"]
+__all__ = ["locate_points", "sees_landmarks"]
 POORLY = 1e-3  # a sighting that says so much less than the best one of its point is passed over
 DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
 
@@ -49,6 +50,14 @@ class Sightings(NamedTuple):
     S: Array
     z: Array
     least: Array
+
+
+def sees_landmarks(factor: Factor, values: Values) -> bool:
+    """Whether a factor is of sightings from poses, and what it sees are no poses."""
+    if not isinstance(factor, Sighting):
+        return False
+    manifolds = values.gather(factor)[0].manifolds
+    return manifolds[1] is not manifolds[0]
 
 
 def locate_points(graph: FactorGraph, values: Values) -> Values:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from models.errors import UnderconstrainedError
 from nls.gauge import choose_gauge, fixed_variables
@@ -19,17 +19,8 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
     from nls.values import Values
-
-
-class Rejected(Protocol):
-    """A measurement that was left out: what it is, and by how many sigmas it did not fit."""
-
-    @property
-    def factor(self) -> str: ...
-
-    @property
-    def sigmas(self) -> float: ...
 
 
 @dataclass(frozen=True)

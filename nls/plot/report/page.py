@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.io.files import write_bytes
-from nls.plot.report.data import Rejected, ReportData
+from nls.plot.report.data import ReportData
 from nls.plot.report.markup import Html, joined, tag
 from nls.plot.report.sections import SECTIONS, key_figures, verdict
-from nls.plot.report.style import STYLE
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
@@ -23,8 +22,13 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
 
 __all__ = ["Page", "report"]
+
+# Every rule is about the inside of the page, so that it changes nothing else in a notebook that shows it. Pictures are
+# drawn for a white page; in the dark they are turned over, with their hues kept.
+STYLE = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
 
 
 class Page(str):
@@ -142,7 +146,7 @@ def _document(title: str, body: Sequence[Html]) -> Page:
         tag("meta", charset="utf-8"),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("title", title),
-        tag("style", Html(STYLE)),
+        tag("style", Html(f"\n{STYLE}")),
     ]
     inside = tag("div", joined(body, "\n"), class_="leadline")
     page = tag("html", tag("head", joined(head, "\n")), tag("body", inside), lang="en")

@@ -240,8 +240,8 @@ def _rounds(
             joined = resolved(pings, estimate, anchored, *near, least, probability)
         else:
             joined, complete = _joined(pings, estimate, anchored, near, pairs, gate, widest)
-        misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
-        outside = misfit | (estimate.d2 > OUTSIDE * gate)
+        misfits = estimate.doubtful & ~of.several(tracks, pieces)
+        outside = (of.largest(tracks, estimate.d2) & misfits) | (estimate.d2 > OUTSIDE * gate)
         leaving = cuts.leaving(anchored.marginals, chi2_gate(pings.group.point_dim, SURE if last else TOGETHER))
         few = np.mean(of.moved(tracks, joined)) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), outside)

@@ -49,7 +49,7 @@ def near_sightings(
 ) -> tuple[Index, Index]:
     """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
     P = pings.group.act(pings.sensors(estimate.values), pings.middle)[which]
-    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, Sigma, gate, widest)[which]).T
+    c, d = _within(P, P, _radius(pings, Sigma[pings.ping], gate, slice(None), widest)[which]).T
     c, d = which[c], which[d]
     late = pings.ping[c] > pings.ping[d]  # the later pose may be the one with the larger error
     pairs = np.unique(np.where(late, [d, c], [c, d])[:, pings.ping[c] != pings.ping[d]], axis=1)
@@ -68,7 +68,7 @@ def near_landmarks(
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     S, stack = pings.sensors(values), values.stack(pings.kind)
     P = pings.group.act(S, pings.middle)
-    radius = pings.extent + _pose_errors(pings, Sigma, gate, widest)
+    radius = _radius(pings, Sigma[pings.ping], gate, slice(None), widest)
     d, row = _within(P[which], stack.X, radius[which]).T
     d = which[d]
     n = len(pings.poses)
@@ -88,11 +88,6 @@ def _within(points: Array, others: Array, radius: Array) -> Index:
     distance, near = cKDTree(others).query(points, np.arange(1, MOST + 1), distance_upper_bound=radius.max(initial=0))
     rows, columns = np.nonzero(distance <= radius[:, None])
     return np.column_stack([rows, near[rows, columns]])
-
-
-def _pose_errors(pings: Pings, Sigma: Array, gate: float, widest: float) -> Array:
-    """How far (n,) errors of the poses move the targets of sightings, m, within the gate."""
-    return _radius(pings, Sigma[pings.ping], gate, slice(None), widest) - pings.extent
 
 
 def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice, widest: float = np.inf) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array, Index, Mask
+from nls.sparse.components import connected
 
 __all__ = [
     "joined",
@@ -20,7 +21,6 @@ __all__ = [
     "share_a_ping",
     "single",
     "sizes",
-    "worst",
 ]
 
 
@@ -44,12 +44,7 @@ def joined(tracks: Index, a: Index, b: Index) -> Index:
     >>> joined(np.arange(4), np.array([0, 3]), np.array([2, 2]))
     array([0, 1, 0, 0])
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(tracks)
-    _, group = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
-    return renamed(group[tracks])
+    return renamed(connected(a, b, len(tracks))[tracks])
 
 
 def single(tracks: Index, sightings: Index | Mask) -> Index:
@@ -140,17 +135,6 @@ def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
     n, pings = len(tracks), int(ping.max(initial=0)) + 1
     sightings = csr_array((np.ones(n), (tracks, ping)), shape=(n, pings))
     return np.asarray(sightings[a].multiply(sightings[b]).sum(axis=1)).reshape(-1) > 0
-
-
-def worst(tracks: Index, d2: Array, which: Mask) -> Mask:
-    """The sighting (n,) of largest d2 (n,) of every track of some sightings (n,).
-
-    Examples
-    --------
-    >>> worst(np.array([0, 0, 2, 2]), np.array([1.0, 2.0, 8.0, 5.0]), np.array([False, False, True, True]))
-    array([False, False,  True, False])
-    """
-    return largest(tracks, d2) & which
 
 
 def largest(groups: Index, numbers: Array | Index) -> Mask:

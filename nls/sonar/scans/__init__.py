@@ -6,9 +6,9 @@ from nls.sonar.scans.field import Field
 from nls.sonar.scans.matches import Matches, Verdict
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.online import OnlineClosing
-from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup import Mounting, SetupFinding, SetupKind, check_setup, mounting
-from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.scans import Scans, submap
+from nls.sonar.scans.setup.checks import SetupFinding, SetupKind, check_setup
+from nls.sonar.scans.setup.mounting import Mounting, mounting
 
 __all__ = [
     "Closing",

@@ -8,14 +8,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse as sp
 
-from factors.keys import kinds
 from models.algebra import Array, Index
-from nls.analysis.motions import motion_covariances
-from nls.graph import FactorGraph
 from nls.sonar.scans.scans import Scans, in_world
-from nls.values import Values
 
-__all__ = ["centers", "half_widths", "pairs", "windows"]
+__all__ = ["centers", "half_widths", "pairs"]
 
 HALF = 4  # keyframes on either side of the middle of a submap
 STEP = 4  # keyframes from middle to middle
@@ -27,7 +23,6 @@ SPREAD = 8  # keyframes of the track from which one partner is taken
 PARTNERS = 8  # of one submap at most
 SIGMAS = 3.0  # of the relative pose
 LIMITS = ((3.0, 20.0), (np.radians(3.0), np.radians(10.0)))  # least and largest half width: m, rad
-x = kinds("x")[0]
 
 
 def centers(scans: Scans) -> Index:
@@ -73,13 +68,8 @@ def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:
     return cells
 
 
-def windows(graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
-    """Half widths (n, 2), m and rad, of the search for keyframes j (n,) from i: by their relative covariance."""
-    return half_widths(motion_covariances(graph, values, x[i], x[j]))
-
-
 def half_widths(relative: Array) -> Array:
-    """Half widths (n, 2), m and rad, of the search for poses whose covariance (n, 3, 3) from their partner is known."""
+    """Half widths (n, 2), m and rad, of the search for poses, by their covariances (n, 3, 3) from their partners."""
     variance = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]])
     sigma = np.sqrt(np.maximum(variance, 0.0))  # below 0 by rounding, where both poses are as good as one
     return np.column_stack([np.clip(SIGMAS * sigma[:, k], *LIMITS[k]) for k in range(2)])

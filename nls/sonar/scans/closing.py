@@ -13,6 +13,7 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError
 from models.options import check_whole
+from nls.analysis.motions import motion_covariances
 from nls.graph import FactorGraph
 from nls.metrics.absolute import displacements
 from nls.optimizers import Result
@@ -169,8 +170,8 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
     middle = candidates.centers(scans)
     a, b = candidates.pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
-    window = candidates.windows(graph, values, i, j) if len(i) else np.zeros((0, 2))
-    return Matches.around(values[x], scans, i, j, window)
+    relative = motion_covariances(graph, values, x[i], x[j]) if len(i) else np.zeros((0, 3, 3))
+    return Matches.around(values[x], scans, i, j, candidates.half_widths(relative))
 
 
 def shares(i: Index, j: Index) -> Array:

@@ -18,9 +18,8 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from nls.sonar.scans import candidates
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import INDEPENDENT, Match
-from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import match_submap, submap
+from nls.sonar.scans.matching import INDEPENDENT, Match, match_submap
+from nls.sonar.scans.scans import Scans, submap
 
 __all__ = ["ACCEPTED", "Fits", "Matches", "Verdict", "comparable", "field_before", "sequential_matches", "verdicts"]
 

@@ -17,7 +17,7 @@ K. Chou, "Markov localization using correlation", IJCAI 1999 (temper).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from models.errors import GraphError, ResourceLimitError
 from models.options import check_positive
 from nls.sonar.scans.field import STRAY, Field
 
-__all__ = ["Match", "match"]
+__all__ = ["Match", "match", "match_submap"]
 
 INDEPENDENT = 40.0  # independent points in a match: with as many or fewer, every point counts
 YAW_STEP = float(np.radians(1.0))
@@ -39,6 +39,7 @@ CELLS = 50_000_000  # most scores of a window, with their transforms 1 GB
 REACH = np.array([0.8, 0.8, 2 * YAW_STEP])  # m, m, rad: farthest from the best cell, that of the score, to the pose
 HALVINGS = 4  # of a step that does not raise the score
 LEAST_STEP = 0.002  # squared sigmas by the tempered score, below which a step is not taken
+BENT = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad, of a submap that is not rigid: dead reckoning drifts within it
 NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
 
 
@@ -117,7 +118,14 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
     C = _moments(P, yaws - wrap(pose[2] - T[2]), offsets - (pose[0] - T[0]), offsets - (pose[1] - T[1]))
     C[:2] = R.T @ C[:2]
     C[:, :2] = C[:, :2] @ R
-    return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), _rim(P))
+    edge = float(1.0 - P[1:-1, 1:-1, 1:-1].sum())
+    return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), edge)
+
+
+def match_submap(field: Field, points: Array, guess: Array, window: tuple[float, float]) -> Match:
+    """As `match`, of submaps: they are bent by the drift within them, and the covariance says so."""
+    fit = match(field, points, guess, window)
+    return replace(fit, covariance=fit.covariance + np.diag(BENT**2))
 
 
 def scores(
@@ -158,11 +166,6 @@ def _moments(P: Array, yaw: Array, x: Array, y: Array) -> Array:
     C[0, 2] = C[2, 0] = yaw @ of_yaw_x @ x
     C[1, 2] = C[2, 1] = yaw @ of_yaw_y @ y
     return C
-
-
-def _rim(P: Array) -> float:
-    """Probability on the faces of the window."""
-    return float(1.0 - P[1:-1, 1:-1, 1:-1].sum())
 
 
 def _refined(field: Field, p: Array, T: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The points a sensor measured, keyframe by keyframe, in the frame of the vehicle."""
+"""The points a sensor measured, keyframe by keyframe, and submaps: those of neighboring keyframes in one frame."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from models import SE2
 from models.algebra import Array, Index
-from models.errors import GraphError
+from models.errors import GraphError, OptionError
 from models.finite import finite, numbers
 from models.options import check_whole
 
-__all__ = ["Scans"]
+__all__ = ["Scans", "submap"]
 
 
 class Scans:
@@ -99,3 +99,38 @@ class Scans:
 def in_world(poses: Array, scans: Scans) -> Array:
     """All points (n, 2) in the world, seen from poses (count, 3)."""
     return SE2.act(poses[scans.keyframe], scans.points)
+
+
+def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int]) -> Array:
+    """Points (n, 2) of the keyframes around one of them, in the frame of that one, m.
+
+    Parameters
+    ----------
+    poses : (count, 3) of the keyframes, SE2.
+    scans : their points.
+    center : number of the keyframe in whose frame the points are.
+    half : keyframes on either side of it; or how many before and after it, -1 after it for none and not its own.
+        Those beyond the ends are left out.
+
+    Raises
+    ------
+    OptionError
+        No such keyframe; no keyframe at all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scans = Scans([[5.0, 0.0], [4.0, 0.0]], keyframe=[0, 1], count=2)
+    >>> submap(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), scans, center=1, half=1)
+    array([[3., 0.],
+           [4., 0.]])
+    """
+    before, after = (half, half) if isinstance(half, int) else half
+    if not 0 <= center < len(scans):
+        raise OptionError("center", center, f"a keyframe, 0 to {len(scans) - 1}")
+    if before + after < 0:
+        raise OptionError("half", half, "at least one keyframe")
+    first, last = max(0, center - before), min(len(scans), center + after + 1)
+    rows = slice(scans.starts[first], scans.starts[last])
+    T = SE2.between(np.broadcast_to(poses[center], (last - first, 3)), poses[first:last])
+    return np.asarray(SE2.act(T[scans.keyframe[rows] - first], scans.points[rows]))

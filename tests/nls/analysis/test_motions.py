@@ -11,7 +11,7 @@ import sim
 from factors import Between, Isotropic, Prior
 from models import SE3
 from nls import FactorGraph, Marginals, Values, kinds
-from nls.analysis.motions import cross_covariances, motion_covariances
+from nls.analysis.motions import motion_covariances
 
 (x,) = kinds("x")
 PAIRS = np.array([[7, 2], [0, 9], [4, 4], [2, 7], [11, 38], [0, 0], [7, 2]])
@@ -21,7 +21,7 @@ PAIRS = np.array([[7, 2], [0, 9], [4, 4], [2, 7], [11, 38], [0, 0], [7, 2]])
 def test_the_block_of_any_pair_is_that_of_their_joint_covariance(kind: Callable[..., sim.World]) -> None:
     world = kind(np.random.default_rng(1))
     graph, truth, (i, j) = world.graph, world.truth, PAIRS.T
-    C = cross_covariances(graph, truth, x[i], x[j])
+    C = Marginals(graph, truth, pairs=[(x[i], x[j])]).cross(x[i], x[j], frame="body")
     known, joint = np.unique(PAIRS), Marginals(graph, truth).joint(x[np.unique(PAIRS)], frame="body").matrix
     d = C.shape[1]
     blocks = joint.reshape(len(known), d, len(known), d).transpose(0, 2, 1, 3)
@@ -33,7 +33,7 @@ def test_the_block_of_any_pair_is_that_of_their_joint_covariance(kind: Callable[
 
 def test_pairs_of_one_pose_alone_join_nothing() -> None:
     world = sim.ring(np.random.default_rng(2))
-    C = cross_covariances(world.graph, world.truth, x[[5]], x[[5]])
+    C = Marginals(world.graph, world.truth, pairs=[(x[[5]], x[[5]])]).cross(x[[5]], x[[5]], frame="body")
     np.testing.assert_allclose(C[0], Marginals(world.graph, world.truth).covariance(x[5], frame="body"), rtol=1e-9)
     motion = motion_covariances(world.graph, world.truth, x[[5]], x[[25]])
     assert np.linalg.eigvalsh(motion[0]).min() > 0

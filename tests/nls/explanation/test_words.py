@@ -141,8 +141,7 @@ def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
 
 
 def test_every_reading_has_its_words_and_its_action() -> None:
-    names = {reading.name for reading in READINGS}
-    assert names == set(words.READINGS) == set(CURES)
+    assert set(READINGS) == set(words.READINGS) == set(CURES)
     assert set(CURES.values()) <= set(ACTIONS)
 
 

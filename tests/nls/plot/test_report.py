@@ -18,9 +18,9 @@ from models.errors import UnderconstrainedError
 from nls import Values
 from nls.plot import report
 from nls.plot.report.markup import Html
+from nls.plot.report.page import STYLE
 from nls.plot.report.pictures import SMALL, across, picture
 from nls.plot.report.sections import number
-from nls.plot.report.style import STYLE
 from nls.plot.style import REJECTED
 from tests.nls.graphs import l, mixed, pose_graph, x
 from tests.nls.plot.html_page import Page, undrawn

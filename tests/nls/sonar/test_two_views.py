@@ -26,7 +26,7 @@ from nls import (
     kinds,
 )
 from nls.sonar import TwoView, two_views
-from nls.sonar.arcs import search
+from nls.sonar.relative_pose import search
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")

@@ -30,6 +30,7 @@ from factors.keys import Keys, kinds
 from models import SE2, R
 from models.algebra import Array
 from models.errors import GraphError
+from nls.analysis.clock import central_differences
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.scans.scans import Scans
@@ -114,7 +115,7 @@ def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayL
         noise = Robust(Covariance(steps.covariance), Cauchy(KERNEL))
         shown: Factor = BetweenSensors(x[steps.i], x[steps.j], steps.pose, noise, mount[0])
         if stamps is not None:
-            w = _twists(poses, stamps)
+            w = central_differences(SE2, poses, stamps)
             H = shown.predict((SE2, SE2, SE2), poses[steps.i], poses[steps.j], np.zeros((len(steps), 3)))[1]
             assert H is not None
             rates = -np.matvec(np.asarray(H[0]), w[steps.i]) - np.matvec(np.asarray(H[1]), w[steps.j])
@@ -146,7 +147,7 @@ def corrected(scans: Scans, estimate: Mounting, values: Values, times: npt.Array
     """
     if estimate.wrong[3] and times is not None:
         poses = values[x]
-        back = SE2.exp(-estimate.value[3] * _twists(poses, _checked(times, len(poses))))
+        back = SE2.exp(-estimate.value[3] * central_differences(SE2, poses, _checked(times, len(poses))))
         return Scans(SE2.act(back[scans.keyframe], scans.points), scans.keyframe, len(scans))
     G = np.where(estimate.wrong, estimate.value, 0.0)[None, :3]
     return scans.at(SE2.compose(G, scans.mount[None])[0])
@@ -185,10 +186,3 @@ def _checked(times: npt.ArrayLike, count: int) -> Array:
     if t.shape != (count,) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise GraphError(f"times: shape {t.shape}; expected one rising number for each of {count} keyframes, s")
     return t
-
-
-def _twists(poses: Array, t: Array) -> Array:
-    """Twists (n, 3) in the frames of poses (n, 3), m/s and rad/s, over the steps before and after."""
-    k = np.arange(len(poses))
-    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, len(poses) - 1)
-    return np.asarray(SE2.log(SE2.between(poses[before], poses[after])) / (t[after] - t[before])[:, None])

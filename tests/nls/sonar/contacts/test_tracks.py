@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from models.algebra import Index
 from nls.sonar.contacts.tracks import (
     joined,
+    largest,
     once_per_ping,
     parted,
     renamed,
@@ -18,7 +19,6 @@ from nls.sonar.contacts.tracks import (
     share_a_ping,
     single,
     sizes,
-    worst,
 )
 
 Partition = set[frozenset[int]]
@@ -102,10 +102,8 @@ def test_tracks_that_share_a_ping(scene: dict[str, Any]) -> None:
 
 def test_the_worst_sighting_of_a_track() -> None:
     tracks, d2 = np.array([0, 1, 0, 1, 4]), np.array([3.0, 1.0, 2.0, 5.0, 0.0])
-    every = np.ones(5, dtype=bool)
-    assert np.flatnonzero(worst(tracks, d2, every)).tolist() == [0, 3, 4]
-    assert np.flatnonzero(worst(tracks, d2, tracks == 1)).tolist() == [3]
-    assert not worst(tracks[:0], d2[:0], every[:0]).any()
+    assert np.flatnonzero(largest(tracks, d2)).tolist() == [0, 3, 4]
+    assert not largest(tracks[:0], d2[:0]).any()
 
 
 @given(scenes())

@@ -13,7 +13,7 @@ from models.algebra import Array, wrap
 from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
-from nls.sonar.scans.setup.mirror import Mirror
+from nls.sonar.scans.setup.checks import most_are_mirrored
 from nls.sonar.scans.setup.mounting import corrected
 from nls.sonar.scans.setup.sigmas import Fit, fits
 from nls.sonar.scans.setup.words import observable, record, sentence
@@ -89,7 +89,7 @@ def test_mirrored_azimuths_are_named(right: Right) -> None:
 
 def test_a_mirror_needs_steps_and_most_of_them() -> None:
     counts = [(0, 9), (3, 10), (10, 30), (10, 31)]
-    assert [Mirror(*pair).wrong for pair in counts] == [False, True, False, True]
+    assert [most_are_mirrored(*pair) for pair in counts] == [False, True, False, True]
 
 
 def test_scans_without_points_say_nothing() -> None:
