@@ -218,6 +218,7 @@ def test_a_tag_of_edges_is_left_out_only_where_that_is_asked_for(tmp_path: Path)
     assert str(caught[1].message).endswith("no line has the tag 'EDGE_FOOT'; did you mean 'EDGE_FOO'?")
     many = PLANE + "".join(f"EDGE_{k:050} 0 1\n" for k in range(30))
     assert assert_refused(9, "and 21 more tags", read, many).advice == ()
+    assert read(PLANE + "EDGE_A 1\nEDGE, 2\n", ignore_tags="EDGE_A, EDGE,")[2].tags["EDGE,"] == 1
     for dialect, tag in (("toro", "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3"), ("isam", "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1")):
         assert_refused(2, "EDGE_X (1)", read, f"{tag}\nEDGE_X 0 1\n", dialect=dialect)
     assert set(FORMATS) == {"g2o", "toro", "isam", "isam-covariance", "graph"}
