@@ -263,6 +263,17 @@ def test_a_number_that_two_blocks_take_for_two_things_is_refused(run: Run, monke
     assert "has x0 in one part of the stream and l0 in another" in complaint
 
 
+def test_ids_and_keys_of_one_name_in_two_blocks_are_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one block they all stay numbers; in two, x1 would be a robot here and a key of GTSAM there."""
+    head = ord("x") << 56
+    edges = [f"EDGE_SE2 {i} {j} 1 0 0 1 0 0 1 0 1\n" for i, j in ((0, 1), (1, head), (head, head | 1))]
+    assert run("-", given="".join(edges).encode())[2] == 0
+    monkeypatch.setattr("nls.cli.stream.AT_ONCE", len(edges[0]))
+    steps, complaint, status = run("-", given=(edges[0] + edges[2]).encode())
+    assert (status, len(steps)) == (2, 1)
+    assert "has x as ids and as keys of GTSAM" in complaint
+
+
 def test_lines_of_a_pipe_are_counted_as_the_reader_does(tmp_path: Path, run: Run) -> None:
     r"""Each line ends in \r\r\n, as of text that was written twice as such: in a file two lines, in a pipe one."""
     lines = [f"EDGE_SE2 {k} {k + 1} 1 0 0.{k} 1 0 0 1 0 1\r\r\n".encode() for k in range(9)]
