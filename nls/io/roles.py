@@ -33,20 +33,16 @@ def by_role(format: Format, vertices: list[Lines], edges: list[Lines]) -> list[L
     return out
 
 
-def present(
-    text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport, apart: bool = False
-) -> list[Lines]:
+def present(text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport, apart: bool) -> list[Lines]:
     """The edges without those to vertices that no line gives, which are kept as text; all of them without vertices."""
     if not vertices:
         return edges
-    points, poses = (
-        different(joined(v.ids[0] for v in vertices if not apart or (v.record.slots == ("point",)) == of_points))
-        for of_points in (True, False)
-    )
+    given = [
+        different(joined(v.ids[0] for v in vertices if not apart or (v.record.slots == ("point",)) == point))
+        for point in (False, True)
+    ]
     masks = [
-        np.all(
-            [among(i, points if s == "point" else poses) for s, i in zip(b.record.slots, b.ids, strict=True)], axis=0
-        )
+        np.all([among(i, given[s == "point"]) for s, i in zip(b.record.slots, b.ids, strict=True)], axis=0)
         for b in edges
     ]
     if len(absent := np.sort(joined(block.at[~mask] for block, mask in zip(edges, masks, strict=True)))):
