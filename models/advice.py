@@ -105,6 +105,11 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "pyfg": "write a file that ends in .pyfg, which has a line for a range",
     "ignore tags": ("leave these lines out", "ignore_tags={1}", "--ignore-tags {0}"),
     "drop absent": ("leave such edges out", "drop_absent=True", "--drop-absent"),
+    "convert first": (
+        "nls evaluate has no such option: compare what nls convert writes with it",
+        None,
+        "nls convert {0} OUT.npz",
+    ),
     "repair": ("take the nearest matrix", "repair_information=True", "--repair-information"),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,23 +18,32 @@ if TYPE_CHECKING:
 SCHEMA = "evaluate 1"
 LEVEL = 1e-9  # rad, below which a pose is one of the plane
 TURNED_OVER = (
-    "the alignment {} turned the track over, up became down: either the track is mirrored, or of the two files one has "
-    "z up and the other z down. A level track fits its mirror image so, and the ATE does not show it. Compare with "
-    "--align yaw, which turns nothing over; then change the signs of y and yaw, or the frame, of one of the files"
+    "the alignment {} turned the track over, up became down: the track is mirrored, or of the two files one has z up "
+    "and the other z down, or it is so straight that its errors alone say how it is turned about itself. A level track "
+    "fits its mirror image so, and the ATE does not show it. Compare with --align yaw, which turns nothing over; where "
+    "that fits worse, change the signs of y and yaw, or the frame, of one of the files"
 )
 ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, and of angles that are spread
 
 
 def evaluate(options: argparse.Namespace) -> int:
     """Read both, match, align, compare, print; returns the exit status."""
-    from nls.io.poses import TRUE_FILES, read_poses
+    from models.advice import Advice
+    from models.errors import GraphFileError
+    from nls.io.poses import FILES, TRUE_FILES, read_poses
 
     distances = _distances(options.distances)
     refuse_unwritable({"--json": options.json}, options.file, options.truth)
-    options.phase.doing = f"while reading {options.file}"
-    estimate = read_poses(options.file)
-    options.phase.doing = f"while reading {options.truth}"
-    truth = read_poses(options.truth, TRUE_FILES)
+    read = []
+    for file, names in ((options.file, FILES), (options.truth, TRUE_FILES)):
+        options.phase.doing = f"while reading {file}"
+        try:
+            read.append(read_poses(file, names))
+        except GraphFileError as error:
+            if error.advice:  # options of the commands that read graphs
+                error.advise(Advice("convert first", (shlex.quote(file),)))
+            raise
+    estimate, truth = read
     options.phase.doing = f"while comparing {options.file} with {options.truth}"
     record = compared(estimate, truth, options.align, distances, options.tolerance)
     if record["turned_over"]:

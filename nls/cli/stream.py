@@ -31,10 +31,12 @@ from nls.gauge import fixed_variables
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.steps import Arrived, steps
 from nls.io import NATIVE, foreign
+from nls.io.dialects import FORMATS
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
 from nls.io.native.native import read_native
 from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
+from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.io.unused_lines import not_there
 
@@ -46,6 +48,7 @@ PARAMETERS, SWITCH, VERTEX, FIX = (
     re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE)
     for tag in (rb"PARAMS_", rb"(?:VERTEX_SWITCH|EDGE_SWITCH_PRIOR)\b", rb"VERTEX(?!_SWITCH\b)", rb"FIX\b")
 )
+LINE_END = rb"\r*\n"  # a line is what `Text` counts as one: a carriage return alone ends none
 MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_|VERTEX_SWITCH\b|EDGE_SWITCH_PRIOR\b)[^#\s]", re.MULTILINE)
 SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information", "ignore_tags"
 
@@ -174,6 +177,7 @@ class _Reader:
         self.tags: set[str] = set()
         self._fixed: set[bytes] = set()
         self._keyed, self._plain = set[str](), set[str]()  # kinds by their ids, in all blocks
+        self._numbers: dict[str, set[int]] = {kind: set() for kind in KINDS.values()}
         self._lines: list[bytes] = []  # that are not in the digest yet, where one is wanted
         self._hash, self._hashed = hashlib.sha256(), 0
 
@@ -185,7 +189,8 @@ class _Reader:
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
-            self._lines += block.splitlines()
+            *whole, rest = re.split(LINE_END, block)
+            self._lines += [*whole, rest] if rest else whole
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
         if form == "bal":
@@ -215,7 +220,22 @@ class _Reader:
                 f"has {min(both)} as ids and as keys of GTSAM: two things of one name; give the file, not a pipe",
                 self.name,
             )
+        self._refuse_two_things(graph, report)
         yield from self._arriving(graph, values, report)
+
+    def _refuse_two_things(self, graph: nls.FactorGraph, report: LoadReport) -> None:
+        """Refuse a number that is a pose in one block and a point in another: what a line is about, others say."""
+        format, tags = FORMATS[report.format], {*self.tags, *report.tags}
+        if format.apart or any(record.apart for record in format.records if record.tag.decode() in tags):
+            return
+        plain = self._numbers.keys() - set(report.gtsam_kinds)
+        for keys in (keys for factor in graph.factors for keys in factor.keys if keys.kind in plain):
+            numbers = set(keys.numbers.tolist())
+            for kind in plain - {keys.kind}:
+                if both := numbers & self._numbers[kind]:
+                    two = f"{kind}{min(both)} in one part of the stream and {keys.kind}{min(both)} in another"
+                    raise nls.GraphFileError(f"has {two}, by one number; give the file, not a pipe", self.name)
+            self._numbers[keys.kind] |= numbers
 
     def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
         """The steps of a native file, in the order of their newest poses."""
@@ -303,11 +323,23 @@ def _begun(options: argparse.Namespace) -> Session:
         raise nls.GraphFileError("is a smoother that no stream wrote; give --checkpoint another name", path)
     for name, value in about.pop("settings").items():
         if (given := getattr(options, name)) != value:
-            option = name.replace("_", "-")
-            raise nls.GraphFileError(
-                f"was made with --{option} {value}, not {given}; give the same options, or remove it", path
-            )
+            was, now = (_option(name, v) for v in (value, given))
+            raise nls.GraphFileError(f"was made {was}, not {now}; give the same options, or remove it", path)
     return Session(smoother, **about)
+
+
+def _option(name: str, value: object) -> str:
+    """How an option was given.
+
+    Examples
+    --------
+    >>> _option("lag", 5), _option("repair_information", True), _option("ignore_tags", "")
+    ('with --lag 5', 'with --repair-information', 'without --ignore-tags')
+    """
+    option = "--" + name.replace("_", "-")
+    if value is None or value is False or value == "":
+        return f"without {option}"
+    return f"with {option}" if value is True else f"with {option} {shlex.quote(str(value))}"
 
 
 def _checkpoint(options: argparse.Namespace, session: Session, reader: _Reader, line: int) -> bytes:

@@ -383,6 +383,8 @@ class Incremental:
     def load(cls, path: str | Path) -> Self:
         """The smoother of a file that `save` or ``nls stream --checkpoint`` wrote.
 
+        Its measurements are new objects: `remove` and `decide` do not know those that were given before.
+
         Raises
         ------
         GraphFileError

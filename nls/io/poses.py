@@ -10,6 +10,7 @@ columns keyframe, time, x, y and yaw.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,7 +82,7 @@ def read_poses(path: str | Path, folder_files: Sequence[str] = FILES) -> Poses:
     if os.path.isdir(path):
         names = (Path(path, name + end) for name in (*folder_files, *GRAPH_FILES) for end in ("", ".gz"))
         if (file := next((name for name in names if name.is_file()), None)) is None:
-            cure = f"a folder with {' or '.join(folder_files)}, as nls solve {path} -o OUT writes"
+            cure = f"a folder with {' or '.join(folder_files)}, as nls solve {shlex.quote(str(path))} -o OUT writes"
             raise OptionError("folder of poses", str(path), cure)
         path = file
     form = Path(str(path).lower().removesuffix(".gz")).suffix[1:]

@@ -158,7 +158,7 @@ def read_pyfg(
         number = batch.numbers[0]
         text.once(number, batch.lines, f"vertex {kind}")
         values.stacks |= Values({kind: (space, batch.table, number)}).stacks
-        if space in (SE2, SE3):
+        if space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
             report.vertex_times[kind] = batch.times
 
     graph = FactorGraph()

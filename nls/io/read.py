@@ -98,11 +98,13 @@ def read_graph(
         read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
     vertices = [block for block in read if block.record.factor is None and block.record.slots]
-    edges = by_role(format, vertices, present(text, vertices, edges, report) if drop_absent else edges)
+    edges = by_role(format, vertices, edges)
+    apart = format.apart or any(block.record.apart for block in edges)
+    edges = present(text, vertices, edges, report, apart) if drop_absent else edges
     named = [block for block in read if not block.record.slots]
     offsets = _Offsets(text, [block for block in named if not block.record.switched], group)
     switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
-    roles = Roles(text, vertices, edges, unknown, format.apart or any(block.record.apart for block in edges))
+    roles = Roles(text, vertices, edges, unknown, apart)
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for block in edges:

@@ -33,12 +33,18 @@ def by_role(format: Format, vertices: list[Lines], edges: list[Lines]) -> list[L
     return out
 
 
-def present(text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport) -> list[Lines]:
+def present(text: Text, vertices: list[Lines], edges: list[Lines], report: LoadReport, apart: bool) -> list[Lines]:
     """The edges without those to vertices that no line gives, which are kept as text; all of them without vertices."""
-    given = different(joined(block.ids[0] for block in vertices))
-    if not len(given):
+    if not vertices:
         return edges
-    masks = [np.all([among(ids, given) for ids in block.ids], axis=0) for block in edges]
+    given = [
+        different(joined(v.ids[0] for v in vertices if not apart or (v.record.slots == ("point",)) == point))
+        for point in (False, True)
+    ]
+    masks = [
+        np.all([among(i, given[s == "point"]) for s, i in zip(b.record.slots, b.ids, strict=True)], axis=0)
+        for b in edges
+    ]
     if len(absent := np.sort(joined(block.at[~mask] for block, mask in zip(edges, masks, strict=True)))):
         count, line = several(len(absent), "edge"), text.first_number + absent[0]
         report.warn(f"{count} to vertices that no line gives left out, first on line {line}")
@@ -82,7 +88,7 @@ class Roles:
             lines = {block.record.slots[0]: block for block in vertices}
             self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.vertex_ids[:0]
             self.poses = np.sort(lines["pose"].ids[0]) if "pose" in lines else self.vertex_ids[:0]
-            self._refuse_missing(lines)
+            self._refuse_missing(lines, apart)
             self._refuse_clash("pose", self.mounts, "mount")
             self.poses = self.poses[~np.isin(self.poses, self.mounts)] if len(self.mounts) else self.poses
         else:
@@ -142,7 +148,7 @@ class Roles:
                 f"vertex {id_text(number)} is used as {use} here, and as {other_use} on line {other_line + 1}", line
             )
 
-    def _refuse_missing(self, lines: dict[str, Lines]) -> None:
+    def _refuse_missing(self, lines: dict[str, Lines], apart: bool) -> None:
         """Refuse an edge to a vertex that no line gives, or that is of another role."""
         for block in self.edges:
             for slot, ids in zip(block.record.slots, block.ids, strict=True):
@@ -151,7 +157,7 @@ class Roles:
                 if (is_known := among(ids, known)).all():
                     continue
                 k = int(np.argmin(is_known))
-                if other_role in lines and (ids[k] == lines[other_role].ids[0]).any():
+                if not apart and other_role in lines and (ids[k] == lines[other_role].ids[0]).any():
                     line = int(lines[other_role].at[np.argmax(lines[other_role].ids[0] == ids[k])])
                     message = f"the edge needs a {role}, vertex {id_text(ids[k])} is a {other_role} (line {line + 1})"
                     raise self.text.error(message, int(block.at[k]))

@@ -189,8 +189,8 @@ def _text(table: Array) -> bytes:
     return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
 
 
-def track_of(path: str | Path, values: Values, form: str = "tum") -> Stack:
-    """The poses of a graph, which are of one kind besides places of sensors, o; the form is for the cure.
+def track_of(path: str | Path, values: Values, form: str = "") -> Stack:
+    """The poses of a graph, which are of one kind besides places of sensors, o; the form, to write, is for the cure.
 
     Raises
     ------
@@ -200,7 +200,8 @@ def track_of(path: str | Path, values: Values, form: str = "tum") -> Stack:
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3) and stack.kind != "o"]
     if len(poses) != 1:
         names = ", ".join(stack.kind for stack in poses) or "none"
-        advice = [Advice("one kind", (stack.kind, form)) for stack in poses[:1]] + [Advice("table"), Advice("native")]
+        other = [Advice("table"), Advice("native")] if form else []
+        advice = [Advice("one kind", (stack.kind, form)) for stack in poses[:1] if form] + other
         message = f"{path}: a trajectory file holds the poses of one kind, this graph has {names}"
         raise GraphError(message, advice=advice)
     return poses[0]

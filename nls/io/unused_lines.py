@@ -46,7 +46,7 @@ def refuse_edges(
     if read := sorted(names & {printable(tag) for tag in known}):
         raise OptionError("ignore_tags", read[0], "tags that are not read; delete lines of this one that are wrong")
     edges = {printable(tag): lines for tag, lines in unknown.items() if tag[:4].upper() == b"EDGE"}
-    edges = {tag: lines for tag, lines in edges.items() if not names.issuperset(tag.split(","))}
+    edges = {tag: lines for tag, lines in edges.items() if not names >= tags_to_ignore(tag)}
     if edges:
         counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
         option = (shlex.quote(",".join(edges)), repr(list(edges)))
@@ -59,7 +59,8 @@ def refuse_edges(
 
 def tags_to_ignore(ignore_tags: Sequence[str]) -> set[str]:
     """The tags that may be left out, those with commas in parts; one text is a list with commas, as of a command."""
-    return set(filter(None, ",".join([ignore_tags] if isinstance(ignore_tags, str) else ignore_tags).split(",")))
+    names = ",".join([ignore_tags] if isinstance(ignore_tags, str) else ignore_tags)
+    return set(filter(None, names.replace(" ", "").split(",")))
 
 
 def not_there(ignore_tags: Sequence[str], tags: Collection[str]) -> list[str]:

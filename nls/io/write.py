@@ -23,7 +23,7 @@ from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.gtsam_keys import VertexIds
 from nls.io.lines import joined
-from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets, spaces_of
+from nls.io.records import Format, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.switches import PRIOR, VERTEX
@@ -115,7 +115,7 @@ class _Content:
             for table in _edges(path, factor, values, group, format, vertex_ids, self.offsets, statement)
         ]
         _refuse_conventions(path, graph, values)
-        _refuse_mounts(path, graph, values)
+        _refuse_mounts(path, graph, values, vertex_ids.roles)
         self.vertices: list[tuple[bytes, Numbers, np.ndarray, Array]] = []
         self.unwritten, start = 0, 0
         for kind, stack in values.stacks.items():
@@ -185,18 +185,17 @@ def _refuse_conventions(path: str, graph: FactorGraph, values: Values) -> None:
         )
 
 
-def _refuse_mounts(path: str, graph: FactorGraph, values: Values) -> None:
+def _refuse_mounts(path: str, graph: FactorGraph, values: Values, roles: dict[str, str]) -> None:
     """A place of a sensor that no measurement uses as one would be read back as a pose."""
-    if KINDS["mount"] not in values.stacks:
-        return
-    used = [k.numbers for f in graph.factors for k in f.keys[1:] if k.kind == KINDS["mount"]]
-    numbers = values.stacks[KINDS["mount"]].numbers
-    if len(lost := Keys(KINDS["mount"], numbers[~np.isin(numbers, joined(used))])):
-        raise GraphError(
-            f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose",
-            [lost],
-            advice=[NATIVE],
-        )
+    for kind in (kind for kind in values.stacks if roles[kind] == "mount"):
+        used = [k.numbers for f in graph.factors for k in f.keys[1:] if k.kind == kind]
+        numbers = values.stacks[kind].numbers
+        if len(lost := Keys(kind, numbers[~np.isin(numbers, joined(used))])):
+            raise GraphError(
+                f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose",
+                [lost],
+                advice=[NATIVE],
+            )
 
 
 class _Offsets:

@@ -94,7 +94,9 @@ def matched(
             raise GraphError(f"matched: {name} has shape {times.shape}, expected ({len(X)},): one per pose")
     if not (np.diff(s) > 0).all():
         k = int(np.argmin(np.diff(s) > 0)) + 1
-        raise GraphError(f"matched: times_truth[{k}], {s[k]!r}, does not rise over {s[k - 1]!r} before it; sort them")
+        raise GraphError(
+            f"matched: times_truth[{k}], {s[k]:.10g} s, does not rise over {s[k - 1]:.10g} s before it; sort them"
+        )
     if tolerance is None:
         tolerance = float(USUAL * np.median(np.diff(s))) if len(s) > 1 else 0.0
     elif not tolerance >= 0:

@@ -260,3 +260,26 @@ def test_folders_of_missions_are_compared_by_their_names(shell: Shell, monkeypat
     assert shell.report("evaluate solved m --distances 1") == files
     assert shell.report("evaluate solved solved --distances 1")["ate"]["rmse_m"] == 0
     assert "nls solve m -o OUT writes" in shell.refused("evaluate m m")
+
+
+@pytest.mark.filterwarnings("always")
+def test_the_cures_of_a_graph_that_is_not_read_are_options_of_another_command(shell: Shell) -> None:
+    edges = "".join(f"EDGE_SE2 {k} {k + 1} 1 0 0.2 {INFORMATION_2}\n" for k in range(9))
+    shell.file(edges, "truth.g2o")
+    shell.file(edges + "EDGE_FOO 1 2\n", "two words.g2o")
+    complaint = shell.refused("evaluate 'two words.g2o' truth.g2o")
+    option, command = (line.rpartition(": ")[2].strip() for line in complaint.splitlines()[1:])
+    assert (option, command) == ("--ignore-tags EDGE_FOO", "nls convert 'two words.g2o' OUT.npz")
+    shell.both(f"{command.removeprefix('nls ')} {option}")
+    assert json.loads(shell("evaluate OUT.npz truth.g2o --json -"))["ate"]["rmse_m"] == 0
+    (shell / "no poses").mkdir()
+    assert "as nls solve 'no poses' -o OUT writes" in shell.refused("evaluate 'no poses' truth.g2o")
+
+
+def test_a_file_of_no_times_is_not_matched_by_time(shell: Shell) -> None:
+    """In a PyFactorGraph file all times are 0, that of the first pose of the truth."""
+    shell.file("".join(f"EDGE_SE2 {k} {k + 1} 1 0 0.2 {INFORMATION_2}\n" for k in range(9)), "a.g2o")
+    shell("convert a.g2o a.pyfg")
+    shell("convert a.pyfg a.tum")  # by their numbers, as the note says
+    assert json.loads(shell("evaluate a.pyfg a.g2o --json -"))["matched_by"] == "number"
+    assert "a.pyfg has numbers alone; a.tum has times alone" in shell.refused("evaluate a.pyfg a.tum")

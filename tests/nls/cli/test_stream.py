@@ -209,7 +209,8 @@ def test_a_checkpoint_of_something_else_is_refused(ring: Path, tmp_path: Path, r
         ring.read_text().replace("EDGE_SE2 0 1 ", "EDGE_SE2 0  1 ") + "EDGE_SE2 149 150 1 0 0 1 0 0 1 0 1\n"
     )
     assert "are not those" in run(other, "--checkpoint", state)[1]
-    assert "was made with --lag None, not 5" in run(ring, "--lag", "5", "--checkpoint", state)[1]
+    assert "was made without --lag, not with --lag 5;" in run(ring, "--lag", "5", "--checkpoint", state)[1]
+    assert "made without --repair-information, not" in run(ring, "--repair-information", "--checkpoint", state)[1]
     state.write_bytes(state.read_bytes()[:500])
     assert "is a damaged checkpoint" in run(ring, "--checkpoint", state)[1]
     state.write_text("hello")
@@ -246,3 +247,41 @@ def test_switches_and_ignored_lines_come_in_pieces(tmp_path: Path, run: Run, mon
     twice = path.read_text() + path.read_text().splitlines()[-1] + "\n"
     _, complaint, status = run("-", "--ignore-tags", "EDGE_FOO", given=twice.encode())
     assert (status, "needs switch 6 for itself alone" in complaint) == (2, True)
+
+
+def test_a_number_that_two_blocks_take_for_two_things_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a block without an edge of its pose, a position of RTAB-Map would be one of a landmark: the pose loses it."""
+    edges = [
+        f"EDGE_SE3:QUAT {k} {k + 1} 1 0 0 0 0 0 1 {' '.join(map(str, np.eye(6)[np.triu_indices(6)]))}" for k in range(3)
+    ]
+    text = "\n".join([*edges, *(f"EDGE_POINTXYZ_PRIOR {k} 0 {k} 0 1 0 0 1 0 1" for k in range(3)), ""]).encode()
+    whole, complaint, status = run("-", given=text)
+    assert (status, complaint, {step["variable"][0] for step in whole}) == (0, "", {"x"})
+    monkeypatch.setattr("nls.cli.stream.AT_ONCE", len(edges[0]) + 1)
+    pieces, complaint, status = run("-", given=text)
+    assert (status, len(pieces)) == (2, 3)
+    assert "has x0 in one part of the stream and l0 in another" in complaint
+
+
+def test_ids_and_keys_of_one_name_in_two_blocks_are_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one block they all stay numbers; in two, x1 would be a robot here and a key of GTSAM there."""
+    head = ord("x") << 56
+    edges = [f"EDGE_SE2 {i} {j} 1 0 0 1 0 0 1 0 1\n" for i, j in ((0, 1), (1, head), (head, head | 1))]
+    assert run("-", given="".join(edges).encode())[2] == 0
+    monkeypatch.setattr("nls.cli.stream.AT_ONCE", len(edges[0]))
+    steps, complaint, status = run("-", given=(edges[0] + edges[2]).encode())
+    assert (status, len(steps)) == (2, 1)
+    assert "has x as ids and as keys of GTSAM" in complaint
+
+
+def test_lines_of_a_pipe_are_counted_as_the_reader_does(tmp_path: Path, run: Run) -> None:
+    r"""Each line ends in \r\r\n, as of text that was written twice as such: in a file two lines, in a pipe one."""
+    lines = [f"EDGE_SE2 {k} {k + 1} 1 0 0.{k} 1 0 0 1 0 1\r\r\n".encode() for k in range(9)]
+    state, path = tmp_path / "state", tmp_path / "whole.g2o"
+    assert len(run("-", "--checkpoint", state, given=b"".join(lines[:6]))[0]) == 6
+    path.write_bytes(b"".join(lines))
+    refused = "its first 6 lines are not those"
+    assert refused in run(path, "--checkpoint", state)[1]
+    assert refused in run("-", "--checkpoint", state, given=b"".join([*lines[:4], *lines[5:]]))[1]
+    steps, complaint, status = run("-", "--checkpoint", state, given=b"".join(lines))
+    assert ([step["variable"] for step in steps], complaint, status) == (["x7", "x8", "x9"], "", 0)

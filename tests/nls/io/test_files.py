@@ -37,6 +37,16 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         assert ((place / "1").read_bytes(), read_bytes(place / "2.gz")) == (b"x", b"y")
 
 
+def test_content_is_on_the_disk_before_it_replaces_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[object] = []
+    monkeypatch.setattr(os, "fsync", lambda number: done.append(os.fstat(number).st_size))
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda old, new: (done.append(Path(new).name), replace(old, new)))
+    for size in (3, 7):
+        write_bytes(tmp_path / "state", b"x" * size)
+    assert done == [3, "state", 7, "state"]
+
+
 def test_links_and_permissions_stay(tmp_path: Path) -> None:
     file, link = tmp_path / "file", tmp_path / "link.gz"
     file.write_bytes(b"older")

@@ -96,6 +96,15 @@ def test_ids_below_2_to_56_and_files_of_them_stay_as_they_are(tmp_path: Path) ->
         same(loaded, again(loaded, tmp_path))
 
 
+@pytest.mark.parametrize("letter", "xlo")
+def test_poses_may_have_every_letter(letter: str, tmp_path: Path) -> None:
+    """Also those of our own kinds of points and of places of sensors."""
+    head = ord(letter) << 56
+    loaded = read(f"EDGE_SE2 {head} {head | 1} {STEP}\nEDGE_SE2 {head | 1} {A} {STEP}\n")
+    assert numbers(loaded[1]) == {letter: [0, 1], "a": [0]}
+    same(loaded, again(loaded, tmp_path))
+
+
 def test_graphs_made_in_python_get_keys_where_g2o_has_no_ids(tmp_path: Path) -> None:
     """A place of a sensor is one by its use."""
     a, b, m, s, x, l = kinds("a", "b", "m", "s", "x", "l")
@@ -110,6 +119,9 @@ def test_graphs_made_in_python_get_keys_where_g2o_has_no_ids(tmp_path: Path) -> 
     assert read_back.chi2(its) == pytest.approx(graph.chi2(values), rel=1e-12)
     with pytest.raises(nls.GraphError, match="a281474976710656 is no key of GTSAM: its number must be"):
         nls.save(tmp_path / "b.g2o", FactorGraph(), Values({a: (SE2, poses, [1, 1 << 48])}))
+    lost = Values({a: (SE2, poses), b: (SE2, poses[:1]), s: (SE2, [[0.3, 0.1, 0.2]] * 2), m: (R(2), [[3.0, 1.0]])})
+    with pytest.raises(nls.GraphError, match="s1 is no offset of any measurement"):
+        nls.save(tmp_path / "b.g2o", graph, lost)
     with pytest.raises(nls.GraphError, match="x0 and l0 have one number"):
         nls.save(tmp_path / "b.g2o", FactorGraph(), Values({x: (SE2, poses), l: (R(2), [[0.0, 0.0]])}))
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from factors import DCS, Landmark, Position, Prior
 from nls import GraphWarning, LevenbergMarquardt, OptionError, Stop, load
 from nls.io.dialects import FORMATS
-from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same, write
+from tests.nls.io.g2o_files import INFORMATION_2, PLANE, again, assert_refused, read, same, write
 from tests.nls.io.io_files import GTSAM_2, POSES_3, RTABMAP_3, SWITCHED_2, SWITCHED_3, UPPER_3, C
 
 Pose = tuple[np.ndarray, np.ndarray]  # rotation matrix, position
@@ -218,6 +218,7 @@ def test_a_tag_of_edges_is_left_out_only_where_that_is_asked_for(tmp_path: Path)
     assert str(caught[1].message).endswith("no line has the tag 'EDGE_FOOT'; did you mean 'EDGE_FOO'?")
     many = PLANE + "".join(f"EDGE_{k:050} 0 1\n" for k in range(30))
     assert assert_refused(9, "and 21 more tags", read, many).advice == ()
+    assert read(PLANE + "EDGE_A 1\nEDGE, 2\n", ignore_tags="EDGE_A, EDGE,")[2].tags["EDGE,"] == 1
     for dialect, tag in (("toro", "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3"), ("isam", "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1")):
         assert_refused(2, "EDGE_X (1)", read, f"{tag}\nEDGE_X 0 1\n", dialect=dialect)
     assert set(FORMATS) == {"g2o", "toro", "isam", "isam-covariance", "graph"}
@@ -241,6 +242,16 @@ def test_edges_to_absent_vertices_are_left_out_only_where_that_is_asked_for(tmp_
     assert_refused(len(text.splitlines()) + 2, "vertex 4 is a point", read, text + wrong, drop_absent=True)
     without = f"EDGE_SE3:QUAT 0 1 1 0 0 {C} {UPPER_3}\n"
     assert read(without, drop_absent=True)[2].warnings == []
+
+
+def test_a_pose_is_absent_though_a_point_of_its_own_numbering_has_its_number() -> None:
+    vertices = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 2 2 0 0\nVERTEX_XY 1 1 1\n"
+    edges = f"EDGE_SE2 0 2 2 0 0 {INFORMATION_2}\nLANDMARK2 0 1 1 1 1 0 1\nEDGE_SE2 0 1 1 0 0 {INFORMATION_2}\n"
+    error = assert_refused(6, "the edge needs vertex 1, which no VERTEX_SE2 line has", read, vertices + edges)
+    assert [piece.action for piece in error.advice] == ["drop absent"]
+    graph, _, report = read(vertices + edges + "LANDMARK2 0 2 1 1 1 0 1\n", drop_absent=True)
+    assert report.warnings == ["2 edges to vertices that no line gives left out, first on line 6"]
+    assert [repr(f) for f in graph.factors] == ["Between(x0, x2)", "Landmark(x0, l1)"]
 
 
 def test_the_options_are_refused_where_they_mean_nothing(tmp_path: Path) -> None:
