@@ -156,7 +156,8 @@ def _tagged(seed: Seed, original: bytes, given: Reading, data: bytes, read: Read
         )
     if new.fault:
         return new.fault
-    if any(not line.lstrip().startswith("PARAMS") for line in read.report.ignored) > bool(read.report.warnings):
+    beside = [BESIDE.match(line.lstrip().encode("utf-8", "surrogateescape")) for line in read.report.ignored]
+    if not all(beside) and not read.report.warnings:
         return "lines are not used, without a warning"
     if new.edges.total() != read.measurements.total():
         return f"{new.edges.total()} lines of edges, {read.measurements.total()} measurements"
@@ -338,7 +339,7 @@ def _file(seed: Seed, name: str, old: Any, new: Any, given: Reading, read: Readi
     if table not in MEASURED:
         return ""
     numbers = {n for source in report.sources if source.path.endswith(name) for n in source.lines.tolist()}
-    noted = any(re.search(r"not within|not used|counted once", note) for note in report.notes)
+    noted = any(re.search(r"not within|not used|counted once|undecided", note) for note in report.notes)
     return f"{len(new)} rows, {len(numbers)} of them measurements" if len(numbers) != len(new) and not noted else ""
 
 

@@ -251,7 +251,10 @@ def _edges(
     statement: Statement | None,
 ) -> list[tuple[bytes, list[Numbers], Array]]:
     """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
-    model, _ = values.gather(factor)
+    try:
+        model, _ = values.gather(factor)
+    except GraphError as error:
+        raise named(path, factor, error) from error
     fixed = fixed_offsets(factor)
     n, any_ = len(factor), [group.identity()]
     tag = b"" if statement is None else statement.tag

@@ -76,7 +76,9 @@ def warned(graph: FactorGraph, values: Any, report: Any) -> Any:
 
 
 def raw(graph: FactorGraph, values: Any, report: Any) -> Any:
-    warnings.warn("\x1b[2J", GraphWarning, stacklevel=1)
+    note = GraphWarning("")
+    note.args = ("\x1b[2J",)  # which a warning by itself escapes
+    warnings.warn(note, stacklevel=1)
     return graph, values, report
 
 

@@ -90,7 +90,12 @@ def _of_numbers(section: Section, log: Log, column: str, notes: list[str]) -> St
     ns = days.astype(np.int64) * NANOSECONDS + np.rint((seconds - days) * 1e9).astype(np.int64)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         ns = np.where(present, whole * round(NANOSECONDS * scale) + round(cell.offset * NANOSECONDS), 0)
-    return Stamps(present, ns, bool(np.abs(seconds).max(initial=0.0) >= EPOCH))
+    return Stamps(present, ns, _size(seconds[present]) >= EPOCH)
+
+
+def _size(times: Array) -> float:
+    """The median magnitude: one cell that is wrong changes no unit."""
+    return float(np.median(np.abs(times))) if len(times) else 0.0
 
 
 def _refuse_late(section: Section, log: Log, column: str, seconds: Array) -> None:
@@ -120,9 +125,9 @@ def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[s
                     f"[{section.table}] of the mapping",
                 )
     if not unit:
-        largest = np.abs(numbers).max(initial=0)
-        unit = next((unit for limit, unit in BY_SIZE if largest >= limit), "s")
-        since = " since 1970, by their size" if largest >= EPOCH else ""
+        size = _size(numbers)
+        unit = next((unit for limit, unit in BY_SIZE if size >= limit), "s")
+        since = " since 1970, by their size" if size >= EPOCH else ""
         notes.append(f"{log.title}: {name!r} names no unit; its times are taken to be {unit}{since}")
     scale = factor(unit, "time_s")
     return next((u for u in ("ns", "us", "ms", "s") if factor(u, "time_s") == scale), unit), scale

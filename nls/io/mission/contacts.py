@@ -10,7 +10,7 @@ from factors.sighting import Sighting
 from factors.sonar import first_contacts, refuse_search
 from models import R, euler
 from models.algebra import Array, Index, Numbers
-from models.errors import OptionError
+from models.errors import GraphFileError, OptionError, UnderconstrainedError
 from models.sensors import ImagingSonar
 from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
 from nls.io.mission.rows import Assembly
@@ -50,7 +50,13 @@ def add_unnamed_contacts(mission: Assembly, timeline: Timeline, start: Values, e
     assert report.sonar is not None
     with stage("associate"):
         announce(f"{len(contacts):,} contacts without names")
-        associated = associate(mission.graph, start, contacts, report.sonar.aperture)
+        try:
+            associated = associate(mission.graph, start, contacts, report.sonar.aperture)
+        except UnderconstrainedError as error:
+            needed = "names no landmarks, so that the track must be determined without them"
+            raise GraphFileError(
+                f"{needed}: {error.message}", mission.tables["contacts"].path, advice=error.advice
+            ) from error
     rows = rows[associated.numbers >= 0]
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)

@@ -148,3 +148,11 @@ def test_what_cannot_be_written_names_the_file_given(tmp_path: Path) -> None:
         assert str(caught.value).startswith(f"{tmp_path / name}: cannot be written: {reason}")
         assert "\n" not in str(caught.value)
     assert [p.name for p in tmp_path.iterdir()] == ["loop"]
+
+
+def test_a_variable_without_a_value_is_said_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.g2o"
+    graph = FactorGraph([Between(x[0], x[1], [1.0, 0.0, 0.0], Isotropic(0.1))])
+    with pytest.raises(GraphError, match=rf"^{path}: x1 has no value"):
+        nls.save(path, graph, Values({x: (SE2, [[0.0, 0.0, 0.0]])}))
+    assert not path.exists()

@@ -83,6 +83,7 @@ def test_every_mistake_has_its_line(tmp_path: Path) -> None:
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "determinant is -1"),
         ("0 0 0 0 0 0 0 0 0 0 0 0", "no rotation matrix"),
         ("1e200 0 0 0 0 1 0 0 0 0 1 0", "no rotation matrix"),
+        ("0 -1 0 1.5 1e-308 0 0 0.25 0 0 1 2", "no rotation matrix"),
     ):
         assert_refused(2, words, read_kitti, write(tmp_path, f"1 0 0 0 0 1 0 0 0 0 1 0\n{row}\n", "a.kitti"))
 

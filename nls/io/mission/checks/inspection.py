@@ -20,6 +20,7 @@ from nls.io.mission.table import Table
 __all__ = ["implausible", "of_log"]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers near the largest are far from all others
 def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Implausible]:
     """Implausible numbers in the tables of a mission.
 

@@ -240,3 +240,11 @@ def test_many_texts(tmp_path: Path) -> None:
     words = [f"{start + timedelta(milliseconds=370 * k):%m/%d/%Y %H:%M:%S.%f}" for k in range(20_000)]
     rows = table(imported(tmp_path, DEPTH + 'time_format = "%m/%d/%Y %H:%M:%S.%f"\n', log=log_of(words)), "depth")
     assert rows["time_s"][-1] == pytest.approx(0.37 * 19_999, abs=1e-9)
+
+
+def test_one_wrong_cell_changes_no_unit(tmp_path: Path) -> None:
+    """Seconds with a cell of 1e18 are not nanoseconds: the cell is refused, at its line."""
+    right = log_of(["0.5", "1.5", "2.5", "3.5"])
+    assert table(imported(tmp_path, DEPTH, log=right), "depth")["time_s"].tolist() == [0.5, 1.5, 2.5, 3.5]
+    with pytest.raises(GraphFileError, match=r"log\.csv:5: t: 1e\+18 s is no time since 1970, nor of a dive"):
+        imported(tmp_path, DEPTH, log=log_of(["0.5", "1.5", "2.5", "1e18"]))

@@ -127,3 +127,11 @@ def test_dives_need_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert f"{second / 'contacts.csv'}:2: " in capsys.readouterr().err
     with pytest.raises(OptionError, match="elevation"):
         nls.load(second, elevation="guess")
+
+
+def test_a_track_that_is_not_determined_is_said_with_the_file(tmp_path: Path) -> None:
+    path = written(tmp_path / "m")
+    text = (path / "zpr.csv").read_text().splitlines(keepends=True)
+    (path / "zpr.csv").write_text("".join(text[:2] + text[3:]))
+    with pytest.raises(GraphFileError, match=r"contacts\.csv: names no landmarks.*x1: z, roll, pitch.*not determined"):
+        nls.load(path)
