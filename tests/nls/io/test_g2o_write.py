@@ -154,5 +154,5 @@ def test_a_variable_without_a_value_is_said_with_the_file(tmp_path: Path) -> Non
     path = tmp_path / "a.g2o"
     graph = FactorGraph([Between(x[0], x[1], [1.0, 0.0, 0.0], Isotropic(0.1))])
     with pytest.raises(GraphError, match=rf"^{path}: x1 has no value"):
-        nls.save(path, graph, Values({x: (SE2, [[0.0, 0.0, 0.0]])}))
+        save(path, graph, Values({x: (SE2, [[0.0, 0.0, 0.0]])}))
     assert not path.exists()
