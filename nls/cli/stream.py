@@ -319,7 +319,7 @@ def _begun(options: argparse.Namespace) -> Session:
     if path is None or not os.path.exists(path):
         return Session(nls.Incremental(options.tol, options.lag, options.landmarks))
     smoother, about = read_smoother(path, nls.Incremental)
-    if not about:
+    if about.keys() != {"settings", "step", "line", "printed", "digest"}:
         raise nls.GraphFileError("is a smoother that no stream wrote; give --checkpoint another name", path)
     for name, value in about.pop("settings").items():
         if (given := getattr(options, name)) != value:

@@ -179,11 +179,9 @@ class _Writer:
         sorts: dict[Hashable, list[int]] = {}
         for k, factor in enumerate(self._in_order):
             model = factor._model
-            sort = (
-                k
-                if model is None or factor.opaque
-                else (model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim)
-            )
+            sort: Hashable = k  # alone, where its spaces are not known
+            if model is not None and not factor.opaque:
+                sort = model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim
             sorts.setdefault(sort, []).append(k)
         rows, batches = np.zeros((len(self._in_order), 3), dtype=np.int64), []
         for number, alike in enumerate(sorts.values()):

@@ -50,7 +50,8 @@ ALIASES = {
     **{unit.lower(): unit for units in UNITS.values() for unit in units},
 }
 MINUTES = re.compile(r"d{2,3}mm(\.m+)?", re.I)
-BRACKET = re.compile(r"[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]\s*$")
+IN_BRACKETS = r"[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]"
+BRACKET = re.compile(IN_BRACKETS + r"\s*$")
 
 
 def mission_unit(column: str) -> tuple[str, str]:
@@ -127,6 +128,8 @@ def header_unit(header: str) -> tuple[str, bool]:
     >>> header_unit("Roll [deg]"), header_unit("v_mm_s"), header_unit("field.depth"), header_unit("state [raw]")
     (('deg', True), ('mm/s', False), ('', False), ('raw', True))
     """
+    if known := [text for text in re.findall(IN_BRACKETS, header) if dimension(text)]:
+        return known[-1], True  # "height [m] (filtered)"
     if bracket := BRACKET.search(header):
         return bracket[1], True
     words = header.strip().split("_")

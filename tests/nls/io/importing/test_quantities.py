@@ -210,3 +210,9 @@ def test_a_number_of_any_size_is_used_or_refused(mapping: str, number: str, tmp_
     log = "t [s],z [m],date\n1600000000,1,2022-08-15 09:59:38\n1600000001,2,2022-08-15 09:59:39\n"
     with suppress(GraphFileError):
         imported(tmp_path, text, log=log)
+
+
+def test_a_unit_in_brackets_may_be_followed_by_a_remark(tmp_path: Path) -> None:
+    log = "t,height [cm] (filtered)\n0,100\n1,200\n"
+    mapping = '[depth]\ntime_s = "t"\nz_m = { column = "height [cm] (filtered)", up = true }\n'
+    assert table(imported(tmp_path, mapping, log=log), "depth")["z_m"].tolist() == [-1, -2]
