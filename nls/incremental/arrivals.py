@@ -22,7 +22,7 @@ from nls.incremental.growing import Variables
 from nls.incremental.window import Window
 from nls.values import Values
 
-__all__ = ["Arrivals", "Ready", "blame", "refuse_others"]
+__all__ = ["Arrivals", "Ready", "blame", "factors_of", "refuse_others"]
 
 
 @dataclass(frozen=True)
@@ -183,15 +183,22 @@ def blame(error: LeadlineError, came: list[Factor], given: list[Factor]) -> None
             return
 
 
+def factors_of(given: Factor | Sequence[Factor], expected: str) -> list[Factor]:
+    """A factor or several as a list; what is none is refused, in words of what was expected."""
+    factors = [given] if isinstance(given, Factor) else list(given)
+    for factor in factors:
+        if not isinstance(factor, Factor):
+            raise GraphError(f"Incremental.{expected}, got {factor!r:.80}")
+    return factors
+
+
 def refuse_others(factors: Sequence[Factor], given: Sequence[Factor]) -> None:
     """Refuse to remove what was not given."""
     known = {id(factor) for factor in given}
     for factor in factors:
-        if not isinstance(factor, Factor):
-            raise GraphError(f"Incremental.remove: expected factors that were given to update, got {factor!r:.80}")
         if id(factor) not in known:
             like = any(type(other) is type(factor) and other.keys == factor.keys for other in given)
-            cure = ". Another object of its type and variables is: pass that one" if like else ""
+            cure = ". Another object of its type and variables is, in `given`: pass that one" if like else ""
             raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
 
 

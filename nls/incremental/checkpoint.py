@@ -118,8 +118,7 @@ class _Writer:
         self._entries: list[Plain] = []
         self._places: dict[int, int] = {}  # of entries, by `id`
         self._kept: list[Any] = []  # what has an entry: an `id` that is free would be given again
-        self._factors: dict[int, int] = {}
-        self._in_order: list[Factor] = []
+        self._factors: dict[int, tuple[int, Factor]] = {}  # places and factors, by `id`
 
     def of(self, thing: Any) -> Plain:
         """A number, text or truth as it is; of all else the place of its entry."""
@@ -139,10 +138,7 @@ class _Writer:
         return {"entry": self._places[id(thing)]}
 
     def _factor(self, factor: Factor) -> int:
-        place = self._factors.setdefault(id(factor), len(self._in_order))
-        if place == len(self._in_order):
-            self._in_order.append(factor)
-        return place
+        return self._factors.setdefault(id(factor), (len(self._factors), factor))[0]
 
     def _entry(self, thing: Any) -> Plain:
         if isinstance(thing, np.ndarray):
@@ -176,16 +172,17 @@ class _Writer:
 
     def tables(self) -> dict[str, Plain]:
         """Entries in order; batches of the factors of one sort; batch, begin and end (n, 3) of every factor."""
+        in_order = [factor for _, factor in self._factors.values()]
         sorts: dict[Hashable, list[int]] = {}
-        for k, factor in enumerate(self._in_order):
+        for k, factor in enumerate(in_order):
             model = factor._model
             sort: Hashable = k  # alone, where its spaces are not known
             if model is not None and not factor.opaque:
                 sort = model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim
             sorts.setdefault(sort, []).append(k)
-        rows, batches = np.zeros((len(self._in_order), 3), dtype=np.int64), []
+        rows, batches = np.zeros((len(in_order), 3), dtype=np.int64), []
         for number, alike in enumerate(sorts.values()):
-            factors = [self._in_order[k] for k in alike]
+            factors = [in_order[k] for k in alike]
             ends = np.cumsum([len(factor) for factor in factors])
             rows[alike] = np.column_stack([np.full(len(ends), number), np.append(0, ends[:-1]), ends])
             models = [factor._model for factor in factors if factor._model is not None]

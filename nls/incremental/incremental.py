@@ -40,7 +40,7 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals, blame, refuse_others
+from nls.incremental.arrivals import Arrivals, blame, factors_of, refuse_others
 from nls.incremental.beginnings import LIMIT, New, lower_start, part
 from nls.incremental.decision import Decision
 from nls.incremental.growing_system import HONEST, GrowingSystem
@@ -67,7 +67,6 @@ class Incremental:
         stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
         same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
-
     decide_every : `decide` which loop closures to believe whenever so many have come; a pose graph's alone.
 
     Attributes
@@ -120,10 +119,7 @@ class Incremental:
         GraphError, NoiseModelError, EvaluationError, SingularGeometryError
             A measurement that cannot be used. All is as before the call, and the advice names the measurement.
         """
-        factors = [factors] if isinstance(factors, Factor) else list(factors)
-        for factor in factors:
-            if not isinstance(factor, Factor):
-                raise GraphError(f"Incremental.update: expected factors such as Between(...), got {factor!r:.80}")
+        factors = factors_of(factors, "update: expected factors such as Between(...)")
         with self._unless_it_fails():
             try:
                 self._use([*self._undecided, *factors], values)
@@ -271,7 +267,7 @@ class Incremental:
         UnderconstrainedError
             Something else is free without them; they stay.
         """
-        factors = [factors] if isinstance(factors, Factor) else list(factors)
+        factors = factors_of(factors, "remove: expected factors that were given to update")
         here = [*self.pending, *(given for given, _ in [*self._system.given, *self._decision.rejected])]
         refuse_others(factors, here)
         out = {id(factor) for factor in factors}
@@ -317,6 +313,11 @@ class Incremental:
     def graph(self) -> FactorGraph:
         """The measurements that are in the estimate."""
         return FactorGraph(joined([self._system.model(factor) for _, factor in self._system.given]))
+
+    @property
+    def given(self) -> tuple[Factor, ...]:
+        """Factors that are in the estimate as they were given, each once; `remove` takes these objects."""
+        return tuple({id(given): given for given, _ in self._system.given}.values())
 
     @property
     def rejected(self) -> tuple[Factor, ...]:
@@ -383,7 +384,7 @@ class Incremental:
     def load(cls, path: str | Path) -> Self:
         """The smoother of a file that `save` or ``nls stream --checkpoint`` wrote.
 
-        Its measurements are new objects: `remove` and `decide` do not know those that were given before.
+        Its measurements are new objects, `given`: `remove` and `decide` do not know those that were given before.
 
         Raises
         ------

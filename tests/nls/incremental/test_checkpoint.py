@@ -113,7 +113,7 @@ def test_it_settles_removes_and_decides_as_before(tmp_path: Path) -> None:
     for one in (smoother, again):
         one.decide()
         one.update([Between(x[58], x[59], [0.5, 0.0, 0.3], Isotropic(0.05))])
-        one.remove(one.graph.factors and [given for given, _ in one._system.given][-1])
+        one.remove(one.given[-1])
     same(smoother, again)
     assert smoother.rejected
 
