@@ -95,7 +95,7 @@ def matched(
     if not (np.diff(s) > 0).all():
         k = int(np.argmin(np.diff(s) > 0)) + 1
         raise GraphError(
-            f"matched: times_truth[{k}], {s[k]:.10g} s, does not rise over {s[k - 1]:.10g} s before it; sort them"
+            f"matched: times_truth[{k}], {float(s[k])} s, does not rise over {float(s[k - 1])} s before it; sort them"
         )
     if tolerance is None:
         tolerance = float(USUAL * np.median(np.diff(s))) if len(s) > 1 else 0.0
