@@ -30,7 +30,7 @@ from nls.cli.outputs import input_name, refuse_unwritable
 from nls.gauge import fixed_variables
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.steps import Arrived, steps
-from nls.io import NATIVE, foreign
+from nls.io import NATIVE, foreign, switches
 from nls.io.dialects import FORMATS
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
 from nls.io.native.native import read_native
@@ -44,12 +44,13 @@ __all__ = ["stream"]
 
 EVERY = 100  # steps from one checkpoint to the next
 AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
+OF_SWITCH = b"|".join((switches.VERTEX, switches.PRIOR))
 PARAMETERS, SWITCH, VERTEX, FIX = (
     re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE)
-    for tag in (rb"PARAMS_", rb"(?:VERTEX_SWITCH|EDGE_SWITCH_PRIOR)\b", rb"VERTEX(?!_SWITCH\b)", rb"FIX\b")
+    for tag in (rb"PARAMS_", rb"(?:%s)\b" % OF_SWITCH, rb"(?!(?:%s)\b)VERTEX" % OF_SWITCH, rb"FIX\b")
 )
 LINE_END = rb"\r*\n"  # a line is what `Text` counts as one: a carriage return alone ends none
-MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_|VERTEX_SWITCH\b|EDGE_SWITCH_PRIOR\b)[^#\s]", re.MULTILINE)
+MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_|(?:%s)\b)[^#\s]" % OF_SWITCH, re.MULTILINE)
 SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information", "ignore_tags"
 
 
