@@ -18,6 +18,9 @@ FOLDER = ROOT / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.ipynb"))
 MUTANTS = tomllib.loads((ROOT / "tools" / "broken.toml").read_text(encoding="utf-8"))["mutant"]
 LINES = 25  # of a cell
+WORDS = 2000  # of a notebook, one reading
+SHOWN = 90  # lines of code of a notebook that are not folded away
+OPENING = 350  # words before the first figure
 HIDDEN = {"hide-cell", "remove-cell"}  # tags of cells whose code a page does not show
 CLAIM = re.compile(
     r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n"
@@ -31,6 +34,12 @@ def cells(path: Path, kind: str) -> list[dict[str, Any]]:
     return [cell | {"source": "".join(cell["source"])} for cell in every if cell["cell_type"] == kind]
 
 
+def shows(lines: list[str]) -> bool:
+    """Whether a cell of code ends in a figure or an animation."""
+    last = next(line for line in reversed(lines) if line[:1] not in ("", " ", ")"))
+    return last in ("figure", "plt.show()") or last.startswith("animation(")
+
+
 def title(path: Path) -> str:
     return cells(path, "markdown")[0]["source"].partition("\n")[0].removeprefix("# ")
 
@@ -38,7 +47,7 @@ def title(path: Path) -> str:
 def test_there_is_a_course() -> None:
     numbers = [int(path.name[:2]) for path in NOTEBOOKS]
     assert len(numbers) == len(set(numbers)) >= 12
-    assert numbers[0] == 1
+    assert numbers[0] == 0
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
@@ -69,9 +78,29 @@ def test_a_page_teaches_slowly(path: Path) -> None:
             assert len(lines) <= LINES, f"{cell['id']} has {len(lines)} lines"
             if not HIDDEN & set(cell["metadata"].get("tags", [])):
                 assert not any(line.strip().startswith("assert ") for line in lines), f"{cell['id']} asserts"
-            if lines[-1] in ("figure", "plt.show()"):
+            if shows(lines):
                 assert re.search(r"\*\*Question\.\*\* [^*]*\?", before), f"{cell['id']}: no question before the figure"
         before = "\n".join(lines) if cell["cell_type"] == "markdown" else ""
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
+def test_a_notebook_is_one_reading(path: Path) -> None:
+    """It begins with a question and a picture; what a reader reads fits in an hour."""
+    words = lines = 0
+    opening = None
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            words += len(source.split())
+            continue
+        if opening is None and shows(source.splitlines()):
+            opening = words
+        if not {"hide-input", *HIDDEN} & set(cell["metadata"].get("tags", [])):
+            lines += sum(bool(line.strip()) for line in source.splitlines())
+    assert opening is not None
+    assert opening <= OPENING
+    assert words <= WORDS
+    assert lines <= SHOWN
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])

@@ -7,12 +7,14 @@ from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
 from nls.plot.filters import belief
 from nls.plot.offsets import offsets
+from nls.plot.player import animation
 from nls.plot.report import report
 from nls.plot.sonar import fan_image, frustum, polar_image
 from nls.plot.sparsity import spy
 from nls.plot.trajectory import before_after, trajectory
 
 __all__ = [
+    "animation",
     "before_after",
     "belief",
     "convergence",
