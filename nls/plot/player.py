@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import html
 import json
-import math
 from base64 import b64encode
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from io import BytesIO
 from string import Template
 from typing import TYPE_CHECKING, TypeVar
 from zlib import crc32
 
+import numpy as np
+
 from models.errors import OptionError
-from models.options import check_between
 from nls.plot.picture import escape_controls
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from PIL import Image
+    from PIL.Image import Image
 
-__all__ = ["Animation", "animation"]
+__all__ = ["Animation", "animation", "image"]
 
-LIMIT = 1_000_000  # bytes of an animation, so that a page with two loads on a slow line
+LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
 QUALITY = 80  # of a frame in WebP, of 100
 PLAYER = Template("""\
-<figure class="player" id="$name">
+<div class="player" id="$name">
 <img src="$still" alt="$alt" width="$width" height="$height" style="max-width: 100%; height: auto;">
 <div hidden>
-<button type="button" aria-label="play or pause">&#9654;</button>
+<button type="button" aria-label="play or pause" style="width: 3em;">&#9654;</button>
 <input type="range" min="0" max="$last" value="$last" aria-label="frame" style="width: 60%; vertical-align: middle;">
-<output>$count / $count</output>
+<output></output>
 </div>
 <script>
 (() => {
@@ -44,19 +44,20 @@ PLAYER = Template("""\
     image.src = "data:image/webp;base64," + frames[k];
     text.textContent = (k + 1) + " / " + frames.length;
   };
-  const stop = () => { clearInterval(timer); timer = null; button.textContent = "\\u25b6"; };
-  const step = () => (+slider.value < frames.length - 1 ? show(+slider.value + 1) : stop());
-  button.onclick = () => {
-    if (timer) return stop();
-    if (+slider.value === frames.length - 1) show(0);
+  const stop = () => { clearTimeout(timer); timer = null; button.textContent = "\\u25b6"; };
+  const play = (k) => {
+    show(k);
+    if (k === frames.length - 1) return stop();
+    timer = setTimeout(() => play(k + 1), 1000 * seconds[k]);
     button.textContent = "\\u23f8";
-    timer = setInterval(step, 1000 * seconds);
   };
+  button.onclick = () => timer ? stop() : play(+slider.value === frames.length - 1 ? 0 : +slider.value);
   slider.oninput = () => { stop(); show(+slider.value); };
   controls.hidden = false;
+  show(frames.length - 1);
 })();
 </script>
-</figure>
+</div>
 """)
 
 T = TypeVar("T")
@@ -65,30 +66,50 @@ T = TypeVar("T")
 class Animation:
     """Frames that a notebook and a page play.
 
+    Parameters
+    ----------
+    images : the frames. The last one is the still picture.
+    seconds : how long each is shown, one number for all or one each.
+    alt : a sentence that says what is to be seen, for readers who see no pictures.
+
     Attributes
     ----------
     frames : every frame as WebP.
-    still : the last frame as PNG, for programs that show no HTML.
-    seconds : how long each is shown.
-    alt : the text in place of the picture.
-    html : the player: play and pause, a slider that arrow keys move, the last frame before anything plays. A reader
-        without scripts sees the last frame alone. Nothing is loaded over the network.
+    html : the player: play and pause, and a slider that the arrow keys move. It shows the last frame before it plays; a
+        reader without scripts sees that frame alone. Nothing is loaded over the network.
+
+    Raises
+    ------
+    OptionError
+        No frames, or more than a million bytes of them; `seconds` not above 0.
     """
 
-    def __init__(self, frames: list[bytes], still: bytes, size: tuple[int, int], seconds: float, alt: str) -> None:
-        self.frames, self.still, self.seconds, self.alt = frames, still, seconds, alt
-        codes = [b64encode(frame).decode() for frame in frames]
+    def __init__(self, images: Sequence[Image], seconds: float | Sequence[float], alt: str) -> None:
+        if not images:
+            raise OptionError("frames", images, "at least one")
+        durations = (
+            np.broadcast_to(np.asarray(seconds, float), len(images))
+            if np.size(seconds) in (1, len(images))
+            else np.zeros(0)
+        )
+        if not len(durations) or not (durations > 0).all():
+            raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
+        self._last = images[-1]
+        self.frames = [_encoded(image, "webp", quality=QUALITY, method=3) for image in images]
+        codes = [b64encode(frame).decode() for frame in self.frames]
         self.html = PLAYER.substitute(
-            name=f"player-{crc32(b''.join(frames)):x}",
+            name=f"player-{crc32(b''.join(self.frames)):x}",
             still=f"data:image/webp;base64,{codes[-1]}",
             alt=html.escape(alt),
-            width=size[0],
-            height=size[1],
-            last=len(frames) - 1,
-            count=len(frames),
+            width=self._last.width,
+            height=self._last.height,
+            last=len(images) - 1,
             frames=json.dumps(codes),
-            seconds=seconds,
+            seconds=json.dumps(durations.tolist()),
         )
+        if len(self.html) > LIMIT:
+            expected = f"at most {LIMIT:,} bytes: fewer frames or a smaller figure; they take {len(self.html):,} bytes"
+            raise OptionError("frames", len(images), expected)
 
     def __repr__(self) -> str:
         return f"Animation({len(self.frames)} frames, {len(self.html) / 1e3:.0f} kB)"
@@ -97,11 +118,17 @@ class Animation:
         return self.html
 
     def _repr_png_(self) -> bytes:
-        return self.still
+        """The last frame, for programs that show no HTML."""
+        return _encoded(self._last, "png", optimize=True)
 
 
 def animation(
-    figure: Figure, draw: Callable[[T], object], frames: Iterable[T], *, alt: str, seconds: float = 0.2
+    figure: Figure,
+    draw: Callable[[T], object],
+    frames: Iterable[T],
+    *,
+    alt: str,
+    seconds: float | Sequence[float] = 0.2,
 ) -> Animation:
     """A figure drawn once for each frame, with a player.
 
@@ -111,12 +138,12 @@ def animation(
     draw : called as ``draw(frame)``; it changes what the figure shows, such as ``line.set_data(...)``.
     frames : what `draw` is called with, in order. The last one is the still picture.
     alt : a sentence that says what is to be seen, for readers who see no pictures.
-    seconds : how long a frame is shown.
+    seconds : how long each frame is shown, one number for all or one each.
 
     Returns
     -------
     Animation
-        The last value of a cell is shown. The figure is closed.
+        As the last value of a cell it is shown. The figure is closed, so that it is not shown a second time.
 
     Raises
     ------
@@ -134,29 +161,27 @@ def animation(
     (3, True)
     """
     import matplotlib.pyplot as plt
-    from PIL.Image import frombytes
 
-    check_between("seconds", seconds, 0, math.inf, "a time above 0, s")
-    drawn: list[bytes] = []
-    width, height = (int(DPI * inches) for inches in figure.get_size_inches())
+    images = []
     for frame in frames:
         draw(frame)
-        escape_controls(figure)
-        raw = BytesIO()
-        figure.savefig(raw, format="rgba", dpi=DPI)
-        image = frombytes("RGBA", (width, height), raw.getvalue()).convert("RGB")
-        drawn.append(_encoded(image, "webp", quality=QUALITY, method=3))
+        images.append(image(figure))
     plt.close(figure)
-    if not drawn:
-        raise OptionError("frames", drawn, "at least one")
-    made = Animation(drawn, _encoded(image, "png", optimize=True), image.size, seconds, alt)
-    if len(made.html) > LIMIT:
-        expected = f"at most {LIMIT:,} bytes, with fewer frames or a smaller figure; they take {len(made.html):,} bytes"
-        raise OptionError("frames", len(drawn), expected)
-    return made
+    return Animation(images, seconds, alt)
 
 
-def _encoded(image: Image.Image, kind: str, **options: object) -> bytes:
+def image(figure: Figure) -> Image:
+    """A figure as an image on a white ground, 80 dots an inch."""
+    from PIL.Image import frombytes
+
+    escape_controls(figure)
+    raw = BytesIO()
+    figure.savefig(raw, format="rgba", dpi=DPI)
+    width, height = (int(DPI * inches) for inches in figure.get_size_inches())
+    return frombytes("RGBA", (width, height), raw.getvalue()).convert("RGB")
+
+
+def _encoded(image: Image, kind: str, **options: object) -> bytes:
     """An image in the bytes of a file."""
     written = BytesIO()
     image.save(written, format=kind, **options)

@@ -29,8 +29,7 @@ def test_the_frames_are_in_order_and_the_last_one_is_the_still() -> None:
     made = moving()
     shades = [np.asarray(Image.open(BytesIO(frame))).mean() for frame in made.frames]
     assert np.allclose(shades, [0, 127, 255], atol=3)
-    assert np.asarray(Image.open(BytesIO(made.still))).mean() == 255
-    assert made._repr_png_() == made.still
+    assert np.asarray(Image.open(BytesIO(made._repr_png_()))).mean() == 255
     assert len(plt.get_fignums()) == 0, "the cell would show the figure a second time"
 
 
@@ -41,7 +40,7 @@ def test_the_page_of_an_animation_stands_alone() -> None:
     assert image is not None
     assert image[2] == "From &lt;black&gt; to &quot;white&quot;."
     assert f'"{image[1]}"]' in html, "what stands there before anything plays is the last frame"
-    assert "seconds = 0.5;" in html
+    assert "seconds = [0.5, 0.5, 0.5];" in html
     assert "http" not in html
     assert "$" not in html
     assert html.index("<div hidden>") < html.index("controls.hidden = false"), "without scripts there are no controls"
@@ -52,8 +51,10 @@ def test_what_is_refused() -> None:
     figure = plt.figure()
     with pytest.raises(OptionError, match=r"frames.* expected at least one"):
         animation(figure, print, [], alt="Nothing.")
-    with pytest.raises(OptionError, match="seconds"):
-        moving(seconds=0)
+    for seconds in (0, [0.1, 0.2], [0.1, 0.1, -1]):
+        with pytest.raises(OptionError, match=r"seconds.* above 0 for all frames, or one for each"):
+            moving(seconds=seconds)
+    assert "seconds = [1.0, 2.0, 3.0];" in moving(seconds=[1, 2, 3]).html
     noise = np.random.default_rng(0)
     figure, axes = plt.subplots(figsize=(8, 8))
     with pytest.raises(OptionError, match=r"frames.* at most 1,000,000 bytes"):
