@@ -1,6 +1,10 @@
-"""What the pseudo-inverse costs: six ways to solve one A dx = b, on pose graphs that grow from 30 to 100,000 unknowns.
+"""What the pseudo-inverse costs: seven ways to solve one A dx = b, on pose graphs from 30 to 100,000 unknowns.
 
     python benchmarks/pinv.py [--quick] [--seconds 20] [--gigabytes 4] [--out DIR]
+
+Textbooks write dx = A^+ b, and A^+ = (A'A)^-1 A'. These are two of the ways: A^+ by the singular value decomposition
+exists for every A; the formula (A'A)^-1 A', taken literally, needs columns that do not depend on one another, and
+squares the condition number.
 
 Every measurement is a fresh process with one BLAS thread that is given A and b of a simulated city, linearized at the
 true poses, and solves for the update. A solver stops where its next size is predicted to pass a limit, and says so.
@@ -29,17 +33,18 @@ import numpy.typing as npt
 
 SIZES = (30, 99, 300, 999, 3_000, 9_999, 30_000, 99_999)  # three unknowns a pose, the first pose held
 QUICK = 3_000
-DENSE = ("pinv", "dense-qr", "dense-cholesky")
+DENSE = ("pinv", "formula", "dense-qr", "dense-cholesky")
 SPARSE = ("qr", "lu", "cholesky")
 TITLE = {
-    "pinv": "dense pseudo-inverse",
+    "pinv": "pseudo-inverse by SVD",
+    "formula": "(A'A)^-1 A'",
     "dense-qr": "dense QR",
     "dense-cholesky": "dense Cholesky",
     "qr": "sparse QR",
     "lu": "sparse LU",
     "cholesky": "sparse Cholesky",
 }
-REFERENCES = ("dense-qr", "qr", "cholesky", "lu", "dense-cholesky", "pinv")  # the most accurate first
+REFERENCES = ("dense-qr", "qr", "cholesky", "lu", "dense-cholesky", "formula", "pinv")  # the most accurate first
 PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RUNS, ENOUGH = 99, 1.0  # runs of one measurement at most; no further one after so many seconds
@@ -57,6 +62,7 @@ class Series:
     bytes: list[float] = field(default_factory=list)  # that a solve adds to the process
     dx: list[npt.NDArray[np.float64]] = field(default_factory=list)  # the update
     stopped: str = ""  # why it ended; empty when every size was solved
+    foreseen: tuple[int, float] | None = None  # the size it was not given, and the seconds that this would need
 
 
 # --- one measurement, in a process of its own -------------------------------------------------------------------------
@@ -77,11 +83,19 @@ def measure(name: str, n: int, folder: Path) -> None:
         copy = LinearSystem(given.pattern, given.blocks, given.b)  # remembers nothing of an earlier solve
         copy.A  # noqa: B018 - A and b are given; everything made from them is timed
         began = process_time()
-        dx = solver.analyze(copy.pattern).solve(copy).dx
+        dx = update(copy)
         return process_time() - began, dx
 
-    kind: Any = SOLVERS[name]
-    solver = kind(memory_limit=np.inf) if name in DENSE else kind()
+    def formula(given: LinearSystem) -> npt.NDArray[np.float64]:
+        A = given.A.toarray()
+        return np.asarray(np.linalg.inv(A.T @ A) @ A.T @ given.b)
+
+    def by_solver(given: LinearSystem) -> npt.NDArray[np.float64]:
+        kind: Any = SOLVERS[name]
+        solver = kind(memory_limit=np.inf) if name in DENSE else kind()
+        return np.asarray(solver.analyze(given.pattern).solve(given).dx)
+
+    update = formula if name == "formula" else by_solver
     solve(system(50))  # libraries loaded
     given = system(n // 3 + 1)
     before = peak_memory(reset=True)
@@ -112,7 +126,7 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
     from nls.linear import SOLVERS
 
     series = Series(name)
-    if (missing := SOLVERS[name].missing()) is not None:
+    if name in SOLVERS and (missing := SOLVERS[name].missing()) is not None:
         series.stopped = f"{name} was not run: {missing}"
     for n in sizes:
         if series.stopped:
@@ -120,14 +134,17 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
         time, memory = predict(series, n, cells)
         if time > seconds or memory > gigabytes * 1e9:
             need = f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB"
-            series.stopped = f"{name} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
+            series.stopped = (
+                f"{TITLE[name]} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
+            )
+            series.foreseen = n, time
             break
         with tempfile.TemporaryDirectory() as folder:
             done = fresh(sys.executable, __file__, "--child", name, n, folder)
             if done.returncode and not series.n:
-                raise SystemExit(f"{name} fails at {n:,} unknowns: {last_words(done)}")
+                raise SystemExit(f"{TITLE[name]} fails at {n:,} unknowns: {last_words(done)}")
             if done.returncode:
-                series.stopped = f"{name} stops at {n:,} unknowns: {last_words(done)}"
+                series.stopped = f"{TITLE[name]} stops at {n:,} unknowns: {last_words(done)}"
                 break
             found = json.loads(done.stdout)
             series.n.append(n)
@@ -235,28 +252,36 @@ def notes() -> list[str]:
 
 
 def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> None:
-    """Time and memory against unknowns, both axes logarithmic."""
+    """Time and memory against unknowns, both axes logarithmic; arrows lead to what a solver was not given any more."""
     from matplotlib.figure import Figure
 
     from nls.plot.style import BEFORE, ESTIMATE
 
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    figure = Figure(figsize=(11.5, 4.8), layout="constrained")
+    figure.suptitle("Dense solvers leave the page at some thousand unknowns, sparse Cholesky does not")
     left, right = figure.subplots(1, 2)
-    styles = dict(zip(TITLE, ("o-", "s--", "^:", "o:", "s--", "^-"), strict=True))
+    markers = dict(zip(TITLE, "oDs^XPv", strict=True))
     for s in (s for s in found if s.n):
-        color = BEFORE if s.name in DENSE else ESTIMATE
+        color, label = BEFORE if s.name in DENSE else ESTIMATE, TITLE[s.name]
+        if s.foreseen is not None:
+            label += f"\n{s.foreseen[0]:,} would take {s.foreseen[1]:,.0f} s"
+            tip = s.foreseen[0], s.foreseen[1]
+            arrow = {"arrowstyle": "->", "color": color, "linestyle": ":", "shrinkA": 5}
+            left.annotate("", tip, (s.n[-1], s.seconds[-1]), arrowprops=arrow, annotation_clip=True)
         for axes, y in ((left, s.seconds), (right, np.array(s.bytes) / 1e6)):
-            axes.loglog(s.n, np.maximum(y, 1e-6), styles[s.name], color=color, label=TITLE[s.name], markersize=5)
+            axes.loglog(s.n, np.maximum(y, 1e-6), marker=markers[s.name], color=color, label=label, markersize=6)
+    last = max((s.foreseen[1] for s in found if s.foreseen is not None), default=seconds)
     for axes, limit, what in ((left, seconds, f"{seconds:g} s"), (right, 1e3 * gigabytes, f"{gigabytes:g} GB")):
         axes.axhline(limit, color="0.5", linewidth=0.8)
         axes.annotate(
-            f"limit {what}", (0.99, limit), xycoords=("axes fraction", "data"), ha="right", va="bottom", color="0.4"
+            f"limit {what}", (0.01, limit), xycoords=("axes fraction", "data"), ha="left", va="bottom", color="0.4"
         )
         axes.set(xlabel="unknowns", ylim=(None, 3 * limit))
         axes.grid(alpha=0.3)
-    left.set_ylabel("one linear solve, one thread [s]")
+    left.set(ylabel="one linear solve, one thread [s]", ylim=(None, 2 * max(last, seconds)))
     right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, None))
-    right.legend(loc="upper left", framealpha=1.0)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center", fontsize=9, labelspacing=0.9)
     figure.savefig(path, dpi=130)
 
 
@@ -321,7 +346,7 @@ def main() -> int:
     head = [*machine(), *notes()]
     found = [run(name, sizes, cells, options.seconds, options.gigabytes) for name in (*DENSE, *SPARSE)]
     limits = f"- limits: {options.seconds:g} s and {options.gigabytes:g} GB a solve"
-    lines = ["# Dense pseudo-inverse against sparse solvers", "", *head, limits, "", *table(found)]
+    lines = ["# The pseudo-inverse against sparse solvers", "", *head, limits, "", *table(found)]
     write_page(lines, options.out / "pinv.md")
     draw(found, options.out / "pinv.png", options.seconds, options.gigabytes)
     return 0

@@ -1,4 +1,4 @@
-"""A measurement of the pseudo-inverse benchmark: the update of a small city, by a solver that is always there."""
+"""A measurement of the pseudo-inverse benchmark: the update of a small city, by a solver and by the textbook's formula."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ import pytest
 import sim
 
 
+@pytest.mark.parametrize("name", ["lu", "formula"])
 def test_a_measurement_leaves_the_update(
-    part: Callable[[str], Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    name: str,
+    part: Callable[[str], Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pinv = part("pinv")
     monkeypatch.setattr(pinv, "RUNS", 1)
-    pinv.measure("lu", 30, tmp_path)
+    pinv.measure(name, 30, tmp_path)
     assert json.loads(capsys.readouterr().out)["seconds"] > 0
     world = sim.manhattan(np.random.default_rng(1), n_poses=11)
     world.graph.fix(next(iter(world.truth)))
