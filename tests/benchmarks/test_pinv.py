@@ -1,4 +1,4 @@
-"""A measurement of the pseudo-inverse benchmark: the update of a small city, by a solver and by the textbook's formula."""
+"""A measurement of the pseudo-inverse benchmark: the update of a small city, by a solver and by the formula."""
 
 from __future__ import annotations
 
