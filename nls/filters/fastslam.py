@@ -49,6 +49,13 @@ class FastSLAM(Filter):
         fewer of them are drawn where nothing was seen. 2.0 needs far fewer particles where the sensor is good.
     rng : source of everything drawn; the same generator state gives the same bits.
 
+    Attributes
+    ----------
+    X : (N, size) the latest pose of each particle.
+    parents : (N,) of the latest step, which particle of the step before each one descends from. It is 0, 1, ... N - 1
+        where the step resampled nothing. Followed back over all steps, it gives the path of a particle.
+    map : the landmarks of each particle; None before the first is found.
+
     Raises
     ------
     OptionError
@@ -99,6 +106,7 @@ class FastSLAM(Filter):
         self.start_values, self.manifold = values, values.stack(step.pose.kind).manifold
         self.map: ParticleMap | None = None
         self.log_w, self._copied = np.zeros(self.particles), dict[int, tuple[Factor, Copies]]()
+        self.parents = np.arange(self.particles)
         alone = [f for f in step.observations if self._about(f, step.pose) == "pose"]
         X = np.tile(values[step.pose], (self.particles, 1))
         self._move(
@@ -107,7 +115,7 @@ class FastSLAM(Filter):
 
     def step(self, step: Step) -> None:
         """Move every particle to the next pose and weigh it by what is seen there."""
-        self._copied = {}
+        self._copied, self.parents = {}, np.arange(self.particles)
         if effective(self.weights) < self.particles / 2:
             self._resample()
         motion = [(self._copies(f), slot_of(f, step.pose), (self.X,)) for f in step.motion]
@@ -194,10 +202,10 @@ class FastSLAM(Filter):
                 of.start_alone(new, self.start_values[new.keys[0]])
 
     def _resample(self) -> None:
-        parents = systematic(self.weights, self.rng)
-        self.X, self.log_w = self.X[parents], np.zeros(self.particles)
+        self.parents = systematic(self.weights, self.rng)
+        self.X, self.log_w = self.X[self.parents], np.zeros(self.particles)
         if self.map is not None:
-            self.map.resample(parents)
+            self.map.resample(self.parents)
 
     def _map(self, kind: str) -> ParticleMap:
         if self.map is None:

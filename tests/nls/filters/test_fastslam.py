@@ -169,6 +169,29 @@ def test_systematic_resampling_keeps_every_weight_up_to_one_particle() -> None:
     assert effective(np.full(40, 1 / 40)) == pytest.approx(40)
 
 
+@both
+def test_parents_give_every_particle_its_path_and_its_map(version: Version) -> None:
+    """Where a step resamples, poses and landmarks are those of the parents; elsewhere nobody changes places."""
+    world = sim.subsea(np.random.default_rng(0), laps=1, known_start=True)
+    filter, resampled = FastSLAM(30, version, rng=np.random.default_rng(1)), 0
+    first, *others = steps(world.graph, world.start)
+    filter.start(first, world.start)
+    assert filter.parents.tolist() == list(range(30))
+    for step in others:
+        X, few, m = filter.X.copy(), effective(filter.weights) < 15, filter.map
+        assert m is not None
+        numbers, L = m.numbers, m.L.copy()
+        filter.step(step)
+        (motion,) = step.motion
+        expected = SE2.compose(X[filter.parents], np.repeat(motion.z, 30, axis=0))
+        assert np.abs(SE2.local(expected, filter.X)[:, :2]).max() < 6 * 0.01 * 2.1
+        unseen = ~np.isin(numbers, np.concatenate([f.keys[-1].numbers for f in step.observations]))
+        close(m.L[:, : len(numbers)][:, unseen], L[filter.parents][:, unseen], atol=0)
+        assert (filter.parents.tolist() == list(range(30))) is not few
+        resampled += few
+    assert resampled > 10
+
+
 @cache
 def subsea_errors(particles: int, version: Version) -> tuple[Array, Array]:
     """ATE, and squared errors of the last quarter over what it says of them, one lap, start known, seeds 0 and 1."""
