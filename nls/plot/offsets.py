@@ -12,7 +12,7 @@ heap beside the origin. A shift of everything is not measured by ranges and bear
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["offsets"]
 
 ONE_SIGMA = 1 - np.exp(-0.5)  # probability of the ellipse that cuts the axes at one sigma
-NEAR = 6  # points: a name beside its point
+COLUMN, ROW = 190.0, 13.0  # points: height of the column of names at most, and of a row of it at most
 
 
 def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Keys] | None = None) -> Figure:
@@ -97,8 +97,12 @@ def _band(axes: Axes, steps: Numbers, e: Array, sigma: Array, color: str, name: 
 
 
 def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
-    """Offsets of the landmarks in the end, each with its name and its ellipse of one sigma."""
+    """Offsets of the landmarks in the end, each with its name and its ellipse of one sigma.
+
+    Names stand in a column beside the axes, the highest point first, so that those of a heap can be read.
+    """
     from matplotlib.collections import LineCollection
+    from matplotlib.text import OffsetFrom
 
     axes.axhline(0.0, color=TRUE, linewidth=0.8)
     axes.axvline(0.0, color=TRUE, linewidth=0.8)
@@ -111,8 +115,12 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
     axes.plot(*e.T, "o", color=LANDMARK, markersize=5)
     handles: list[Artist] = [shapes]
     labels = [f"one sigma of a {'wall' if line else 'landmark'}"]
-    for name, place in zip(track.landmarks, e, strict=True):
-        axes.annotate(f"{name!r}", place, (NEAR, NEAR), textcoords="offset points", color=LANDMARK, fontsize=9)
+    upwards, row = np.argsort(e[:, 1]), min(ROW, COLUMN / max(len(e), 1))
+    beside, middle = OffsetFrom(axes.transAxes, (1.0, 0.5), "points"), (len(e) - 1) / 2
+    leader = {"arrowstyle": "-", "color": LANDMARK, "linewidth": 0.6, "alpha": 0.6, "relpos": (0, 0.5)}
+    style: dict[str, Any] = {"va": "center", "color": LANDMARK, "fontsize": min(9.0, row), "arrowprops": leader}
+    for k, (key, place) in enumerate(zip(track.landmarks[upwards], e[upwards], strict=True)):
+        axes.annotate(f"{key!r}", place, (ROW, row * (k - middle)), textcoords=beside, **style)
     if line:
         axes.set(title="walls, estimate minus truth", xlabel="alpha [deg]", ylabel="r [m]")
     else:

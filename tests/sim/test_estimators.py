@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 import sim
+from factors.keys import Kind
 from models.algebra import wrap
 from models.errors import GraphWarning, OptionError, UnderconstrainedError
 from nls import FactorGraph, GaussNewton, Marginals, Optimizer, Result, Stop, Values, kinds
@@ -216,6 +219,22 @@ def test_picture_of_several(world: sim.LandmarkWorld) -> None:
         )
         assert away.lines[k + 1].get_color() == [SERIES[0], SERIES[2]][k]  # SERIES[1] is dead reckoning
     assert [line.get_ydata()[0] for line in nees.lines[2:]] == list(nees_bounds(3, 1))
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_names_of_landmarks_that_are_off_alike_can_be_read(scene: str) -> None:
+    given = SCENES[scene](np.random.default_rng(1), laps=1)
+    track = batch(given)
+    values, l = track.values, track.landmarks
+    truth = Values({x: (track.manifold, given.truth[x])})
+    truth.add(Kind(l.kind), values.stack(l.kind).manifold, values[l], l.numbers)
+    figure = offsets(track, truth)
+    figure.draw_without_rendering()
+    names = [text for text in figure.axes[3].texts if text.get_text()]
+    assert sorted(text.get_text() for text in names) == sorted(map(repr, l))
+    boxes = [Text.get_window_extent(text) for text in names]  # without the line to the point
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert all(box.x0 > figure.axes[3].bbox.x1 for box in boxes)
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
