@@ -38,7 +38,7 @@ SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma 
 EXPLAINED = 0.9999  # probability of the chi2 of its sightings
 RIVAL = 20.0  # of -2 ln of the likelihood: a place with more than this is 22,000 times less likely
 SAME, NARROW = 1.0, 4.0  # sigma^2, and sigma^2 for each unit of -2 ln: a place that is farther off is another place
-STEPS, SETTLED = 30, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
+STEPS, SETTLED = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
 RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors
 
@@ -64,7 +64,7 @@ class Waiting:
     sightings : in batches of one kind.
     poses : numbers (c,) of the poses that are copied, in the order of the copies.
     numbers : landmarks (w,) that were seen and are not located.
-    given_up : how many sightings do not wait any longer, and never were used.
+    given_up : how many sightings left with their pose, and never were used.
     """
 
     def __init__(self, state: MapState) -> None:
@@ -73,31 +73,24 @@ class Waiting:
         self.poses = self.numbers = np.zeros(0, dtype=np.int64)
 
     def take(self, pose: Keys, pieces: Sequence[Measurements]) -> list[Measurements]:
-        """Keep what does not locate its landmark alone, add landmarks that are located now; returns what is not kept.
-
-        A landmark that waits already is located by all of its sightings together.
-        """
-        spaces, numbers = self.state.spaces, [factor.keys[-1].numbers for factor, _ in pieces]
-        alone = [n for n, (factor, _) in zip(numbers, pieces, strict=True) if getattr(factor, "locates", False)]
-        new = [~np.isin(n, np.concatenate([[], *alone])) | np.isin(n, self.numbers) for n in numbers]
-        masks = [mask & can_wait(factor, spaces) for mask, (factor, _) in zip(new, pieces, strict=True)]
+        """Keep sightings of landmarks that are not in the map, add those that are located now; returns what is left."""
+        spaces, rows = self.state.spaces, self.state.rows
+        masks = [(rows(factor.keys[-1].numbers) < 0) & can_wait(factor, spaces) for factor, _ in pieces]
         kept = [factor[mask] for mask, (factor, _) in zip(masks, pieces, strict=True) if mask.any()]
-        seen = np.unique(np.concatenate([self.numbers[:0], *(factor.keys[1].numbers for factor in kept)]))
         if kept:
             self.state.pick(np.append(1 + np.arange(len(self.poses)), 0))
             self.poses = np.append(self.poses, pose.numbers)
             self.sightings = joined([factor.bind(*spaces) for factor in (*self.sightings, *kept)])
-        for number in seen.tolist():
+        every, new = (np.array([n for f in fs for n in f.keys[1].numbers], dtype=int) for fs in (self.sightings, kept))
+        for number in np.union1d(new, every[rows(every) >= 0]).tolist():  # located since, by a prior or a new sighting
             self._locate(number, pose)
-        self.numbers = np.union1d(self.numbers, seen)
-        self.numbers = self.numbers[self.state.rows(self.numbers) < 0]
-        before = sum(map(len, self.sightings))
-        self._keep(lambda factor: np.isin(factor.keys[1].numbers, self.numbers))  # a prior that came late is enough
+        self.numbers = np.union1d(self.numbers, new)
+        self.numbers = self.numbers[rows(self.numbers) < 0]
         if len(self.poses) > COPIES:
-            p = spaces[0].position(self.state.copies)
+            p, before = spaces[0].position(self.state.copies), sum(map(len, self.sightings))
             between = self.poses[1 + np.argmin(np.linalg.norm(p[2:] - p[:-2], axis=1))]  # the two nearest
             self._keep(lambda factor: factor.keys[0].numbers != between)
-        self.given_up += before - sum(map(len, self.sightings))
+            self.given_up += before - sum(map(len, self.sightings))
         return [select(piece, ~mask) for piece, mask in zip(pieces, masks, strict=True)]
 
     def _keep(self, wanted: Callable[[Factor], Mask]) -> None:
@@ -110,39 +103,44 @@ class Waiting:
 
     def _locate(self, number: int, pose: Keys) -> None:
         """Add a landmark, and what else its sightings say; nothing where they do not say where it is."""
-        state, d = self.state, self.state.spaces[0].dim
-        views = [factor[mask] for factor in self.sightings if (mask := factor.keys[1].numbers == number).any()]
-        seen = [(view, rows_of(view.keys[0].numbers, self.poses)) for view in views]
-        if (L := place(state, seen)) is None:
+        state, d, numbers = self.state, self.state.spaces[0].dim, np.array([number])
+        parts = [factor[mask] for factor in self.sightings if (mask := factor.keys[1].numbers == number).any()]
+        views = [(part, rows_of(part.keys[0].numbers, self.poses)) for part in parts]
+        row = state.rows(numbers)
+        if (L := place(state, views) if row[0] < 0 else state.L[row]) is None:
             return
-        A, A_l, b = (rows[0] for rows in stacked_at(state, seen, L))
-        Q, T = np.linalg.qr(A_l, mode="complete")
-        A, b, k = Q.T @ A, Q.T @ b, A_l.shape[1]
-        B = np.linalg.inv(T[:k])
-        L, columns = state.spaces[1].retract(L, (B @ b[:k])[None]), slice(d, state.begin)
-        state.add(np.array([number]), L, -(B @ A[:k])[None], (B @ B.T)[None], columns)
-        if len(b) > k:
-            state.update(A[k:], np.arange(d, state.begin), b[k:], pose)
+        (A_x,), at, (A_l,), (b,) = stacked_at(state, views, L)
+        A = (A_x[:, None, :] * (at[:, None] == np.arange(len(state.copies)))[:, :, None]).reshape(len(b), -1)
+        if row[0] < 0:
+            Q, T = np.linalg.qr(A_l, mode="complete")
+            A, b, k = Q.T @ A, Q.T @ b, A_l.shape[1]
+            B = np.linalg.inv(T[:k])
+            L = state.spaces[1].retract(L, (B @ b[:k])[None])
+            state.add(numbers, L, -(B @ A[:k])[None], (B @ B.T)[None], slice(d, state.begin))
+            A, A_l, b = A[k:], T[k:], b[k:]
+        if len(b):
+            columns = np.append(np.arange(d, state.begin), state.columns(state.rows(numbers)))
+            state.update(np.concatenate([A, A_l], axis=1), columns, b, pose)
         self._keep(lambda factor: factor.keys[1].numbers != number)
 
 
-def stacked_at(state: MapState, views: Views, L: Array) -> tuple[Array, Array, Array]:
-    """A_c (N, M, c d) of all copies, A_l (N, M, k) and b (N, M), with the landmark at places L (N, k)."""
-    N, (c, size), blocks = len(L), state.copies.shape, []
+def stacked_at(state: MapState, views: Views, L: Array) -> tuple[Array, Index, Array, Array]:
+    """A_x (N, M, d) of the copies (M,), A_l (N, M, k) and b (N, M), with the landmark at places L (N, k)."""
+    N, blocks, copied = len(L), [], []
     for view, at in views:
-        X = np.broadcast_to(state.copies[at], (N, len(at), size))
+        X = np.broadcast_to(state.copies[at], (N, len(at), state.copies.shape[1]))
         (A_x, A_l), b = copies(view, state.spaces, N).linearize(X, L)
-        A = np.zeros((N, len(at), b.shape[1], c, A_x.shape[2]))
-        A[:, np.arange(len(at)), :, at] = A_x.reshape(N, len(at), -1, A_x.shape[2]).swapaxes(0, 1)
-        blocks.append((A.reshape(N, -1, c * A_x.shape[2]), A_l.reshape(N, -1, L.shape[1]), b.reshape(N, -1)))
-    A_c, A_l, b = (np.concatenate(column, axis=1) for column in zip(*blocks, strict=True))
-    return A_c, A_l, b
+        blocks.append((A_x.reshape(N, -1, A_x.shape[2]), A_l.reshape(N, -1, L.shape[1]), b.reshape(N, -1)))
+        copied.append(np.repeat(at, b.shape[1]))
+    A_x, A_l, b = (np.concatenate(column, axis=1) for column in zip(*blocks, strict=True))
+    return A_x, np.concatenate(copied), A_l, b
 
 
 def judged(state: MapState, views: Views, L: Array, P: Array) -> tuple[Array, Array, Array, Array]:
     """-2 ln of the likelihood (N,) of places L, Lambda (N, k, k), gradient (N, k) and chi2 (N,); P is of the copies."""
-    A_c, A_l, b = stacked_at(state, views, L)
-    S = A_c @ P @ A_c.mT + np.eye(b.shape[1])
+    A_x, at, A_l, b = stacked_at(state, views, L)
+    blocks = P.reshape(len(state.copies), A_x.shape[2], len(state.copies), -1)[at][:, :, at]
+    S = np.einsum("nid,idje,nje->nij", A_x, blocks, A_x, optimize=True) + np.eye(len(at))
     W = np.linalg.solve(S, np.concatenate([A_l, b[..., None]], axis=2))
     chi2 = (b * W[..., -1]).sum(axis=1)
     return chi2 + np.linalg.slogdet(S)[1], A_l.mT @ W[..., :-1], apply(A_l.mT, W[..., -1]), chi2
@@ -151,11 +149,9 @@ def judged(state: MapState, views: Views, L: Array, P: Array) -> tuple[Array, Ar
 def place(state: MapState, views: Views) -> Array | None:
     """The one place (1, k) that explains the sightings; None where there is none, or not one alone."""
     used, d = np.unique(np.concatenate([at for _, at in views])), state.spaces[0].dim
-    positions, rows = (
-        state.spaces[0].position(state.copies[used]),
-        sum(len(f) * f.bind(*state.spaces).dim for f, _ in views if not f.limit_only),
-    )
-    L = min((p for view, at in views if len(p := _beginnings(state, view, at, positions))), key=len, default=None)
+    positions = state.spaces[0].position(state.copies[used])
+    rows = sum(len(view) * view.bind(*state.spaces).dim for view, _ in views if not view.limit_only)
+    L = next((p for view, at in views if len(p := _beginnings(state, view, at, positions))), None)
     if L is None or rows < (k := L.shape[1]):
         return None
     P, mu = state.P[d : state.begin, d : state.begin], np.full(len(L), 1e-2)
@@ -164,14 +160,16 @@ def place(state: MapState, views: Views) -> Array | None:
     for _ in range(STEPS):
         damped = Lambda + (mu * np.trace(Lambda, axis1=1, axis2=2))[:, None, None] * np.eye(k)
         step = np.linalg.solve(damped, g[..., None])[..., 0]
-        if ((step * apply(Lambda, step)).sum(axis=1) < SETTLED).all():
+        moving = np.flatnonzero((step * apply(Lambda, step)).sum(axis=1) > SETTLED)
+        if not len(moving):
             break
-        trial = judged(state, views, L + step, P)
-        better = trial[0] < f
-        L = L + better[:, None] * step
+        trial = judged(state, views, L[moving] + step[moving], P)
+        better = trial[0] < f[moving]
+        mu[moving] = np.where(better, np.maximum(mu[moving] / 10, 1e-9), mu[moving] * 10)
+        nearer = moving[better]
+        L[nearer] += step[nearer]
         for old, new in zip(now, trial, strict=True):
-            old[better] = new[better]
-        mu = np.where(better, np.maximum(mu / 10, 1e-9), mu * 10)
+            old[nearer] = new[better]
         tried.append(np.column_stack([L, f]))
     best = int(np.argmin(f))
     away = np.linalg.norm(positions - L[best], axis=1)
@@ -185,16 +183,14 @@ def place(state: MapState, views: Views) -> Array | None:
 
 
 def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> Array:
-    """Where the first of some sightings leaves the landmark, (N, k): on a circle, sphere, arc or ray, or at a point."""
+    """Where the first of some sightings leaves the landmark, (N, k): circle, sphere, arc or ray; (0, k) anywhere."""
     first, k, group = view[[0]], state.spaces[1].dim, state.spaces[0]
     assert isinstance(first, Sighting)
     assert isinstance(group, LieGroup)
     z, p = first.bind(*state.spaces).z, np.zeros((0, k))
     around = np.random.default_rng(0).normal(size=(BEGINNINGS, k))
     spread = np.linalg.norm(positions - positions[0], axis=1).max()
-    if first.locates:
-        p = first.point(z)
-    elif first.contact:
+    if first.contact:
         p = RangeAzimuth.arc(np.repeat(z, BEGINNINGS, axis=0), np.linspace(-1.5, 1.5, BEGINNINGS))
     elif (r := first.ranges(z)) is not None:
         p = r * around / np.linalg.norm(around, axis=1, keepdims=True)

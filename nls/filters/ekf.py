@@ -56,11 +56,10 @@ class EKF(Filter):
     ----------
     landmarks : what is believed of a landmark at its first sighting, unless a prior of its own came before.
         ``correlated``: the prediction of pose and sighting, with its correlation to everything else; ``delayed``: the
-        same, and sightings that do not locate their landmark, ranges, bearings, contacts, wait until they do together;
-        not with `first_estimates` or `associate`; ``first-sight``:
-        its place with `prior_sigma`, uncorrelated, which counts information nobody measured (the filter becomes
-        over-confident; known from simulations in the literature, kept for comparison); ``independent``: nothing, every
-        landmark must have a `Prior`.
+        same, and ranges, bearings and sonar contacts, which do not locate their landmark, wait until several do (not
+        with `first_estimates` or `associate`); ``first-sight``: its place with `prior_sigma`, uncorrelated, which
+        counts information nobody measured (the filter becomes over-confident; known from simulations in the
+        literature, kept for comparison); ``independent``: nothing, every landmark must have a `Prior`.
     first_estimates : Jacobians are taken where a variable was first estimated, residuals where it is now. What no
         measurement sees, such as the heading of everything, then stays unseen.
     prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
@@ -76,6 +75,8 @@ class EKF(Filter):
     found : with `associate`, the landmark each sighting was given to, in the order of time; -1 for one left out. With
         one factor of sightings in the graph, `nls.filters.association.identified` puts them back into it.
     left_out : sightings that were outside of the gate.
+    waiting : with ``delayed``, landmarks that were seen and are not located; they are not in the map.
+    given_up : sightings that waited and were not used, since at most 40 poses are copied for what waits.
 
     Raises
     ------
@@ -259,10 +260,11 @@ class EKF(Filter):
         known = [select(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
         self._update([self._within(piece) for piece in known])
         unknown = [select(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
+        rest = self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate)
         if self.initial == "delayed":
-            unknown = self._delayed.take(self._pose, unknown)
+            rest = self._delayed.take(self._pose, rest)
             self.waiting, self.given_up = Keys(self._kind, self._delayed.numbers), self._delayed.given_up
-        self._update(self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate))
+        self._update(rest)
 
     def _identified(self, factor: Factor) -> Measurements:
         """The factor, and the landmark of each measurement, as the graph says or as the association finds."""
