@@ -41,6 +41,7 @@ SAME, NARROW = 1.0, 4.0  # sigma^2, and sigma^2 for each unit of -2 ln: a place 
 STEPS, SETTLED = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
 RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors
+ASIDE = 1e-3  # m, of all of them: at the sensor itself, range 0, nothing has a direction
 
 Views = Sequence[tuple[Factor, Index]]  # sightings of one landmark, and the copy (n,) each was made from
 
@@ -187,8 +188,7 @@ def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> A
     first, k, group = view[[0]], state.spaces[1].dim, state.spaces[0]
     assert isinstance(first, Sighting)
     assert isinstance(group, LieGroup)
-    z, p = first.bind(*state.spaces).z, np.zeros((0, k))
-    around = np.random.default_rng(0).normal(size=(BEGINNINGS, k))
+    z, around = first.bind(*state.spaces).z, np.random.default_rng(0).normal(size=(BEGINNINGS, k))
     spread = np.linalg.norm(positions - positions[0], axis=1).max()
     if first.contact:
         p = RangeAzimuth.arc(np.repeat(z, BEGINNINGS, axis=0), np.linspace(-1.5, 1.5, BEGINNINGS))
@@ -196,4 +196,7 @@ def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> A
         p = r * around / np.linalg.norm(around, axis=1, keepdims=True)
     elif (u := first.directions(z)) is not None and spread > 0:
         p = spread * np.geomspace(*RAY, BEGINNINGS)[:, None] * u
-    return group.act(np.repeat(first.sensor_pose(group, state.copies[at[:1]]), len(p), axis=0), p)
+    else:
+        return np.zeros((0, k))
+    S = np.repeat(first.sensor_pose(group, state.copies[at[:1]]), BEGINNINGS, axis=0)
+    return group.act(S, p + ASIDE * around)

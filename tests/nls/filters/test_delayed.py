@@ -26,7 +26,7 @@ from factors import (
 from models import SE2, SE3, R, euler
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from models.sensors import Camera, point_in_frame, range_azimuth
+from models.sensors import Camera, direction, distance, point_in_frame, range_azimuth
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import Nearest
 from nls.filters.base import steps
@@ -39,6 +39,11 @@ from tests.sim.scenes import thinned
 
 x, l = kinds("x", "l")
 Scene = tuple[FactorGraph, Values]
+SENSORS: dict[str, tuple[Callable[..., Factor], Callable[..., Any], list[float]]] = {
+    "contact": (RangeAzimuth, range_azimuth, [0.01, 0.005]),
+    "range": (Range, distance, [0.02]),
+    "bearing": (Bearing, direction, [0.005, 0.005]),
+}
 
 
 def seen_by(world: sim.LandmarkWorld, sensor: str) -> FactorGraph:
@@ -53,8 +58,9 @@ def seen_by(world: sim.LandmarkWorld, sensor: str) -> FactorGraph:
     return FactorGraph([world.first, world.odometry, *sightings])
 
 
-def contacts(seed: int, noise_scale: float = 1.0, n: int = 60, m: int = 6) -> Scene:
-    """A vehicle circles above a floor and heaves; a sonar pitched down measures range and azimuth, no elevation."""
+def floor(seed: int, sensor: str, noise_scale: float = 1.0, n: int = 60, m: int = 6) -> Scene:
+    """A vehicle circles above a floor and heaves; a sensor pitched down sees points within its aperture."""
+    sight, sense, sigma = SENSORS[sensor]
     rng, turn = np.random.default_rng(seed), 3 * np.pi * np.arange(n) / n
     roll, pitch, heave = 0.03 * np.sin(turn * 3), 0.03 * np.cos(turn * 2), 1 + 0.5 * np.sin(0.35 * np.arange(n))
     X = euler.to_se3(np.stack([roll, pitch, turn + np.pi, 4 * np.cos(turn), 4 * np.sin(turn), heave], axis=1))
@@ -63,14 +69,13 @@ def contacts(seed: int, noise_scale: float = 1.0, n: int = 60, m: int = 6) -> Sc
     i, k = np.divmod(np.arange(n * m), m)
     p = point_in_frame(SE3, SE3.compose(X[i], offset), L[k])[0]
     seen = (np.abs(np.arctan2(p[:, 1], p[:, 0])) < 0.5) & (np.abs(np.arctan2(p[:, 2], p[:, 0])) < 0.3)
-    z = range_azimuth(p[seen])[0] + noise_scale * rng.normal(size=(seen.sum(), 2)) * [0.01, 0.005]
+    z = sense(p[seen])[0] + noise_scale * rng.normal(size=(seen.sum(), len(sigma))) * sigma
     step = SE3.retract(SE3.between(X[:-1], X[1:]), noise_scale * rng.normal(size=(n - 1, 6)) * drift)
-    noise = Diagonal(range=0.01, azimuth=0.005)
     graph = FactorGraph(
         [
             Prior(x[0], X[:1], Isotropic(1e-3)),
             Between(x[0 : n - 1], x[1:n], step, Diagonal(drift)),
-            RangeAzimuth(x[i[seen]], l[k[seen]], z, noise, offset),
+            sight(x[i[seen]], l[k[seen]], z, Diagonal(sigma), offset),
         ]
     )
     return graph, Values({x: (SE3, X), l: (R(3), L)})
@@ -105,8 +110,9 @@ def test_in_the_plane_it_is_the_graph_where_noise_is_small(sensor: str) -> None:
     agrees(track, graph, world.start, rtol=0.01, relative=0.01)
 
 
-def test_contacts_in_space_it_is_the_graph_where_noise_is_small() -> None:
-    graph, truth = contacts(0, noise_scale=1e-4)
+@pytest.mark.parametrize("sensor", list(SENSORS))
+def test_in_space_it_is_the_graph_where_noise_is_small(sensor: str) -> None:
+    graph, truth = floor(0, sensor, noise_scale=1e-4)
     ekf = EKF("delayed")
     track = ekf.run(graph, truth)
     assert (len(track.landmarks), len(ekf.waiting)) == (6, 0)
@@ -118,7 +124,7 @@ def test_it_is_as_good_as_it_says_and_ends_where_the_graph_does(sensor: str) -> 
     nees, off = [], []
     for seed in range(4):
         if sensor == "contact":
-            graph, truth = contacts(seed)
+            graph, truth = floor(seed, "contact")
             start = truth
         else:
             world = thinned(sim.subsea(np.random.default_rng(seed), laps=1, known_start=True))
