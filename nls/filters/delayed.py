@@ -1,7 +1,7 @@
 r"""Landmarks that no single sighting locates: sightings wait, beside copies of the poses they were made from.
 
     waiting   A_c delta_c + A_l delta_l = b + v       delta_c ~ N(0, P_cc) of the copies, all sightings of one landmark
-    l         argmin b' S^-1 b + ln |S|,  S = A_c P_cc A_c' + I,  Lambda = A_l' S^-1 A_l     from many places at once
+    l         argmin chi2 = b' S^-1 b,  S = A_c P_cc A_c' + I,  Lambda = A_l' S^-1 A_l       from many places at once
     located   A_l = [Q_1 Q_2] [R; 0]                  delta_l = R^-1 Q_1' (b - A_c delta_c + v)        is added
                                                       Q_2' A_c delta_c = Q_2' b + v                    is an update
 
@@ -36,8 +36,8 @@ __all__ = ["Waiting", "can_wait"]
 COPIES = 40  # poses that are copied at most
 SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma of a landmark that is located
 EXPLAINED = 0.9999  # probability of the chi2 of its sightings
-RIVAL = 20.0  # of -2 ln of the likelihood: a place with more than this is 22,000 times less likely
-SAME, NARROW = 1.0, 4.0  # sigma^2, and sigma^2 for each unit of -2 ln: a place that is farther off is another place
+RIVAL = 20.0  # of chi2 above the least: a place with more than this is 22,000 times less likely
+SAME, NARROW = 1.0, 4.0  # sigma^2, and sigma^2 for each unit of chi2: a place that is farther off is another place
 STEPS, SETTLED = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
 RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors
@@ -137,14 +137,13 @@ def stacked_at(state: MapState, views: Views, L: Array) -> tuple[Array, Index, A
     return A_x, np.concatenate(copied), A_l, b
 
 
-def judged(state: MapState, views: Views, L: Array, P: Array) -> tuple[Array, Array, Array, Array]:
-    """-2 ln of the likelihood (N,) of places L, Lambda (N, k, k), gradient (N, k) and chi2 (N,); P is of the copies."""
+def judged(state: MapState, views: Views, L: Array, P: Array) -> tuple[Array, Array, Array]:
+    """chi2 (N,) of places L, the information Lambda (N, k, k) and gradient (N, k) there; P is of the copies."""
     A_x, at, A_l, b = stacked_at(state, views, L)
     blocks = P.reshape(len(state.copies), A_x.shape[2], len(state.copies), -1)[at][:, :, at]
     S = np.einsum("nid,idje,nje->nij", A_x, blocks, A_x, optimize=True) + np.eye(len(at))
     W = np.linalg.solve(S, np.concatenate([A_l, b[..., None]], axis=2))
-    chi2 = (b * W[..., -1]).sum(axis=1)
-    return chi2 + np.linalg.slogdet(S)[1], A_l.mT @ W[..., :-1], apply(A_l.mT, W[..., -1]), chi2
+    return (b * W[..., -1]).sum(axis=1), A_l.mT @ W[..., :-1], apply(A_l.mT, W[..., -1])
 
 
 def place(state: MapState, views: Views) -> Array | None:
@@ -156,8 +155,8 @@ def place(state: MapState, views: Views) -> Array | None:
     if L is None or rows < (k := L.shape[1]):
         return None
     P, mu = state.P[d : state.begin, d : state.begin], np.full(len(L), 1e-2)
-    f, Lambda, g, chi2 = now = judged(state, views, L, P)
-    tried = [np.column_stack([L, f])]
+    chi2, Lambda, g = now = judged(state, views, L, P)
+    tried = [np.column_stack([L, chi2])]
     for _ in range(STEPS):
         damped = Lambda + (mu * np.trace(Lambda, axis1=1, axis2=2))[:, None, None] * np.eye(k)
         step = np.linalg.solve(damped, g[..., None])[..., 0]
@@ -165,19 +164,19 @@ def place(state: MapState, views: Views) -> Array | None:
         if not len(moving):
             break
         trial = judged(state, views, L[moving] + step[moving], P)
-        better = trial[0] < f[moving]
+        better = trial[0] < chi2[moving]
         mu[moving] = np.where(better, np.maximum(mu[moving] / 10, 1e-9), mu[moving] * 10)
         nearer = moving[better]
         L[nearer] += step[nearer]
         for old, new in zip(now, trial, strict=True):
             old[nearer] = new[better]
-        tried.append(np.column_stack([L, f]))
-    best = int(np.argmin(f))
+        tried.append(np.column_stack([L, chi2]))
+    best = int(np.argmin(chi2))
     away = np.linalg.norm(positions - L[best], axis=1)
     near = used[np.argmin(away)] * d + np.arange(d)
     P_near = P - P[:, near] @ np.linalg.solve(P[near[:, None], near], P[near])  # that pose held
     least = np.linalg.eigvalsh(judged(state, views, L[[best]], P_near)[1][0])[0]
-    off = np.concatenate(tried) - [*L[best], f[best]]
+    off = np.concatenate(tried) - [*L[best], chi2[best]]
     rival = (off[:, k] < RIVAL) & ((off[:, :k] * (off[:, :k] @ Lambda[best])).sum(axis=1) > SAME + NARROW * off[:, k])
     explained = rows == k or chi2[best] <= chi2_gate(rows - k, EXPLAINED)
     return L[[best]] if explained and least * (SHARE * away.min()) ** 2 >= 1 and not rival.any() else None

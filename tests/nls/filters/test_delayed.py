@@ -149,6 +149,8 @@ def test_a_mirror_waits_and_copies_are_bounded() -> None:
     assert (len(track.landmarks), ekf.waiting) == (0, l[[0]])
     assert len(ekf.state.copies) == COPIES
     assert ekf.given_up == 60 - COPIES
+    np.testing.assert_allclose(ekf.joint.matrix[:2, :2], ekf.pose[1][:2, :2], atol=1e-12)  # the heading is 0
+    assert ekf.joint.matrix.shape == (3, 3)
     kept = np.sort(ekf.state.copies[:, 0])
     assert kept[0] < 1 < 58 < kept[-1]  # thinned, and not cut off
     assert np.diff(kept).max() < 4
