@@ -35,6 +35,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Joint
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
+from nls.filters.delayed import Waiting, can_wait
 from nls.filters.map_state import MapState
 from nls.filters.measurements import Measurements, associated, distances, select, stacked
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
@@ -42,7 +43,8 @@ from nls.values import Values
 
 __all__ = ["EKF"]
 
-LANDMARKS = ("correlated", "first-sight", "independent")
+LANDMARKS = ("correlated", "delayed", "first-sight", "independent")
+WAIT = ", or EKF(landmarks='delayed'), where sightings wait for each other"
 SPENT = 1e-9  # of the Jacobian: what motion factors leave over beside that is rounding
 SETTLED = 1e-6  # m, rad; a further iteration of an update moves less
 
@@ -53,10 +55,11 @@ class EKF(Filter):
     Parameters
     ----------
     landmarks : what is believed of a landmark at its first sighting, unless a prior of its own came before.
-        ``correlated``: the prediction of pose and sighting, with its correlation to everything else; ``first-sight``:
-        its place with `prior_sigma`, uncorrelated, which counts information nobody measured (the filter becomes
-        over-confident; known from simulations in the literature, kept for comparison); ``independent``: nothing, every
-        landmark must have a `Prior`.
+        ``correlated``: the prediction of pose and sighting, with its correlation to everything else; ``delayed``: the
+        same, and ranges, bearings and sonar contacts, which do not locate their landmark, wait until several do (not
+        with `first_estimates` or `associate`); ``first-sight``: its place with `prior_sigma`, uncorrelated, which
+        counts information nobody measured (the filter becomes over-confident; known from simulations in the
+        literature, kept for comparison); ``independent``: nothing, every landmark must have a `Prior`.
     first_estimates : Jacobians are taken where a variable was first estimated, residuals where it is now. What no
         measurement sees, such as the heading of everything, then stays unseen.
     prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
@@ -72,6 +75,8 @@ class EKF(Filter):
     found : with `associate`, the landmark each sighting was given to, in the order of time; -1 for one left out. With
         one factor of sightings in the graph, `nls.filters.association.identified` puts them back into it.
     left_out : sightings that were outside of the gate.
+    waiting : with ``delayed``, landmarks that were seen and are not located; they are not in the map.
+    given_up : sightings that waited and were not used, since at most 40 poses are copied for what waits.
 
     Raises
     ------
@@ -103,7 +108,7 @@ class EKF(Filter):
 
     def __init__(
         self,
-        landmarks: Literal["correlated", "first-sight", "independent"] = "correlated",
+        landmarks: Literal["correlated", "delayed", "first-sight", "independent"] = "correlated",
         first_estimates: bool = False,
         prior_sigma: float | Sequence[float] = 4.0,
         associate: Association | None = None,
@@ -123,6 +128,9 @@ class EKF(Filter):
         self.iterations = check_whole("iterations", iterations, 1, expected)
         if first_estimates and self.iterations > 1:
             raise OptionError("iterations", iterations, expected)
+        if landmarks == "delayed" and (first_estimates or associate is not None):
+            expected = "'correlated' with first_estimates or associate: sightings wait by name, and take new Jacobians"
+            raise OptionError("landmarks", landmarks, expected)
         self.initial, self.first_estimates, self.prior_sigma = landmarks, first_estimates, sigmas
         self.associate = associate
         if gate is not None and associate is not None:
@@ -131,6 +139,7 @@ class EKF(Filter):
             check_between("gate", gate, 0, 1, "a probability between 0 and 1, such as 0.999, or None")
         self.gate, self.left_out = gate, 0
         self.associations: list[int] = []
+        self.waiting, self.given_up = Keys("l", []), 0
         self._state: MapState | None = None
 
     @property
@@ -177,8 +186,9 @@ class EKF(Filter):
         state = self.state
         pose, landmark = state.spaces
         d, keys = pose.dim, (self._pose, *Keys(self._kind, state.numbers))
-        J = pose.world_axes(state.X[None])[0] @ state.turn(state.first, state.X)
-        P = state.P.copy()
+        J = pose.world_axes(state.X[None])[0] @ state.turn(state.first[None], state.X[None])[0]
+        own = np.append(np.arange(d), np.arange(state.begin, state.n))
+        P = state.P[own[:, None], own]
         P[:d] = J @ P[:d]
         P[:, :d] = P[:, :d] @ J.T
         begin = [0, *(d + landmark.dim * np.arange(len(keys))).tolist()]
@@ -205,6 +215,7 @@ class EKF(Filter):
         parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
         X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
         self._state = MapState((pose.manifold, landmark), X[0], _inverse(Lambda)[0], self.first_estimates)
+        self._delayed, self.waiting, self.given_up = Waiting(self._state), Keys(self._kind, []), 0
         self._see([factor for factor in step.observations if not any(factor is own_factor for own_factor in own)])
 
     def step(self, step: Step) -> None:
@@ -249,7 +260,11 @@ class EKF(Filter):
         known = [select(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
         self._update([self._within(piece) for piece in known])
         unknown = [select(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
-        self._update(self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate))
+        rest = self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate)
+        if self.initial == "delayed":
+            rest = self._delayed.take(self._pose, rest)
+            self.waiting, self.given_up = Keys(self._kind, self._delayed.numbers), self._delayed.given_up
+        self._update(rest)
 
     def _identified(self, factor: Factor) -> Measurements:
         """The factor, and the landmark of each measurement, as the graph says or as the association finds."""
@@ -346,9 +361,10 @@ class EKF(Filter):
             if rows is not None and numbers is not None and (rows < 0).any():
                 k = int(np.argmax(rows < 0))
                 key = Keys(self._kind, int(numbers[k]))
+                cure = "" if self.initial == "delayed" or not can_wait(factor, state.spaces) else WAIT
                 raise GraphError(
                     f"{factor.describe(k)} is the first of {key} and does not say where it is; a filter needs a "
-                    f"sighting with direction and distance first, or a Prior of {key}",
+                    f"sighting with direction and distance first, or a Prior of {key}{cure}",
                     [self._pose, key],
                     factor.name,
                 )
@@ -365,7 +381,7 @@ class EKF(Filter):
             target = state.moved(delta)
             A, columns, b = stacked(target, known)
             # J_r(delta) in its place lets a shift of everything be seen: NEES 18, not 3.4, of correlated landmarks
-            A[:, :d] = A[:, :d] @ state.turn(state.X, target.X)
+            A[:, :d] = A[:, :d] @ state.turn(state.X[None], target.X[None])[0]
             b = b + A @ delta[columns]
         state.update(A, columns, b, self._pose)
 

@@ -1,12 +1,13 @@
-r"""The belief of an EKF: the latest pose and all landmarks, normal with one joint covariance.
+r"""The belief of an EKF: the latest pose, copies of earlier ones, all landmarks; normal with one joint covariance.
 
     x = X Exp(delta),  l = L [+] delta_l,     delta ~ N(0, P),   P = [[P_xx, P_xl], [P_lx, P_ll]]
 
-Three things happen to it, with whitened Jacobians A and innovations b of factors (R is then the identity):
+Four things happen to it, with whitened Jacobians A and innovations b of factors (R is then the identity):
 
     predict   delta_j = F delta_i + w        P_xx <- F P_xx F' + Q,  P_xl <- F P_xl       the rest is not touched: O(n)
     add       delta_l = G delta_x + w        P_ll = G P_xx G' + Q,   P_l. = G P_x.        O(n)
     update    A delta = b + v                S = A P A' + I,  P <- P - P A' S^-1 A P      O(n^2)
+    pick      delta_c = delta_x              rows and columns of P repeated, or left out  O(n^2)
 
 The tangent space of a pose turns with it. After an update has turned X to X', errors keep their components along the
 axes of the world: P_x. <- G(X')^-1 G(X) P_x., G as in `Manifold.world_axes`. What no measurement sees, a shift of
@@ -30,7 +31,7 @@ TOGETHER = 128  # rows of P updated together: 3,200 landmarks take 0.4 s, and 1.
 
 
 class MapState:
-    """Pose X (size,), landmarks L (m, size) by `numbers`, and P (n, n), pose first.
+    """Pose X (size,), copies of poses (c, size), landmarks L (m, size) by `numbers`, and P (n, n), in this order.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class MapState:
 
     def __init__(self, spaces: tuple[Manifold, Manifold], X: Array, P: Array, frozen: bool) -> None:
         self.spaces, self.frozen = spaces, frozen
-        self.X, self.first = X, X
+        self.X, self.first, self.copies = X, X, np.zeros((0, spaces[0].size))
         self._moved = np.zeros(spaces[0].dim)  # X = first Exp(moved), where frozen
         self.L, self.L_first = np.zeros((0, spaces[1].size)), np.zeros((0, spaces[1].size))
         self.numbers = np.zeros(0, dtype=np.int64)
@@ -51,7 +52,12 @@ class MapState:
     @property
     def n(self) -> int:
         """Unknowns: rows of P."""
-        return self.spaces[0].dim + len(self.L) * self.spaces[1].dim
+        return self.begin + len(self.L) * self.spaces[1].dim
+
+    @property
+    def begin(self) -> int:
+        """Column of P where the landmarks begin."""
+        return self.spaces[0].dim * (1 + len(self.copies))
 
     @property
     def P(self) -> Array:
@@ -62,8 +68,8 @@ class MapState:
     def pose_covariance(self) -> Array:
         """(d, d) in the tangent space at X."""
         d = self.spaces[0].dim
-        J = self.turn(self.first, self.X)
-        return J @ self._P[:d, :d] @ J.T
+        J = self.turn(self.first[None], self.X[None])[0]
+        return np.asarray(J @ self._P[:d, :d] @ J.T)
 
     @property
     def landmark_covariances(self) -> Array:
@@ -73,8 +79,8 @@ class MapState:
 
     def columns(self, rows: Index) -> Index:
         """Columns (r, k) of P that belong to landmarks by their row in L."""
-        d, k = (space.dim for space in self.spaces)
-        return np.asarray(d + rows[:, None] * k + np.arange(k))
+        k = self.spaces[1].dim
+        return np.asarray(self.begin + rows[:, None] * k + np.arange(k))
 
     def rows(self, numbers: Index) -> Index:
         """Row in L of landmarks by number; -1 for one that is not there."""
@@ -83,21 +89,33 @@ class MapState:
     def predict(self, X: Array, F: Array, Q: Array) -> None:
         """The next pose X (size,), of which delta = F delta_before + w, w ~ N(0, Q)."""
         d = self.spaces[0].dim
-        self._pose_by(F)
+        self._poses_by(F[None])
         self._P[:d, :d] += Q
         self.X, self.first, self._moved = X, X, np.zeros(d)
 
-    def add(self, numbers: Index, L: Array, G: Array, Q: Array) -> None:
-        """New landmarks (r,) at L (r, size), of which delta = G delta_x + w: G (r, k, d), w ~ N(0, Q), Q (r, k, k)."""
-        d, begin, n = self.spaces[0].dim, self.n, self.n + len(numbers) * self.spaces[1].dim
+    def pick(self, poses: Index) -> None:
+        """Copies (c,) of these poses: 0 is the latest, which stays, 1 the first copy there is, and so on."""
+        d = self.spaces[0].dim
+        columns = (np.append(0, poses)[:, None] * d + np.arange(d)).reshape(-1)
+        columns = np.append(columns, np.arange(self.begin, self.n))
+        self._P = self._P[columns[:, None], columns]
+        self.copies = np.concatenate([self.X[None], self.copies])[poses]
+
+    def add(self, numbers: Index, L: Array, G: Array, Q: Array, poses: slice | None = None) -> None:
+        """New landmarks (r,) at L (r, size), of which delta = G delta_x + w: G (r, k, d), w ~ N(0, Q), Q (r, k, k).
+
+        delta_x is of the latest pose, or of these columns of P.
+        """
+        poses, begin = slice(self.spaces[0].dim) if poses is None else poses, self.n
+        n = begin + len(numbers) * self.spaces[1].dim
         if n > len(self._P):
             grown = np.zeros((max(n, 2 * len(self._P)),) * 2)
             grown[:begin, :begin] = self.P
             self._P = grown
-        P, G = self._P, G.reshape(-1, d)
-        P[begin:n, :begin] = G @ P[:d, :begin]
+        P, G = self._P, G.reshape(-1, G.shape[-1])
+        P[begin:n, :begin] = G @ P[poses, :begin]
         P[:begin, begin:n] = P[begin:n, :begin].T
-        P[begin:n, begin:n] = _symmetric(G @ P[:d, :d] @ G.T)
+        P[begin:n, begin:n] = _symmetric(G @ P[poses, poses] @ G.T)
         self.L, self.L_first = (np.concatenate([stack, L]) for stack in (self.L, self.L_first))
         self.numbers = np.concatenate([self.numbers, numbers])
         own = self.columns(np.arange(len(self.L) - len(numbers), len(self.L)))
@@ -159,27 +177,29 @@ class MapState:
             self._moved = self._moved + delta[:d]
             self.X = pose.retract(self.first[None], self._moved[None])[0]
         else:
-            before, self.X = self.X, pose.retract(self.X[None], delta[None, :d])[0]
-            self._pose_by(self.turn(before, self.X))
-            self.first = self.X
+            before = np.concatenate([self.X[None], self.copies])
+            after = pose.retract(before, delta[: self.begin].reshape(-1, d))
+            self._poses_by(self.turn(before, after))
+            self.X, self.copies, self.first = after[0], after[1:], after[0]
             self.L_first = self.L
 
     def _landmarks_at(self, delta: Array) -> Array:
         """The landmarks (m, size) a step (n,) from where they are."""
-        landmark, d = self.spaces[1], self.spaces[0].dim
-        return landmark.retract(self.L, delta[d:].reshape(len(self.L), landmark.dim)) if len(self.L) else self.L
+        landmark = self.spaces[1]
+        return landmark.retract(self.L, delta[self.begin :].reshape(len(self.L), -1)) if len(self.L) else self.L
 
-    def _pose_by(self, F: Array) -> None:
-        """P of F times the error of the pose: three rows and columns, all else stays."""
-        d, P = self.spaces[0].dim, self.P
-        P[:d, d:] = F @ P[:d, d:]
-        P[d:, :d] = P[:d, d:].T
-        P[:d, :d] = _symmetric(F @ P[:d, :d] @ F.T)
+    def _poses_by(self, F: Array) -> None:
+        """P of F (p, d, d) times the errors of the latest pose and of copies: p d rows and columns, all else stays."""
+        p, d = F.shape[:2]
+        P, e = self.P, p * d
+        P[:e, e:] = (F @ P[:e, e:].reshape(p, d, -1)).reshape(e, -1)
+        P[e:, :e] = P[:e, e:].T
+        left = (F @ P[:e, :e].reshape(p, d, e)).reshape(e, e)
+        P[:e, :e] = _symmetric((F @ left.T.reshape(p, d, e)).reshape(e, e))
 
     def turn(self, X: Array, Y: Array) -> Array:
-        """Components in the tangent space at Y of an error whose components in the one at X are given, (d, d)."""
-        G_x, G_y = self.spaces[0].world_axes(np.stack([X, Y]))
-        return np.asarray(np.linalg.solve(G_y, G_x))
+        """Components in the tangent spaces at Y of errors whose components in those at X are given, (p, d, d)."""
+        return np.asarray(np.linalg.solve(self.spaces[0].world_axes(Y), self.spaces[0].world_axes(X)))
 
 
 def rows_of(landmarks: Index, numbers: Index) -> Index:
