@@ -19,6 +19,7 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
+from scipy.linalg import solve_triangular  # here: a BLAS that is loaded within `single_thread` keeps all its threads
 
 from factors.keys import Keys
 from models import Manifold
@@ -150,8 +151,6 @@ class MapState:
 
     def _gain(self, A: Array, columns: Index, b: Array, pose: Keys) -> tuple[Array, Array]:
         """V = C^-1 A P and y = C^-1 b, S = C C': P - V'V is what is left of P, and V'y the step."""
-        from scipy.linalg import solve_triangular
-
         P = self.P
         AP = A @ P[columns]
         S = AP[:, columns] @ A.T + np.eye(len(A))

@@ -24,7 +24,7 @@ __all__ = ["Animation", "animation", "image"]
 
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
-QUALITY = 80  # of a frame in WebP, of 100
+QUALITY = 75  # of a frame in WebP, of 100
 PLAYER = Template("""\
 <div class="player" id="$name">
 <img src="$still" alt="$alt" width="$width" height="$height" style="max-width: 100%; height: auto;">
@@ -95,7 +95,7 @@ class Animation:
         if not len(durations) or not (durations > 0).all():
             raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
         self._last = images[-1]
-        self.frames = [_encoded(image, "webp", quality=QUALITY, method=3) for image in images]
+        self.frames = [_encoded(image, "webp", quality=QUALITY, method=1) for image in images]
         codes = [b64encode(frame).decode() for frame in self.frames]
         self.html = PLAYER.substitute(
             name=f"player-{crc32(b''.join(self.frames)):x}",
