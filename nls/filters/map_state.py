@@ -19,7 +19,6 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from scipy.linalg import solve_triangular  # here: a BLAS that is loaded within `single_thread` keeps all its threads
 
 from factors.keys import Keys
 from models import Manifold
@@ -166,7 +165,8 @@ class MapState:
                 "differ by more than the digits of P hold; tighten the prior of the first pose, check sigmas and units",
                 keys=[pose],
             ) from error
-        return solve_triangular(C, AP, lower=True), solve_triangular(C, b, lower=True)
+        # by NumPy: the BLAS of SciPy, loaded within `single_thread`, would keep all its threads
+        return np.linalg.solve(C, AP), np.linalg.solve(C, b)
 
     def _move(self, delta: Array) -> None:
         """Every variable by its part of a step (n,)."""
