@@ -7,6 +7,7 @@ import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from io import BytesIO
+from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, TypeVar
 from zlib import crc32
@@ -25,40 +26,7 @@ __all__ = ["Animation", "animation", "image"]
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
 QUALITY = 75  # of a frame in WebP, of 100
-PLAYER = Template("""\
-<div class="player" id="$name">
-<img src="$still" alt="$alt" width="$width" height="$height" style="max-width: 100%; height: auto;">
-<div hidden>
-<button type="button" aria-label="play or pause" style="width: 3em;">&#9654;</button>
-<input type="range" min="0" max="$last" value="$last" aria-label="frame" style="width: 60%; vertical-align: middle;">
-<output></output>
-</div>
-<script>
-(() => {
-  const player = document.getElementById("$name"), frames = $frames, seconds = $seconds;
-  const [image, controls, button, slider, text] =
-    ["img", "div", "button", "input", "output"].map((tag) => player.querySelector(tag));
-  let timer = null;
-  const show = (k) => {
-    slider.value = k;
-    image.src = "data:image/webp;base64," + frames[k];
-    text.textContent = (k + 1) + " / " + frames.length;
-  };
-  const stop = () => { clearTimeout(timer); timer = null; button.textContent = "\\u25b6"; };
-  const play = (k) => {
-    show(k);
-    if (k === frames.length - 1) return stop();
-    timer = setTimeout(() => play(k + 1), 1000 * seconds[k]);
-    button.textContent = "\\u23f8";
-  };
-  button.onclick = () => timer ? stop() : play(+slider.value === frames.length - 1 ? 0 : +slider.value);
-  slider.oninput = () => { stop(); show(+slider.value); };
-  controls.hidden = false;
-  show(frames.length - 1);
-})();
-</script>
-</div>
-""")
+PLAYER = Template(Path(__file__).with_name("player.html").read_text(encoding="utf-8"))
 
 T = TypeVar("T")
 
