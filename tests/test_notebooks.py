@@ -68,6 +68,26 @@ def test_a_notebook(path: Path) -> None:
                 assert title(FOLDER / target).startswith(name), f"{target} is called {title(FOLDER / target)!r}"
 
 
+def needed(path: Path) -> list[str]:
+    """Numbers of the notebooks that a notebook needs: those of the first sentence after "You need"."""
+    sentence = cells(path, "markdown")[0]["source"].partition("**You need**")[2].partition(". ")[0]
+    return re.findall(r"\]\((\d\d)-", sentence)
+
+
+def test_the_plans_for_lecturers_come_to_what_a_notebook_needs_first() -> None:
+    needs = {path.name[:2]: needed(path) for path in NOTEBOOKS}
+    page = (ROOT / "docs" / "lecturers.md").read_text(encoding="utf-8")
+    weeks = [line.split("|")[2:5] for line in page.splitlines() if re.match(r"\| \d+ \|", line)]
+    assert len(weeks) == 12
+    for plan in zip(*weeks, strict=True):
+        taken: list[str] = []
+        for week in plan:
+            for number in re.findall(r"\[(\d\d)\]", week):
+                assert set(needs[number]) <= set(taken), f"{number} before {set(needs[number]) - set(taken)}"
+                taken.append(number)
+        assert len(taken) >= 10
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
 def test_a_page_teaches_slowly(path: Path) -> None:
     """Short cells, assertions in cells that the page hides, and a question before each figure."""

@@ -6,7 +6,7 @@ r"""Landmarks that no single sighting locates: sightings wait, beside copies of 
                                                       Q_2' A_c delta_c = Q_2' b + v                    is an update
 
 It is located once it is known to a tenth of its distance, where no second place explains the sightings as well. Then
-each sighting has been used exactly once.
+each of its sightings has been used exactly once; those that left with a pose, `given_up`, never were.
 
 Sources: T. Bailey, "Constrained initialisation for bearing-only SLAM", ICRA 2003 (sightings that wait, beside their
 poses); S. I. Roumeliotis, J. W. Burdick, "Stochastic cloning", ICRA 2002 (the copies); A. I. Mourikis, S. I.
@@ -34,11 +34,14 @@ from nls.filters.motion import copies
 __all__ = ["Waiting", "can_wait"]
 
 COPIES = 40  # poses that are copied at most
-SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma of a landmark that is located
+SIGMA_SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma of a landmark that is located
 EXPLAINED = 0.9999  # probability of the chi2 of its sightings
-RIVAL = 20.0  # of chi2 above the least: a place with more than this is 22,000 times less likely
-SAME, NARROW = 1.0, 4.0  # sigma^2, and sigma^2 for each unit of chi2: a place that is farther off is another place
-STEPS, SETTLED = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
+RIVAL_CHI2 = 20.0  # of chi2 above the least: a place with more than this is 22,000 times less likely
+SAME_PLACE, PLACE_GROWTH = (
+    1.0,
+    4.0,
+)  # sigma^2, and sigma^2 for each unit of chi2: a place that is farther off is another place
+SEARCH_STEPS, SETTLED_STEP = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
 RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors
 ASIDE = 1e-3  # m, of all of them: at the sensor itself, range 0, nothing has a direction
@@ -47,7 +50,7 @@ Views = Sequence[tuple[Factor, Index]]  # sightings of one landmark, and the cop
 
 
 def can_wait(factor: Factor, spaces: tuple[Manifold, ...]) -> bool:
-    """Whether it is a sighting of points, and not by a camera: places behind one have no image, and are not tried."""
+    """Sightings of points can wait, but not those of a camera: places behind it have no image, and are not tried."""
     if not isinstance(factor, Sighting) or factor.states("rays"):
         return False
     return isinstance(spaces[0], LieGroup) and spaces[1] is R(spaces[0].point_dim)
@@ -95,7 +98,7 @@ class Waiting:
         return [select(piece, ~mask) for piece, mask in zip(pieces, masks, strict=True)]
 
     def _keep(self, wanted: Callable[[Factor], Mask]) -> None:
-        """These sightings, and copies of poses that one of them was made from."""
+        """Keep the wanted sightings, and copies of poses that one of them was made from."""
         self.sightings = [factor[mask] for factor in self.sightings if (mask := wanted(factor)).any()]
         needed = np.isin(self.poses, [n for factor in self.sightings for n in factor.keys[0].numbers.tolist()])
         if not needed.all():
@@ -157,10 +160,10 @@ def place(state: MapState, views: Views) -> Array | None:
     P, mu = state.P[d : state.begin, d : state.begin], np.full(len(L), 1e-2)
     chi2, Lambda, g = now = judged(state, views, L, P)
     tried = [np.column_stack([L, chi2])]
-    for _ in range(STEPS):
+    for _ in range(SEARCH_STEPS):
         damped = Lambda + (mu * np.trace(Lambda, axis1=1, axis2=2))[:, None, None] * np.eye(k)
         step = np.linalg.solve(damped, g[..., None])[..., 0]
-        moving = np.flatnonzero((step * apply(Lambda, step)).sum(axis=1) > SETTLED)
+        moving = np.flatnonzero((step * apply(Lambda, step)).sum(axis=1) > SETTLED_STEP)
         if not len(moving):
             break
         trial = judged(state, views, L[moving] + step[moving], P)
@@ -177,9 +180,11 @@ def place(state: MapState, views: Views) -> Array | None:
     P_near = P - P[:, near] @ np.linalg.solve(P[near[:, None], near], P[near])  # that pose held
     least = np.linalg.eigvalsh(judged(state, views, L[[best]], P_near)[1][0])[0]
     off = np.concatenate(tried) - [*L[best], chi2[best]]
-    rival = (off[:, k] < RIVAL) & ((off[:, :k] * (off[:, :k] @ Lambda[best])).sum(axis=1) > SAME + NARROW * off[:, k])
+    rival = (off[:, k] < RIVAL_CHI2) & (
+        (off[:, :k] * (off[:, :k] @ Lambda[best])).sum(axis=1) > SAME_PLACE + PLACE_GROWTH * off[:, k]
+    )
     explained = rows == k or chi2[best] <= chi2_gate(rows - k, EXPLAINED)
-    return L[[best]] if explained and least * (SHARE * away.min()) ** 2 >= 1 and not rival.any() else None
+    return L[[best]] if explained and least * (SIGMA_SHARE * away.min()) ** 2 >= 1 and not rival.any() else None
 
 
 def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> Array:

@@ -241,8 +241,8 @@ class EKF(Filter):
         state.predict(X_j[0], F, _inverse(Lambda)[0])
         self._see(step.observations)
 
-    def _copies(self, factor: Factor) -> Copies:
-        """The factor for `most_likely`, one measurement for each copy of its variables."""
+    def _refuse_kernel(self, factor: Factor) -> None:
+        """A robust kernel is refused at once, also of a sighting that waits."""
         if factor.kernel is not None:
             raise GraphError(
                 f"EKF: {factor!r} has a robust kernel, which a filter cannot weigh again later; use its noise alone, "
@@ -250,10 +250,16 @@ class EKF(Filter):
                 factor.keys,
                 factor.name,
             )
+
+    def _copies(self, factor: Factor) -> Copies:
+        """The factor for `most_likely`, one measurement for each copy of its variables."""
+        self._refuse_kernel(factor)
         return Copies(factor, factor.bind(*(self._spaces[keys.kind] for keys in factor.keys)), 1)
 
     def _see(self, factors: list[Factor]) -> None:
         """Everything that touches the latest pose alone, landmarks, or both."""
+        for factor in factors:
+            self._refuse_kernel(factor)
         pieces = [self._identified(factor) for factor in factors]
         pieces = self._spent(pieces, lambda factor: len(factor.keys) == 1, self._chart)
         rows = [None if numbers is None else self.state.rows(numbers) for _, numbers in pieces]
@@ -361,7 +367,8 @@ class EKF(Filter):
             if rows is not None and numbers is not None and (rows < 0).any():
                 k = int(np.argmax(rows < 0))
                 key = Keys(self._kind, int(numbers[k]))
-                cure = "" if self.initial == "delayed" or not can_wait(factor, state.spaces) else WAIT
+                named = self.associate is None and not self.first_estimates
+                cure = WAIT if named and self.initial != "delayed" and can_wait(factor, state.spaces) else ""
                 raise GraphError(
                     f"{factor.describe(k)} is the first of {key} and does not say where it is; a filter needs a "
                     f"sighting with direction and distance first, or a Prior of {key}{cure}",

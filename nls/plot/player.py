@@ -19,7 +19,7 @@ from nls.plot.picture import escape_controls
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from PIL.Image import Image
+    from PIL.Image import Image as Picture
 
 __all__ = ["Animation", "animation", "image"]
 
@@ -52,7 +52,7 @@ class Animation:
         No frames, or more than a million bytes of them; `seconds` not above 0.
     """
 
-    def __init__(self, images: Sequence[Image], seconds: float | Sequence[float], alt: str) -> None:
+    def __init__(self, images: Sequence[Picture], seconds: float | Sequence[float], alt: str) -> None:
         if not images:
             raise OptionError("frames", images, "at least one")
         durations = (
@@ -60,7 +60,7 @@ class Animation:
             if np.size(seconds) in (1, len(images))
             else np.zeros(0)
         )
-        if not len(durations) or not (durations > 0).all():
+        if not len(durations) or not (np.isfinite(durations) & (durations > 0)).all():
             raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
         self._last = images[-1]
         self.frames = [_encoded(image, "webp", quality=QUALITY, method=1) for image in images]
@@ -138,18 +138,21 @@ def animation(
     return Animation(images, seconds, alt)
 
 
-def image(figure: Figure) -> Image:
+def image(figure: Figure) -> Picture:
     """A figure as an image on a white ground, 80 dots an inch."""
-    from PIL.Image import frombytes
+    from matplotlib import rc_context
+    from PIL import Image
 
     escape_controls(figure)
-    raw = BytesIO()
-    figure.savefig(raw, format="rgba", dpi=DPI)
     width, height = (int(DPI * inches) for inches in figure.get_size_inches())
-    return frombytes("RGBA", (width, height), raw.getvalue()).convert("RGB")
+    raw, size = BytesIO(), (width, height)
+    with rc_context({"savefig.bbox": "standard"}):  # all frames have the size of the figure
+        figure.savefig(raw, format="rgba", dpi=DPI)
+    drawn, ground = Image.frombytes("RGBA", size, raw.getvalue()), Image.new("RGBA", size, "white")
+    return Image.alpha_composite(ground, drawn).convert("RGB")
 
 
-def _encoded(image: Image, kind: str, **options: object) -> bytes:
+def _encoded(image: Picture, kind: str, **options: object) -> bytes:
     """An image in the bytes of a file."""
     written = BytesIO()
     image.save(written, format=kind, **options)

@@ -15,6 +15,7 @@ from factors import (
     Bearing,
     BearingRange,
     Between,
+    Cauchy,
     Diagonal,
     Factor,
     Isotropic,
@@ -235,6 +236,19 @@ def test_the_refusal_names_the_cure_and_the_cure_works() -> None:
     assert cure is not None
     track = eval(cure[0], {"EKF": EKF}).run(graph, values)
     assert track.landmarks == l[[0]]
+
+
+def test_a_kernel_is_refused_before_its_sighting_waits() -> None:
+    graph, values = straight(8, np.array([4.0, 6.0]))
+    first, odometry, ranges = graph.factors
+    with pytest.raises(GraphError, match=r"EKF: .*Range.* has a robust kernel"):
+        EKF("delayed").run(FactorGraph([first, odometry, ranges.robust(Cauchy(1.0))]), values)
+
+
+def test_no_cure_is_named_that_the_options_refuse() -> None:
+    graph, values = straight(8, np.array([4.0, 6.0]))
+    with pytest.raises(GraphError, match=r"is the first of l0.*or a Prior of l0$"):
+        EKF(first_estimates=True).run(graph, values)
 
 
 def test_a_camera_does_not_wait() -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from models.errors import OptionError
 from nls.plot import animation
-from nls.plot.player import Animation
+from nls.plot.player import Animation, image
 
 
 def moving(**options: object) -> Animation:
@@ -47,11 +47,22 @@ def test_the_page_of_an_animation_stands_alone() -> None:
     assert moving().html.split('id="')[1][:15] == html.split('id="')[1][:15], "the same frames give the same bytes"
 
 
+def test_a_frame_is_the_whole_figure_on_white() -> None:
+    figure = plt.figure(figsize=(4.33, 3.17))
+    figure.set_facecolor((0, 0, 0, 0.5))
+    plain = np.asarray(image(figure))
+    assert plain.shape == (253, 346, 3)
+    assert np.allclose(plain, 127, atol=1), "half transparent black on white"
+    with plt.rc_context({"savefig.bbox": "tight"}):
+        assert np.array_equal(np.asarray(image(figure)), plain)
+    plt.close(figure)
+
+
 def test_what_is_refused() -> None:
     figure = plt.figure()
     with pytest.raises(OptionError, match=r"frames.* expected at least one"):
         animation(figure, print, [], alt="Nothing.")
-    for seconds in (0, [0.1, 0.2], [0.1, 0.1, -1]):
+    for seconds in (0, float("inf"), [0.1, 0.2], [0.1, 0.1, -1]):
         with pytest.raises(OptionError, match=r"seconds.* above 0 for all frames, or one for each"):
             moving(seconds=seconds)
     assert "seconds = [1.0, 2.0, 3.0];" in moving(seconds=[1, 2, 3]).html
