@@ -62,7 +62,7 @@ class Series:
     bytes: list[float] = field(default_factory=list)  # that a solve adds to the process
     dx: list[npt.NDArray[np.float64]] = field(default_factory=list)  # the update
     stopped: str = ""  # why it ended; empty when every size was solved
-    foreseen: tuple[int, float] | None = None  # the size it was not given, and the seconds that this would need
+    foreseen: tuple[int, float, float] | None = None  # the size it was not given, and seconds and bytes it would need
 
 
 # --- one measurement, in a process of its own -------------------------------------------------------------------------
@@ -137,7 +137,7 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
             series.stopped = (
                 f"{TITLE[name]} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
             )
-            series.foreseen = n, time
+            series.foreseen = n, time, memory
             break
         with tempfile.TemporaryDirectory() as folder:
             done = fresh(sys.executable, __file__, "--child", name, n, folder)
@@ -258,28 +258,29 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
     from nls.plot.style import BEFORE, ESTIMATE
 
     figure = Figure(figsize=(11.5, 4.8), layout="constrained")
-    figure.suptitle("Dense solvers leave the page at some thousand unknowns, sparse Cholesky does not")
+    figure.suptitle("One linear solve in seven ways; arrows lead to sizes that were not run")
     left, right = figure.subplots(1, 2)
     markers = dict(zip(TITLE, "oDs^XPv", strict=True))
     for s in (s for s in found if s.n):
         color, label = BEFORE if s.name in DENSE else ESTIMATE, TITLE[s.name]
         if s.foreseen is not None:
-            label += f"\n{s.foreseen[0]:,} would take {s.foreseen[1]:,.0f} s"
-            tip = s.foreseen[0], s.foreseen[1]
+            n, time, memory = s.foreseen
+            label += f"\n{n:,} would take " + (f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB")
             arrow = {"arrowstyle": "->", "color": color, "linestyle": ":", "shrinkA": 5}
-            left.annotate("", tip, (s.n[-1], s.seconds[-1]), arrowprops=arrow, annotation_clip=True)
+            left.annotate("", (n, time), (s.n[-1], s.seconds[-1]), arrowprops=arrow)
+            right.annotate("", (n, memory / 1e6), (s.n[-1], s.bytes[-1] / 1e6), arrowprops=arrow)
         for axes, y in ((left, s.seconds), (right, np.array(s.bytes) / 1e6)):
             axes.loglog(s.n, np.maximum(y, 1e-6), marker=markers[s.name], color=color, label=label, markersize=6)
-    last = max((s.foreseen[1] for s in found if s.foreseen is not None), default=seconds)
+    longest, largest = (max((s.foreseen[k] for s in found if s.foreseen), default=0.0) for k in (1, 2))
     for axes, limit, what in ((left, seconds, f"{seconds:g} s"), (right, 1e3 * gigabytes, f"{gigabytes:g} GB")):
         axes.axhline(limit, color="0.5", linewidth=0.8)
         axes.annotate(
             f"limit {what}", (0.01, limit), xycoords=("axes fraction", "data"), ha="left", va="bottom", color="0.4"
         )
-        axes.set(xlabel="unknowns", ylim=(None, 3 * limit))
+        axes.set(xlabel="unknowns")
         axes.grid(alpha=0.3)
-    left.set(ylabel="one linear solve, one thread [s]", ylim=(None, 2 * max(last, seconds)))
-    right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, None))
+    left.set(ylabel="one linear solve, one thread [s]", ylim=(None, 3 * max(longest, seconds)))
+    right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, 3 * max(largest / 1e6, 1e3 * gigabytes)))
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", fontsize=9, labelspacing=0.9)
     figure.savefig(path, dpi=130)
