@@ -107,8 +107,7 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     x5 [Between(x3, x5)] [Landmark(x5, l8)]
     x6 [Between(x5, x6)] [Landmark(x[6, 6], l[8, 9])]
     """
-    if any(len(keys) for keys in graph.fixed):
-        held = next(keys for keys in graph.fixed if len(keys))
+    if (held := next((keys for keys in graph.fixed if len(keys)), None)) is not None:
         raise GraphError(
             f"{held[[0]]} is held fixed, which a filter does not know: `graph.release` it and add a Prior with the "
             "sigmas it is known to",
@@ -139,9 +138,8 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
                 cut[k].observations.append(_rows_of(factor, rows[~follow]))
         for keys in factor.keys:
             if keys.kind != POSE:
-                for k, rows in _groups(last):
-                    for number in keys.numbers[rows].tolist():
-                        first[number] = min(first.get(number, k), k)
+                for number, k in zip(keys.numbers.tolist(), last.tolist(), strict=True):
+                    first[number] = min(first.get(number, k), k)
     for factor in reversed(alone):
         steps_of_first = np.array([[first.get(n, 0) for n in keys.numbers.tolist()] for keys in factor.keys])
         for k, rows in _groups(steps_of_first.max(axis=0)):

@@ -74,8 +74,7 @@ def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Ar
     >>> nees(x[[7]], SE2, np.array([[0.0, 0.0, -3.1]]), P, np.array([[0.1, 0.0, 3.1]])).round(1)
     array([1.2])
     """
-    values = _spectra(P)[0]
-    if (bad := ~(values[:, 0] > SINGULAR)).any():
+    if (bad := ~regular(P)).any():
         raise UnderconstrainedError(
             f"NEES of {keys[[int(np.argmax(bad))]]}: its covariance is singular, errors have no size in its units; a "
             "particle filter needs more particles than unknowns that differ, and a start a sigma above 0",

@@ -343,12 +343,8 @@ class EKF(Filter):
         copied = self._copies(factor)
         assert isinstance(pose, LieGroup)
         X = np.tile(state.X, (len(numbers), 1))
-        L, Lambda = most_likely(
-            [(copied, 1, (X,))],
-            landmark,
-            factor.locate(pose, factor.sensor_pose(pose, X), copied.model.z),
-            factor.keys[1],
-        )
+        start = factor.locate(pose, factor.sensor_pose(pose, X), copied.model.z)
+        L, Lambda = most_likely([(copied, 1, (X,))], landmark, start, factor.keys[1])
         Q, G = _inverse(Lambda), np.zeros((len(L), landmark.dim, pose.dim))
         if self.initial == "first-sight":
             Q = np.tile(np.diag(np.broadcast_to(np.square(self.prior_sigma), landmark.dim)), (len(L), 1, 1))

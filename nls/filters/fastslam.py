@@ -18,7 +18,6 @@ tables 13.1 and 13.3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -29,14 +28,12 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import check_whole
 from nls.filters.base import Filter, Step
-from nls.filters.motion import Copies, copies, information, most_likely, slot_of
+from nls.filters.motion import Copies, Factors, copies, information, most_likely, slot_of
 from nls.filters.particle_map import ParticleMap, each_once
 from nls.filters.particles import covariance, effective, mean, normalized_weights, systematic
 from nls.values import Values
 
 __all__ = ["FastSLAM"]
-
-Motion = Sequence[tuple[Copies, int, tuple[Array, ...]]]
 
 
 class FastSLAM(Filter):
@@ -109,9 +106,8 @@ class FastSLAM(Filter):
         self.parents = np.arange(self.particles)
         alone = [f for f in step.observations if self._about(f, step.pose) == "pose"]
         X = np.tile(values[step.pose], (self.particles, 1))
-        self._move(
-            step.pose, X, [(self._copies(f), 0, ()) for f in alone], [f for f in step.observations if f not in alone]
-        )
+        others = [f for f in step.observations if f not in alone]
+        self._move(step.pose, X, [(self._copies(f), 0, ()) for f in alone], others)
 
     def step(self, step: Step) -> None:
         """Move every particle to the next pose and weigh it by what is seen there."""
@@ -140,7 +136,7 @@ class FastSLAM(Filter):
             return Keys("l", np.zeros(0, dtype=np.int64)), np.zeros((0, 0)), np.zeros((0, 0, 0))
         return self.map.estimate(self.weights)
 
-    def _move(self, pose: Keys, X: Array, motion: Motion, observations: list[Factor]) -> None:
+    def _move(self, pose: Keys, X: Array, motion: Factors, observations: list[Factor]) -> None:
         """Draw the new pose of every particle from the proposal, weigh it, and update the landmarks there."""
         about = [(f, self._about(f, pose)) for f in observations]
         for factor in (f for f, role in about if role == "landmark"):

@@ -185,7 +185,7 @@ class MapState:
     def _landmarks_at(self, delta: Array) -> Array:
         """The landmarks (m, size) a step (n,) from where they are."""
         landmark = self.spaces[1]
-        return landmark.retract(self.L, delta[self.begin :].reshape(len(self.L), -1)) if len(self.L) else self.L
+        return landmark.retract(self.L, delta[self.begin :].reshape(-1, landmark.dim))
 
     def _poses_by(self, F: Array) -> None:
         """P of F (p, d, d) times the errors of the latest pose and of copies: p d rows and columns, all else stays."""

@@ -48,6 +48,9 @@ class Copies:
         return np.asarray(np.square(self.model.error(*self.stacked(*X))).reshape(-1, self.n * self.model.dim).sum(1))
 
 
+Factors = Sequence[tuple[Copies, int, tuple[Array, ...]]]  # with the slot of one variable, and stacks of the others
+
+
 def copies(factor: Factor, manifolds: Sequence[Manifold], particles: int) -> Copies:
     """The factor for every particle: one call evaluates all of them."""
     many = factor[np.tile(np.arange(len(factor)), particles)]
@@ -75,7 +78,7 @@ def information(parts: Sequence[tuple[Array, Array]], particles: int) -> tuple[A
     return np.asarray(Lambda), np.asarray(g)
 
 
-def jacobians(motion: Sequence[tuple[Copies, int, tuple[Array, ...]]], X_i: Array, X_j: Array) -> tuple[Array, Array]:
+def jacobians(motion: Factors, X_i: Array, X_j: Array) -> tuple[Array, Array]:
     """Whitened A_i and A_j (rows, d) of all factors of one motion, for the pose before (1, size) and the one after.
 
     Parameters
@@ -86,9 +89,7 @@ def jacobians(motion: Sequence[tuple[Copies, int, tuple[Array, ...]]], X_i: Arra
     return np.concatenate([A[1 - slot][0] for A, slot in blocks]), np.concatenate([A[slot][0] for A, slot in blocks])
 
 
-def most_likely(
-    factors: Sequence[tuple[Copies, int, tuple[Array, ...]]], manifold: Manifold, X: Array, key: Keys
-) -> tuple[Array, Array]:
+def most_likely(factors: Factors, manifold: Manifold, X: Array, key: Keys) -> tuple[Array, Array]:
     """The value of one variable that its factors say, and their information there, particle by particle.
 
     Parameters

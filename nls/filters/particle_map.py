@@ -96,11 +96,8 @@ class ParticleMap:
         (X_each,) = many.stacked(X)
         L = many.factor.locate(group, many.factor.sensor_pose(group, X_each), many.model.z)
         (_, A_l), _ = many.model.linearize(X_each, L)
-        self.add(
-            factor.keys[1],
-            L.reshape(self.particles, len(factor), -1),
-            np.asarray(np.linalg.inv(gram(A_l)), dtype=float),
-        )
+        C = np.asarray(np.linalg.inv(gram(A_l)), dtype=float)
+        self.add(factor.keys[1], L.reshape(self.particles, len(factor), -1), C)
 
     def start_alone(self, factor: Factor, at: Array) -> None:
         """Put new landmarks where measurements of them alone have them, from start values at (n, size)."""

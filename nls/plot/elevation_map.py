@@ -94,36 +94,30 @@ def elevation_map(
     known = float(np.degrees(sonar.aperture / np.sqrt(12)))  # by the aperture, without any second view
     maps = {name: _after(sonar, G, points, motion_covariance) for name, G in flown.items()}
     medians = {name: float(np.median(s[~np.isnan(s)])) for name, s in maps.items() if not np.isnan(s).all()}
+    good = [name for name, median in medians.items() if median < known]
 
     columns = min(3, len(flown))
     rows = -(-len(flown) // columns)
     figure = Figure(figsize=(3.3 * columns + 1.1, 2.2 * rows + 1.5), layout="constrained")
+    grid, norm = (np.degrees(azimuth), np.degrees(elevation)), LogNorm(BEST * known, known)
     shades = colormaps["viridis"].with_extremes(over=NOTHING, bad=UNSEEN)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for cell in axes.flat[len(flown) :]:
         cell.set_axis_off()
     for cell, (name, sigma) in zip(axes.flat, maps.items(), strict=False):
-        image = cell.pcolormesh(
-            np.degrees(azimuth),
-            np.degrees(elevation),
-            np.minimum(sigma, 100 * known),  # where nothing is learned it is infinite
-            cmap=shades,
-            norm=LogNorm(BEST * known, known),
-            rasterized=True,
-        )
+        finite = np.minimum(sigma, 100 * known)  # where nothing is learned it is infinite
+        image = cell.pcolormesh(*grid, finite, cmap=shades, norm=norm, rasterized=True)
         cell.set_title(name, fontsize=11)
         if name not in medians:
             cell.text(0, 0, "out of sight", ha="center", va="center", fontsize=13)
             continue
         where = [np.degrees(np.median(points[~np.isnan(sigma)][:, k])) for k in (1, 2)]  # in what is seen
-        learned = medians[name] < known
+        learned = name in good
         verdict = {"s": f"±{medians[name]:.2g}°", "fontsize": 20} if learned else {"s": "nothing", "fontsize": 13}
         box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "boxstyle": "round,pad=0.15"}
         cell.text(*where, **verdict, ha="center", va="center", bbox=box if learned else None)
     axes[0, 0].invert_yaxis()  # down is down
-    figure.suptitle(
-        _answer([name for name, median in medians.items() if median < known]), fontsize=14, fontweight="bold"
-    )
+    figure.suptitle(_answer(good), fontsize=14, fontweight="bold")
     figure.supylabel("elevation [deg], positive below", fontsize=10)
     figure.supxlabel(
         "azimuth [deg]\n\n"

@@ -81,8 +81,6 @@ def ellipses(
         check_whole("every", every, 1)
     alone = axes is None
     axes = axes_or_new(axes, (6, 6))
-    if alone:
-        axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
     for stack in marginals.values.stacks.values():
         position = np.asarray(stack.manifold.position(stack.X))
         chosen = np.flatnonzero(np.array(marginals.status(stack.kind)) == "estimated")
@@ -98,12 +96,12 @@ def ellipses(
             position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
-        label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}"
-        label += larger(scale)
+        label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}{larger(scale)}"
         _outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
     if alone:
+        axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
         axes.set_aspect("equal", adjustable="datalim")
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", fontsize=8)

@@ -132,19 +132,16 @@ def _row(names: Sequence[Name]) -> str:
 
 def _at_values(names: Sequence[Name], values: Values) -> dict[Name, Array]:
     """Places from above."""
-    out = {}
+    positions: dict[Name, Array] = {}
     for kind in sorted({kind for kind, _ in names}):
         stack = values.stack(kind)
-        positions = dict(zip(stack.numbers.tolist(), np.asarray(stack.manifold.position(stack.X)), strict=True))
-        for name in names:
-            if name[0] != kind:
-                continue
-            if name[1] not in positions or len(positions[name[1]]) < 2:
-                why = "is not in these values" if name[1] not in positions else "has no position in the plane"
-                raise GraphError(f"factor_graph: {kind}{name[1]} {why}; leave out values, and all are drawn in rows")
-            place = positions[name[1]]
-            out[name] = place[[1, 0]] if len(place) == 3 else place
-    return out
+        places = np.asarray(stack.manifold.position(stack.X))
+        positions |= {(kind, number): place for number, place in zip(stack.numbers.tolist(), places, strict=True)}
+    for name in names:
+        if name not in positions or len(positions[name]) < 2:
+            why = "has no position in the plane" if name in positions else "is not in these values"
+            raise GraphError(f"factor_graph: {name[0]}{name[1]} {why}; leave out values, and all are drawn in rows")
+    return {name: positions[name][[1, 0]] if len(positions[name]) == 3 else positions[name] for name in names}
 
 
 def _in_rows(names: Sequence[Name], measurements: Sequence[Measurement]) -> dict[Name, Array]:
@@ -173,20 +170,17 @@ def _squares(
     That of one variable is on its far side, seen from the center; without a center it is above or below it.
     """
     sets = [frozenset(variables) for _, variables in measurements]
-    drawn: dict[frozenset[Name], int] = {}
     out = []
-    for variables in sets:
+    for k, variables in enumerate(sets):
         points = np.array([places[name] for name in sorted(variables)])
-        middle, k, count = points.mean(axis=0), drawn.get(variables, 0), sets.count(variables)
-        drawn[variables] = k + 1
+        middle, aside = points.mean(axis=0), sets[:k].count(variables) - (sets.count(variables) - 1) / 2
         if len(points) > 1:
             along = points[-1] - points[0]
             across = np.array([-along[1], along[0]]) / (np.linalg.norm(along) or 1.0)
-            out.append(middle + (k - (count - 1) / 2) * APART * unit * across)
+            out.append(middle + aside * APART * unit * across)
             continue
         away = np.array([0.0, middle[1] or -1.0]) if center is None else middle - center
-        angle = np.arctan2(away[1], away[0])
-        angle += (k - (count - 1) / 2) * np.pi / 5
+        angle = np.arctan2(away[1], away[0]) + aside * np.pi / 5
         out.append(middle + BESIDE * unit * np.array([np.cos(angle), np.sin(angle)]))
     return out
 

@@ -178,29 +178,26 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     manifold = track.values.stack(track.landmarks.kind).manifold
     units = ", ".join(dict.fromkeys(filter(None, manifold.units)))
     axes.set(title="sigma of the landmarks", xlabel="step", ylabel=f"sigma [{units}]" if units else "sigma")
-    by_landmark: dict[int, tuple[list[int], list[Array]]] = {}
-    for step, (keys, P) in zip(track.x.numbers.tolist(), history, strict=True):
-        for number, P_k in zip(keys.numbers.tolist(), P, strict=True):
-            at, variances = by_landmark.setdefault(number, ([], []))
-            at.append(step)
-            variances.append(np.diagonal(P_k))
-    if not by_landmark:
+    counts = [len(keys) for keys, _ in history]
+    if not any(counts):
         return
-    line = manifold is LINE
-    right = axes.twinx() if line else None
-    for k, (number, (at, variances)) in enumerate(sorted(by_landmark.items())):
+    steps, numbers = np.repeat(track.x.numbers, counts), np.concatenate([keys.numbers for keys, _ in history])
+    variances = np.concatenate([np.diagonal(P, axis1=1, axis2=2) for _, P in history if len(P)])
+    walls = manifold is LINE
+    panels = [axes, axes.twinx()] if walls else [axes]
+    for k, number in enumerate(np.unique(numbers).tolist()):
         again, color = divmod(k, len(SERIES))
-        variance, style = np.array(variances), {"color": SERIES[color], "linewidth": 1.0 + again}
-        sigma = np.sqrt(variance[:, 1] if line else variance.mean(axis=1))
-        axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
-        if right is not None:
-            right.plot(at, np.degrees(np.sqrt(variance[:, 0])), linestyle=":", **style)  # type: ignore[arg-type]
-    for panel in (axes, right):
-        if panel is not None:
-            panel.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in panel.lines))
-    if right is not None:
+        at, style = numbers == number, {"color": SERIES[color], "linewidth": 1.0 + again}
+        sigma = np.sqrt(variances[at, 1] if walls else variances[at].mean(axis=1))
+        axes.plot(steps[at], sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
+        if walls:
+            alpha = np.degrees(np.sqrt(variances[at, 0]))
+            panels[1].plot(steps[at], alpha, linestyle=":", **style)  # type: ignore[arg-type]
+    for panel in panels:
+        panel.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in panel.lines))
+    if walls:
         axes.set_ylabel("sigma of r [m]")
-        right.set_ylabel("sigma of alpha [deg], dotted")
+        panels[1].set_ylabel("sigma of alpha [deg], dotted")
     legend_below(axes, *axes.get_legend_handles_labels())
 
 
@@ -269,9 +266,8 @@ def belief(
         _outlines(axes, places, scale * outlines(P_landmarks), **style)
         axes.plot(*places.T, ".", color=LANDMARK, markersize=4)
         _named(axes, keys, true_landmarks)
-    axes.set(
-        title=f"{pose!r}" + ("" if scale == 1 else f": errors and ellipses × {scale:g}"), xlabel="x [m]", ylabel="y [m]"
-    )
+    drawn_larger = "" if scale == 1 else f": errors and ellipses × {scale:g}"
+    axes.set(title=f"{pose!r}{drawn_larger}", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
     figure, (handles, labels) = figure_of(axes), axes.get_legend_handles_labels()
     if alone:
@@ -363,9 +359,8 @@ def power_laws(
         axes.set_xlim(right=20 * right)  # the words in one column, none above another
         axes.set_ylim(top=np.exp(high + 0.1 * (high - low)))
         place = -np.inf
-        ends = zip([y[-1] for _, y, _ in lines.values()], lines, SERIES, strict=False)
-        for y_end, name, color in sorted(ends):
-            p = lines[name][2]
+        ends = [(y[-1], name, p, color) for (name, (_, y, p)), color in zip(lines.items(), SERIES, strict=False)]
+        for y_end, name, p, color in sorted(ends):
             place = max(float(np.log(y_end)), place + 0.06 * (high - low))
             text = name if np.isnan(p) else f"{name}, slope {p:.2f}"
             axes.text(right, np.exp(place), text, va="center", color=color)

@@ -37,6 +37,7 @@ VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and 
 MANY = 250  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 SHADED: dict[str, Any] = {"s": 14, "cmap": "YlOrRd", "vmin": 0.0, "edgecolors": "0.3", "linewidths": 0.4, "zorder": 3}
+HOLLOW: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": LANDMARK, "zorder": 3}
 POINTS = {"l": ("landmarks", "."), "b": ("beacons", "^")}  # kinds of points, with their names and markers
 x, l = kinds("x", "l")
 
@@ -141,8 +142,7 @@ def landmark_map(
     reach = (elevations.range * elevations.sigma)[:, None] * elevations.along  # one sigma along the arc, m
     path = _positions(values)
     figure, panels = _views(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
-    above, beside = panels
-    above.set_title("Landmarks from above")
+    panels[0].set_title("Landmarks from above")
     for ax, rows in zip(panels, VIEWS, strict=True):
         P = points[:, rows]
         if truth is not None and "l" in truth.stacks:
@@ -150,24 +150,18 @@ def landmark_map(
         ax.plot(*path[:, rows].T, color=ESTIMATE, linewidth=0.8, label="track")
         if not known.all():
             unknown = "landmark" if not known.any() else "landmark, elevation free"
-            ax.scatter(
-                P[~known, 0], P[~known, 1], s=12, facecolors="none", edgecolors=LANDMARK, zorder=3, label=unknown
-            )
+            ax.scatter(P[~known, 0], P[~known, 1], label=unknown, **HOLLOW)
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
             dots = ax.scatter(P[known, 0], P[known, 1], c=sigma[known], vmax=most, label="landmark", **SHADED)
     if known.any():
-        bar = figure.colorbar(
-            dots,
-            ax=[above, beside],
-            label="elevation at first view known to [deg]"
-            + ("" if aperture is None else "; top: by the aperture alone"),
-            extend="max" if sigma[known].max() > most else "neither",
-            aspect=30,
-        )
+        label = "elevation at first view known to [deg]"
+        label += "" if aperture is None else "; top: by the aperture alone"
+        extend = "max" if sigma[known].max() > most else "neither"
+        bar = figure.colorbar(dots, ax=list(panels), label=label, extend=extend, aspect=30)
         bar.ax.yaxis.set_major_formatter("{x:g}")
-    figure.legend(*beside.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     return figure
 
 

@@ -55,12 +55,8 @@ class Animation:
     def __init__(self, images: Sequence[Picture], seconds: float | Sequence[float], alt: str) -> None:
         if not images:
             raise OptionError("frames", images, "at least one")
-        durations = (
-            np.broadcast_to(np.asarray(seconds, float), len(images))
-            if np.size(seconds) in (1, len(images))
-            else np.zeros(0)
-        )
-        if not len(durations) or not (np.isfinite(durations) & (durations > 0)).all():
+        durations = np.asarray(seconds, float)
+        if durations.size not in (1, len(images)) or not (np.isfinite(durations) & (durations > 0)).all():
             raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
         self._last = images[-1]
         self.frames = [_encoded(image, "webp", quality=QUALITY, method=1) for image in images]
@@ -73,7 +69,7 @@ class Animation:
             height=self._last.height,
             last=len(images) - 1,
             frames=json.dumps(codes),
-            seconds=json.dumps(durations.tolist()),
+            seconds=json.dumps(np.broadcast_to(durations, len(images)).tolist()),
         )
         if len(self.html) > LIMIT:
             expected = f"at most {LIMIT:,} bytes: fewer frames or a smaller figure; they take {len(self.html):,} bytes"

@@ -6,7 +6,7 @@ a line many times as long. The line has the direction of the error, its color sa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,6 +55,7 @@ def rig_before_after(
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
     figure = Figure(figsize=(14.5, 6.2))
     figure.set_layout_engine("constrained", wspace=0.04)
@@ -70,15 +71,15 @@ def rig_before_after(
     for ax, name, moved in zip(axes, ("raw", "optimized"), aligned, strict=False):
         lines = _map(ax, truth, moved, camera, times, norm)
         ax.set_title(name, fontsize=15, color=BEFORE if name == "raw" else ESTIMATE, fontweight="bold")
-    for ax in axes[:2]:  # the same view
-        ax.set(xlim=_union(ax_.get_xlim() for ax_ in axes[:2]), ylim=_union(ax_.get_ylim() for ax_ in axes[:2]))
+    view = Bbox.union([ax.viewLim for ax in axes[:2]])
+    for ax in axes[:2]:
+        ax.set(xlim=view.intervalx, ylim=view.intervaly)
     bar = figure.colorbar(lines, ax=axes[:2], location="bottom", extend="both", shrink=0.6, aspect=40, pad=0.02)
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if largest / 20 < t < largest]
     bar.set_ticks(ticks, labels=[f"{100 * t:g} cm" for t in ticks], minor=False)
     bar.minorticks_off()
-    bar.set_label(
-        f"error of cameras and points after rigid alignment, drawn {times} times as long; dots: the truth{shown}"
-    )
+    errors = f"error of cameras and points after rigid alignment, drawn {times} times as long"
+    bar.set_label(f"{errors}; dots: the truth{shown}")
     _numbers(axes[2], changes)
     return figure
 
@@ -123,33 +124,22 @@ def _map(
     return lines
 
 
-def _union(limits: Iterable[tuple[float, float]]) -> tuple[float, float]:
-    low, high = zip(*limits, strict=True)
-    return min(low), max(high)
-
-
 def _frusta(X: Array, camera: Camera, deep: float) -> Array:
     """Outlines (n, 11, 3) of fields of view, `deep` m, of cameras X (n, 7); without a size 45 deg to each side."""
     low, high = np.subtract(camera.center, camera.focal), np.add(camera.center, camera.focal)
     if camera.size is not None:
         low, high = np.zeros(2), np.array(camera.size)
     corners, _ = camera.ray([low, [high[0], low[1]], high, [low[0], high[1]]])
-    corners = deep * corners / corners[:, 2:]
-    eye = np.zeros((1, 3))
-    order = [eye, corners[[0, 1]], eye, corners[[2, 1]], corners[[2, 3]], eye, corners[[3, 0]]]
-    outline = np.concatenate(order)
+    corners, eye = deep * corners / corners[:, 2:], np.zeros((1, 3))
+    outline = np.concatenate([eye, corners[[0, 1]], eye, corners[[2, 1]], corners[[2, 3]], eye, corners[[3, 0]]])
     return SE3.act(X[:, None], outline[None])
 
 
 def _numbers(axes: Axes, changes: Mapping[str, tuple[float, float]]) -> None:
     """One row a quantity: its error before, an arrow, and its error after."""
+    arrow = {"arrowstyle": "-|>", "color": SIGHT, "lw": 2, "mutation_scale": 20, "shrinkB": 6}
     for row, (name, (before, after)) in enumerate(changes.items()):
-        axes.annotate(
-            "",
-            (after, row),
-            (before, row),
-            arrowprops={"arrowstyle": "-|>", "color": SIGHT, "lw": 2, "mutation_scale": 20, "shrinkB": 6},
-        )
+        axes.annotate("", (after, row), (before, row), arrowprops=arrow)
         for value, color in ((before, BEFORE), (after, ESTIMATE)):
             axes.plot(value, row, "o", color=color, markersize=10, zorder=3)
             axes.annotate(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from models.algebra import Array, Index, Mask
+    from models.algebra import Array, Mask
     from nls.io.scan_mission import Truth
     from nls.sonar.scans import Matches, Scans
 
@@ -27,11 +27,7 @@ FEW = 100  # closures, drawn with their full opacity
 
 
 def scan_map(
-    poses: Array,
-    dead: Array,
-    scans: Scans,
-    matches: Matches | None = None,
-    truth: Truth | None = None,
+    poses: Array, dead: Array, scans: Scans, matches: Matches | None = None, truth: Truth | None = None
 ) -> Figure:
     """The map from above, x to the right and y up.
 
@@ -68,13 +64,8 @@ def scan_map(
     title = f"{len(poses):,} keyframes, {len(points):,} points"
     if truth is not None:
         error = truth.ate(poses)
-        back = SE2.inverse(error.T[None])
-        axes.plot(
-            *SE2.act(np.repeat(back, len(truth.rows), axis=0), truth.poses[:, :2]).T,
-            color=TRUE,
-            linewidth=1.2,
-            label="truth, aligned",
-        )
+        aligned = SE2.act(SE2.inverse(error.T[None]), truth.poses[:, :2])
+        axes.plot(*aligned.T, color=TRUE, linewidth=1.2, label="truth, aligned")
         title = f"{error.rmse:.2f} m rmse from the truth, dead reckoning {truth.ate(dead).rmse:.2f} m"
     axes.plot(*poses[:, :2].T, color=ESTIMATE, linewidth=1.6, label="solution")
     axes.plot(*poses[0, :2], "o", color=ESTIMATE, markersize=5, label="start")
@@ -82,10 +73,9 @@ def scan_map(
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
-    points_of_legend = axes.scatter([], [], s=9, color=ECHO, label="points of the scans")
     handles, _ = axes.get_legend_handles_labels()
-    handles = [points_of_legend, *(handle for handle in handles if handle is not points_of_legend)]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8)
+    dot = axes.scatter([], [], s=9, color=ECHO, label="points of the scans")  # one that can be seen
+    figure.legend(handles=[dot, *handles], loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 
@@ -93,10 +83,8 @@ def _joined(axes: Axes, poses: Array, matches: Matches, rows: Mask, color: str, 
     """A line between the keyframes of some matches."""
     from matplotlib.collections import LineCollection
 
-    ends: tuple[Index, Index] = matches.i[rows], matches.j[rows]
-    alpha *= min(1.0, (FEW / max(len(ends[0]), 1)) ** 0.5)  # many lines must not hide the map
-    if len(ends[0]):
-        segments = np.stack([poses[end, :2] for end in ends], axis=1)
-        axes.add_collection(
-            LineCollection(list(segments), colors=color, linewidths=0.7, alpha=alpha, label=label, zorder=1)
-        )
+    segments = np.stack([poses[end[rows], :2] for end in (matches.i, matches.j)], axis=1)
+    if len(segments):
+        alpha *= min(1.0, (FEW / len(segments)) ** 0.5)  # many lines must not hide the map
+        lines = LineCollection(list(segments), colors=color, linewidths=0.7, alpha=alpha, label=label, zorder=1)
+        axes.add_collection(lines)

@@ -168,10 +168,8 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     axes.add_collection(LineCollection(list(arc[:, :, ::-1]), color=ARC, linewidth=1.5, label=label))
     if alone:
         edge = np.linspace(-sonar.fan / 2, sonar.fan / 2, ALONG)
-        edges = [
-            np.append(sonar.window[0] * np.sin(edge), sonar.window[1] * np.sin(edge[::-1])),
-            np.append(sonar.window[0] * np.cos(edge), sonar.window[1] * np.cos(edge[::-1])),
-        ]
+        around, rim = np.append(edge, edge[::-1]), np.repeat(sonar.window, ALONG)  # near rim, then far rim
+        edges = rim * np.sin(around), rim * np.cos(around)
         axes.fill(*edges, facecolor="none", edgecolor="0.7", linewidth=0.8)
         axes.set_xlim(1.5 * edges[0].min(), 1.5 * edges[0].max())
         if len(farthest):
@@ -190,19 +188,11 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
 
 def _point_at(axes: Axes, at: tuple[float, float], above: bool, text: str, color: str) -> None:
     """Words beside the fan, on the side of a point and above it or in the lower corner, and an arrow to that."""
-    left = at[0] < 0
-    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, 0.0 if above else 1.0)}
-    axes.annotate(
-        text,
-        at,
-        (0.02 if left else 0.98, 0.6 if above else 0.03),
-        textcoords="axes fraction",
-        ha="left" if left else "right",
-        va="bottom",
-        color=color,
-        fontsize=9,
-        arrowprops=arrow,
-    )
+    side, x = ("left", 0.02) if at[0] < 0 else ("right", 0.98)
+    y, edge = (0.6, 0.0) if above else (0.03, 1.0)  # of the words, the edge that the arrow leaves from
+    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, edge)}
+    style: dict[str, Any] = {"ha": side, "va": "bottom", "color": color, "fontsize": 9, "arrowprops": arrow}
+    axes.annotate(text, at, (x, y), textcoords="axes fraction", **style)
 
 
 def frustum(

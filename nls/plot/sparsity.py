@@ -63,19 +63,14 @@ def spy(system: LinearSystem) -> Figure:
     of_damped = "of H + D, as something is free" if D is not None else "reordered"
     axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in", fontsize=9)
 
-    names, first = _variables(system)
-    for axis in (axes[0].xaxis, axes[1].xaxis, axes[1].yaxis):
-        _name(axis, names, first)
-    if sum(map(len, system.pattern.batches)) <= LABELS:
-        factors = [row.rsplit(":", 1)[0] for row in system.rows]
-        begin = [k for k in range(len(factors)) if k == 0 or factors[k] != factors[k - 1]]
-        _name(axes[0].yaxis, [factors[k] for k in begin], begin)
     variable, _ = system.pattern.column_owner()
-    owner = variable[permutation]
-    begin = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
-    ordered_names = [repr(system.pattern.key(int(owner[k]))) for k in begin]
+    names = [repr(system.pattern.key(v)) for v in variable.tolist()]
+    for axis in (axes[0].xaxis, axes[1].xaxis, axes[1].yaxis):
+        _name(axis, names)
+    if sum(map(len, system.pattern.batches)) <= LABELS:
+        _name(axes[0].yaxis, [row.rsplit(":", 1)[0] for row in system.rows])
     for axis in (axes[2].xaxis, axes[2].yaxis):
-        _name(axis, ordered_names, begin)
+        _name(axis, [names[k] for k in permutation.tolist()])
     return figure
 
 
@@ -89,18 +84,13 @@ def _triangle(system: LinearSystem) -> tuple[sp.csc_array, Index, Array | None]:
         return *default_solver().analyze(system.pattern).factorize(system, D).upper(), D
 
 
-def _variables(system: LinearSystem) -> tuple[list[str], list[int]]:
-    variable, component = system.pattern.column_owner()
-    first = np.flatnonzero(component == 0)
-    return [repr(system.pattern.key(int(v))) for v in variable[first]], first.tolist()
-
-
-def _name(axis: Axis, names: list[str], first: list[int]) -> None:
-    """Names where they begin, as far as there is room for them; those of columns are upright."""
+def _name(axis: Axis, names: list[str]) -> None:
+    """Names of rows or columns where they begin, as far as there is room for them; those of columns are upright."""
     from matplotlib.axis import XAxis
 
-    if len(names) <= LABELS:
-        axis.set_ticks(first, names, fontsize=7, rotation=90 if isinstance(axis, XAxis) else 0)
+    first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+    if len(first) <= LABELS:
+        axis.set_ticks(first, [names[k] for k in first], fontsize=7, rotation=90 if isinstance(axis, XAxis) else 0)
 
 
 def _dots(axes: Axes, M: sp.coo_array, color: str) -> None:

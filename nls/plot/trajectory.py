@@ -52,22 +52,20 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     figure = Figure(figsize=(11.5, 4.2), layout="constrained")
     figure.set_layout_engine("constrained", wspace=0.12)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
-    left = figure.add_subplot(1, 3, 1, **space)
-    middle = figure.add_subplot(1, 3, 2, **space)
+    left, middle = (figure.add_subplot(1, 3, k, **space) for k in (1, 2))
     right = figure.add_subplot(1, 3, 3)
     chi2 = graph.chi2(before)
     trajectory(graph, before, left)
     trajectory(graph, result.values, middle)
     times = one_scale(graph, (left, before), (middle, result.values))
     annotate((left, middle, right), chi2, result, times, title)
-    legends = [axes.get_legend() for axes in (left, middle)]
-    if drawn := next((legend for legend in legends if legend is not None), None):  # once for both
-        names = [text.get_text() for text in drawn.get_texts()]
-        handles = [handle for handle in drawn.legend_handles if handle is not None]
+    legends = [legend for axes in (left, middle) if (legend := axes.get_legend()) is not None]
+    if legends:  # once for both
+        names = [text.get_text() for text in legends[0].get_texts()]
+        handles = [handle for handle in legends[0].legend_handles if handle is not None]
         figure.legend(handles, names, loc="outside lower left", ncols=4, fontsize=9, frameon=False)
     for legend in legends:
-        if legend is not None:
-            legend.remove()
+        legend.remove()
     return figure
 
 
@@ -244,10 +242,9 @@ def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array
         if len(factor.keys) != 2 or not {key.kind for key in factor.keys} <= kinds:
             continue
         i, j = factor.keys
-        ends = [values.stack(k.kind) for k in (i, j)]
         low, high = np.minimum(i.numbers, j.numbers), np.maximum(i.numbers, j.numbers)
         apart = (i.kind != j.kind) | (high - 1 != low)  # high - low could be beyond int64
-        points = [_positions(s)[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)]
+        points = [values.stack(key.kind).manifold.position(values[key[apart]]) for key in (i, j)]
         if points[0].shape[1] == points[1].shape[1] > 0:
             out.append(np.stack(points, axis=1))
     if not out:

@@ -49,9 +49,8 @@ def section(name: str, heading: str, *inside: str) -> Html:
 
 def listed(items: Iterable[tuple[str, str]], **attributes: str) -> Html:
     """Terms and what they are."""
-    return tag(
-        "dl", *(tag("div", tag("dt", term), tag("dd", description)) for term, description in items), **attributes
-    )
+    rows = (tag("div", tag("dt", term), tag("dd", description)) for term, description in items)
+    return tag("dl", *rows, **attributes)
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int] = ()) -> Html:

@@ -136,9 +136,8 @@ def report(
             key_figures(data),
             tag("nav", joined([tag("a", link, href=f"#{SECTIONS[link].__name__}") for link in body], " ")),
         ]
-        return _document(
-            title or "Report", [tag("header", joined(head, "\n")), tag("main", joined(body.values(), "\n"))]
-        )
+        page = [tag("header", joined(head, "\n")), tag("main", joined(body.values(), "\n"))]
+        return _document(title or "Report", page)
 
 
 def _document(title: str, body: Sequence[Html]) -> Page:

@@ -42,13 +42,8 @@ def picture(figure: Figure, alt: str, caption: str, size: int, inches: tuple[flo
     if not 0 < len(data) < LIGHT:
         dots = _drawn(figure, "png")
         kind, data = (kind, data) if 0 < len(data) < len(dots) else ("png", dots)
-    shown = tag(
-        "img",
-        src=f"data:image/{kind};base64,{base64.b64encode(data).decode()}",
-        alt=alt,
-        width=round(100 * width),
-        height=round(100 * height),
-    )
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    shown = tag("img", src=source, alt=alt, width=round(100 * width), height=round(100 * height))
     return tag("figure", shown, tag("figcaption", caption), class_="wide" if width > WIDE else "map")
 
 
@@ -95,9 +90,5 @@ def across(low: float, high: float, ratio: float, other_ratios: Sequence[float])
 def bar(share: float) -> Html:
     """A bar of a part of the width, between 0 and 1."""
     length = max(round(WIDTH * share, 1), 1.0)
-    return tag(
-        "svg",
-        tag("rect", x=0, y=4, width=length, height=HEIGHT - 8, fill="var(--ink)"),
-        viewBox=f"0 0 {WIDTH} {HEIGHT}",
-        **{"aria-hidden": "true"},
-    )
+    shape = tag("rect", x=0, y=4, width=length, height=HEIGHT - 8, fill="var(--ink)")
+    return tag("svg", shape, viewBox=f"0 0 {WIDTH} {HEIGHT}", **{"aria-hidden": "true"})

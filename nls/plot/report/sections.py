@@ -33,13 +33,12 @@ DRAWN = 60  # ellipses
 
 def verdict(data: ReportData) -> Html:
     """One word, and why; of an optimum the sentences of its explanation."""
-    refuted = data.certificate is not None and data.certificate.verdict == "refuted"
     says = data.explanation.summary
     if isinstance(data.outcome, UnderconstrainedError):
         word, grade, says = "Not solved", "bad", data.outcome.message
     elif not data.outcome.converged:
         word, grade, says = "Not converged", "bad", f"{data.outcome.status.value}: {data.outcome.ending}."
-    elif refuted:
+    elif data.certificate is not None and data.certificate.verdict == "refuted":
         word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
     elif data.doubts:
         word, grade, says = "Doubtful", "bad", "; ".join(map(str, data.doubts)) + "."
@@ -68,9 +67,8 @@ def key_figures(data: ReportData) -> Html:
             ("gauge", result.gauge, ""),
         ]
     figures += [(name, figure, "") for name, figure in data.figures.items()]
-    return listed(
-        [(name, joined([figure, tag("small", note)])) for name, figure, note in figures if figure], class_="figures"
-    )
+    shown = [(name, joined([figure, tag("small", note)])) for name, figure, note in figures if figure]
+    return listed(shown, class_="figures")
 
 
 def maps(data: ReportData) -> Html | None:
@@ -134,9 +132,8 @@ def kinds(data: ReportData) -> Html | None:
         "of all cases. Right of the band: sigmas too small, or outliers. Left of it: sigmas too large."
     )
     heads = ("kind", "less than expected ← 1 → more", "ratio", "chi2", "expected", "measurements")
-    return section(
-        "kinds", "Do the sigmas fit?", table("chi2 by kind of measurement", heads, rows, range(2, 6)), _note(note)
-    )
+    by_kind = table("chi2 by kind of measurement", heads, rows, range(2, 6))
+    return section("kinds", "Do the sigmas fit?", by_kind, _note(note))
 
 
 def worst(data: ReportData) -> Html | None:
@@ -194,22 +191,11 @@ def covariances(data: ReportData) -> Html | None:
     weak = data.explanation.weakest[: 2 * ROWS]
     if weak:
         rows = [
-            (
-                repr(uncertainty.key),
-                uncertainty.component,
-                _sigma(uncertainty.sigma, uncertainty.unit),
-                _sigma(uncertainty.typical, uncertainty.unit),
-            )
-            for uncertainty in weak
+            (repr(least.key), least.component, _sigma(least.sigma, least.unit), _sigma(least.typical, least.unit))
+            for least in weak
         ]
-        inside.append(
-            table(
-                "The least certain variable of each kind",
-                ("variable", "component", "sigma", "middle of all"),
-                rows,
-                (2, 3),
-            )
-        )
+        heads = ("variable", "component", "sigma", "middle of all")
+        inside.append(table("The least certain variable of each kind", heads, rows, (2, 3)))
     return section("covariances", "How sure is it?", tag("div", *inside, class_="pictures")) if inside else None
 
 
@@ -279,12 +265,8 @@ def time(data: ReportData) -> Html | None:
     most = max(data.seconds.values())
     rows = [(name, f"{1e3 * s:,.1f}", bar(s / most if most > 0 else 0.0)) for name, s in data.seconds.items()]
     note = "Of this run on this machine. All else on this page is the same for the same input."
-    return section(
-        "time",
-        "Where did the time go?",
-        table(f"{sum(data.seconds.values()):.2f} s in all", ("part", "ms", ""), rows, [1]),
-        _note(note),
-    )
+    by_part = table(f"{sum(data.seconds.values()):.2f} s in all", ("part", "ms", ""), rows, [1])
+    return section("time", "Where did the time go?", by_part, _note(note))
 
 
 SECTIONS: dict[str, Callable[[ReportData], Html | None]] = {  # by the words of the link to each
