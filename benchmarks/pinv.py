@@ -86,16 +86,14 @@ def measure(name: str, n: int, folder: Path) -> None:
         dx = update(copy)
         return process_time() - began, dx
 
-    def formula(given: LinearSystem) -> npt.NDArray[np.float64]:
+    def update(given: LinearSystem) -> npt.NDArray[np.float64]:
+        if solver is not None:
+            return np.asarray(solver.analyze(given.pattern).solve(given).dx)
         A = given.A.toarray()
         return np.asarray(np.linalg.inv(A.T @ A) @ A.T @ given.b)
 
-    def by_solver(given: LinearSystem) -> npt.NDArray[np.float64]:
-        kind: Any = SOLVERS[name]
-        solver = kind(memory_limit=np.inf) if name in DENSE else kind()
-        return np.asarray(solver.analyze(given.pattern).solve(given).dx)
-
-    update = formula if name == "formula" else by_solver
+    kind: Any = SOLVERS.get(name)  # None: the formula
+    solver = None if kind is None else kind(memory_limit=np.inf) if name in DENSE else kind()
     solve(system(50))  # libraries loaded
     given = system(n // 3 + 1)
     before = peak_memory(reset=True)
@@ -133,11 +131,9 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
             break
         time, memory = predict(series, n, cells)
         if time > seconds or memory > gigabytes * 1e9:
-            need = f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB"
-            series.stopped = (
-                f"{TITLE[name]} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
-            )
             series.foreseen = n, time, memory
+            last = series.n[-1] if series.n else 0
+            series.stopped = f"{TITLE[name]} stops at {last:,} unknowns: {n:,} would need {need(series, seconds)}"
             break
         with tempfile.TemporaryDirectory() as folder:
             done = fresh(sys.executable, __file__, "--child", name, n, folder)
@@ -156,6 +152,13 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
     if series.stopped:
         print(f"  {series.stopped}", flush=True)
     return series
+
+
+def need(series: Series, seconds: float) -> str:
+    """What the size that a solver was not given would need: the time where that is the reason, else the memory."""
+    assert series.foreseen is not None
+    _, time, memory = series.foreseen
+    return f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB"
 
 
 def predict(series: Series, n: int, cells: dict[int, float]) -> tuple[float, float]:
@@ -265,7 +268,7 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
         color, label = BEFORE if s.name in DENSE else ESTIMATE, TITLE[s.name]
         if s.foreseen is not None:
             n, time, memory = s.foreseen
-            label += f"\n{n:,} would take " + (f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB")
+            label += f"\n{n:,} would take {need(s, seconds)}"
             arrow = {"arrowstyle": "->", "color": color, "linestyle": ":", "shrinkA": 5}
             left.annotate("", (n, time), (s.n[-1], s.seconds[-1]), arrowprops=arrow)
             right.annotate("", (n, memory / 1e6), (s.n[-1], s.bytes[-1] / 1e6), arrowprops=arrow)

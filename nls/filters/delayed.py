@@ -37,10 +37,8 @@ COPIES = 40  # poses that are copied at most
 SIGMA_SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma of a landmark that is located
 EXPLAINED = 0.9999  # probability of the chi2 of its sightings
 RIVAL_CHI2 = 20.0  # of chi2 above the least: a place with more than this is 22,000 times less likely
-SAME_PLACE, PLACE_GROWTH = (
-    1.0,
-    4.0,
-)  # sigma^2, and sigma^2 for each unit of chi2: a place that is farther off is another place
+SAME_PLACE = 1.0  # sigma^2: a place that is farther off is another place,
+PLACE_GROWTH = 4.0  # sigma^2: and farther by this for each unit of chi2 above the least
 SEARCH_STEPS, SETTLED_STEP = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
 RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors

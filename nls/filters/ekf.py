@@ -212,6 +212,7 @@ class EKF(Filter):
             raise OptionError("prior_sigma", self.prior_sigma.tolist(), f"one number, or {landmark.dim} for {landmark}")
         self._pose, self.associations, self.left_out = step.pose, [], 0
         own = [factor for factor in step.observations if all(keys.kind == POSE for keys in factor.keys)]
+        self._refuse_kernels(step)
         parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
         X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
         self._state = MapState((pose.manifold, landmark), X[0], _inverse(Lambda)[0], self.first_estimates)
@@ -225,6 +226,7 @@ class EKF(Filter):
         for factor in step.motion:
             if before not in factor.keys:
                 raise GraphError(f"EKF is at {before}; {factor!r} does not begin there", [before, step.pose])
+        self._refuse_kernels(step)
         X_i = state.X[None]
         parts = [(self._copies(factor), slot_of(factor, step.pose), (X_i,)) for factor in step.motion]
         X_j, Lambda = most_likely(parts, state.spaces[0], X_i, step.pose)
@@ -241,9 +243,11 @@ class EKF(Filter):
         state.predict(X_j[0], F, _inverse(Lambda)[0])
         self._see(step.observations)
 
-    def _refuse_kernel(self, factor: Factor) -> None:
+    @staticmethod
+    def _refuse_kernels(step: Step) -> None:
         """A robust kernel is refused at once, also of a sighting that waits."""
-        if factor.kernel is not None:
+        factor = next((factor for factor in (*step.motion, *step.observations) if factor.kernel is not None), None)
+        if factor is not None:
             raise GraphError(
                 f"EKF: {factor!r} has a robust kernel, which a filter cannot weigh again later; use its noise alone, "
                 "or a graph",
@@ -253,13 +257,10 @@ class EKF(Filter):
 
     def _copies(self, factor: Factor) -> Copies:
         """The factor for `most_likely`, one measurement for each copy of its variables."""
-        self._refuse_kernel(factor)
         return Copies(factor, factor.bind(*(self._spaces[keys.kind] for keys in factor.keys)), 1)
 
     def _see(self, factors: list[Factor]) -> None:
         """Everything that touches the latest pose alone, landmarks, or both."""
-        for factor in factors:
-            self._refuse_kernel(factor)
         pieces = [self._identified(factor) for factor in factors]
         pieces = self._spent(pieces, lambda factor: len(factor.keys) == 1, self._chart)
         rows = [None if numbers is None else self.state.rows(numbers) for _, numbers in pieces]

@@ -26,7 +26,7 @@ __all__ = ["Animation", "animation", "image"]
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
 QUALITY = 75  # of a frame in WebP, of 100
-PLAYER = Template(Path(__file__).with_name("player.html").read_text(encoding="utf-8"))
+PLAYER = Path(__file__).with_name("player.html")
 
 T = TypeVar("T")
 
@@ -61,7 +61,7 @@ class Animation:
         self._last = images[-1]
         self.frames = [_encoded(image, "webp", quality=QUALITY, method=1) for image in images]
         codes = [b64encode(frame).decode() for frame in self.frames]
-        self.html = PLAYER.substitute(
+        self.html = Template(PLAYER.read_text(encoding="utf-8")).substitute(
             name=f"player-{crc32(b''.join(self.frames)):x}",
             still=f"data:image/webp;base64,{codes[-1]}",
             alt=html.escape(alt),

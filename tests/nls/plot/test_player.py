@@ -36,10 +36,10 @@ def test_the_frames_are_in_order_and_the_last_one_is_the_still() -> None:
 def test_the_page_of_an_animation_stands_alone() -> None:
     made = moving(seconds=0.5)
     html = made._repr_html_()
-    image = re.search(r'<img src="data:image/webp;base64,([^"]+)" alt="([^"]+)"', html)
-    assert image is not None
-    assert image[2] == "From &lt;black&gt; to &quot;white&quot;."
-    assert f'"{image[1]}"]' in html, "what stands there before anything plays is the last frame"
+    still = re.search(r'<img src="data:image/webp;base64,([^"]+)" alt="([^"]+)"', html)
+    assert still is not None
+    assert still[2] == "From &lt;black&gt; to &quot;white&quot;."
+    assert f'"{still[1]}"]' in html, "what stands there before anything plays is the last frame"
     assert "seconds = [0.5, 0.5, 0.5];" in html
     assert "http" not in html
     assert "$" not in html
