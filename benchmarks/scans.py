@@ -87,7 +87,7 @@ def mission(count: int) -> tuple[Array, Array, list[Array]]:
 
 def all_at_once(count: int) -> dict[str, Any]:
     """Seconds by stage of `close`, meters of the map from the truth, and peak memory."""
-    from nls.sonar.scans import Scans, candidates, close, closing, dead_reckoning
+    from nls.missions.scans import Scans, candidates, close, closing, dead_reckoning
 
     truth, reckoned, points = mission(count)
     scans = Scans(np.concatenate(points), np.repeat(np.arange(count), [len(p) for p in points]), count)
@@ -134,7 +134,7 @@ def all_at_once(count: int) -> dict[str, Any]:
 
 def while_driving(count: int) -> dict[str, Any]:
     """Milliseconds of every keyframe, meters of the map from the truth in the end, and peak memory."""
-    from nls.sonar.scans import OnlineClosing
+    from nls.missions.scans import OnlineClosing
 
     truth, reckoned, points = mission(count)
     before = peak_memory(reset=True)

@@ -47,8 +47,8 @@ def calibration_rows(rig: Rig, result: Result) -> list[tuple[str, str]]:
 def calibration_files(rig: Rig, result: Result) -> dict[str, bytes]:
     """rig.json and rig.png by name."""
     from nls.cli.outputs import json_text
+    from nls.missions.pictures.rig import rig_before_after
     from nls.plot.picture import drawn
-    from nls.plot.rig import rig_before_after
 
     before, after = rig.errors(rig.start), rig.errors(result.values)
     changes = {

@@ -191,7 +191,7 @@ def simulated(
 
 def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
     """The files of a mission, for a folder without those of another one."""
-    from nls.io.mission.write import mission_files, refuse_mixed  # only here: a table needs no file formats
+    from nls.missions.folder.write import mission_files, refuse_mixed  # only here: a table needs no file formats
 
     files = mission_files(mission.graph, mission.sonar, mission.offset, mission.truth)
     refuse_mixed(out, files)
@@ -202,7 +202,7 @@ def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
 
 def survey_folder(log: SurveyLog, out: str) -> tuple[dict[str, bytes], str]:
     """The files of a survey, for a folder without those of another mission."""
-    from nls.io.mission.write import refuse_mixed
+    from nls.missions.folder.write import refuse_mixed
     from sim.survey_files import survey_files
 
     files, holds = survey_files(log)
@@ -212,7 +212,7 @@ def survey_folder(log: SurveyLog, out: str) -> tuple[dict[str, bytes], str]:
 
 def harbor_folder(world: Harbor, out: str) -> tuple[dict[str, bytes], str]:
     """The files of a harbor, for a folder without those of a mission."""
-    from nls.io.mission.write import refuse_mixed
+    from nls.missions.folder.write import refuse_mixed
 
     files, holds = harbor_files(world)
     refuse_mixed(out, files)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
 from sim.worlds.harbor import Harbor
 
 __all__ = ["harbor_files", "harbor_rows"]

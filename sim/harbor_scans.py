@@ -19,8 +19,8 @@ import numpy as np
 
 from models.algebra import Array, wrap
 from models.sensors import BLUEVIEW_M900, ImagingSonar
-from nls.sonar import detect
-from nls.sonar.scans import Scans
+from nls.missions.scans import Scans
+from nls.missions.sonar import detect
 from sim.scene import Scene
 from sim.sonar_images import sonar_image
 
@@ -74,7 +74,7 @@ def _blocks(count: int) -> Iterator[slice]:
 def imaged(
     rng: np.random.Generator, scene: Scene, poses: Array, sonar: ImagingSonar, signal: float, false_alarms: float
 ) -> Scans:
-    """Scans of what `nls.sonar.detect` makes of an image at every pose.
+    """Scans of what `nls.missions.sonar.detect` makes of an image at every pose.
 
     Greatest-of takes the level of the noise before a surface, as the rates do. Smallest-of takes that of the shadow
     behind it, and finds 35 to 110 % more points than are drawn.

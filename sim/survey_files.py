@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from models import euler
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
 from sim.survey_log import SurveyLog
 from sim.survey_raw import raw_files
 from sim.survey_track import every

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
 from sim.survey_log import SurveyLog
 
 __all__ = ["raw_files"]

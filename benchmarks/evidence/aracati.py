@@ -20,9 +20,8 @@ import numpy.typing as npt
 from script import arguments, page_head, public_data, write_page
 
 import nls
-from nls.io.scan_mission import read_scan_mission
 from nls.metrics import ate
-from nls.sonar.scans import (
+from nls.missions.scans import (
     Closing,
     Drift,
     Matches,
@@ -35,6 +34,7 @@ from nls.sonar.scans import (
     submaps,
     verdicts,
 )
+from nls.missions.scans.folder import read_scan_mission
 
 Array = npt.NDArray[np.float64]
 WRONG = 3.0  # m

@@ -17,7 +17,7 @@ from script import arguments, markdown, page_head, write_page
 
 import sim
 from models.sensors import ARIS_3000, DIDSON_HIGH, OCULUS_M750D, ImagingSonar
-from nls.sonar import detect
+from nls.missions.sonar import detect
 
 Array = npt.NDArray[np.float64]
 DETECTORS = ("ca", "soca", "goca", "os")

@@ -17,16 +17,16 @@ from typing import Any
 import nls
 from factors import Cauchy
 from factors.base import Factor
-from nls.io.importing import draft, import_logs, read_mapping
 from nls.io.native.structure import encoded
 from nls.io.native.text import json_of
-from nls.io.poses import read_poses
+from nls.missions.folder.poses import read_poses
+from nls.missions.importing import draft, import_logs, read_mapping
 
 sys.path.append(str(Path(__file__).parents[2]))
 
 from tests.nls.io.io_files import ALL
-from tests.nls.io.mission.mission_files import TINY, raw
-from tests.nls.io.scan_mission.rooms import room
+from tests.nls.missions.folder.mission_files import TINY, raw
+from tests.nls.missions.scans.room_files import room
 
 __all__ = ["FOLDER", "READERS", "Reading", "Seed", "graph_reading", "seeds"]
 

@@ -19,11 +19,11 @@ import sim
 from models import SE2
 from models.algebra import wrap
 from nls import Marginals, kinds
-from nls.sonar.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
-from nls.sonar.scans.candidates import HALF, centers, pairs
-from nls.sonar.scans.matches import verdicts
-from nls.sonar.scans.matching import match_submap
-from nls.sonar.scans.scans import in_world
+from nls.missions.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
+from nls.missions.scans.candidates import HALF, centers, pairs
+from nls.missions.scans.matches import verdicts
+from nls.missions.scans.matching import match_submap
+from nls.missions.scans.scans import in_world
 
 Array = npt.NDArray[np.float64]
 GEOMETRIES = ("marina", "quay", "rocks")
@@ -294,7 +294,7 @@ def images(seeds: int) -> list[str]:
         "",
         *markdown([*head, "s for the scans", "s for the map"], rows),
         "",
-        "- Images have 768 beams by 1,000 bins (`sim.sonar_image`). Detections are by `nls.sonar.detect`, "
+        "- Images have 768 beams by 1,000 bins (`sim.sonar_image`). Detections are by `nls.missions.sonar.detect`, "
         "greatest-of. Their nominal rate of false alarms is that of the drawn points.",
         "- Strays: points more than 1 m from any surface at the true pose.",
     ]

@@ -32,9 +32,9 @@ from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
 from nls.metrics import TrajectoryError
+from nls.missions.sonar import contacts
 from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
-from nls.sonar import contacts
 from sim import LandmarkWorld
 from sim.estimators import batch
 
@@ -306,7 +306,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
         "are left out.",
         f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose, as the "
         "gates of the filter are made of them.",
-        f"- *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning. {associated}. With the "
+        f"- *All trees at once*: `nls.missions.contacts.associate`, from dead reckoning. {associated}. With the "
         f"trees found again, the same {both.sum()} sightings are {park.gps_error(shared[x]).rmse:.2f} m off.",
     ]
 

@@ -18,8 +18,8 @@ from script import arguments, at_least_one, markdown, page_head, write_page
 import nls
 from models import SE3, euler
 from nls import Marginals
-from nls.io.importing import import_logs, read_mapping, write_imported
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
+from nls.missions.importing import import_logs, read_mapping, write_imported
 
 Array = npt.NDArray[np.float64]
 (x,) = nls.kinds("x")

@@ -18,10 +18,20 @@ import numpy.typing as npt
 from script import arguments, at_least_one, page_head, public_data, write_page
 
 from factors.keys import kinds
-from nls.io.scan_mission import read_scan_mission
 from nls.metrics import ate
-from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting
-from nls.sonar.scans.setup.words import observable, sentence
+from nls.missions.checks.scan_words import observable, sentence
+from nls.missions.scans import (
+    Closing,
+    Drift,
+    Scans,
+    SetupFinding,
+    SetupKind,
+    check_setup,
+    close,
+    dead_reckoning,
+    mounting,
+)
+from nls.missions.scans.folder import read_scan_mission
 
 Array = npt.NDArray[np.float64]
 (x,) = kinds("x")

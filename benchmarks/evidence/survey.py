@@ -23,8 +23,8 @@ import sim
 from models import SE3
 from nls import Kind, Marginals, kinds
 from nls.filters.consistency import nees_bounds
-from nls.io.mission.table import csv_text
 from nls.metrics import ate
+from nls.missions.folder.table import csv_text
 from sim.monte_carlo import runs
 
 Array = npt.NDArray[np.float64]

@@ -3,7 +3,7 @@
     python benchmarks/evidence/unnamed_contacts.py [--seeds 20] [--processes 1] [--out DIR]
 
 The reference missions `sim.hauv_floor` and `sim.hauv_hull`, seeds 0, 1, 2, ..., with false contacts and with lost ones.
-`nls.sonar.contacts.associate` has odometry, attitude and the contacts without their landmarks. The graph of what it
+`nls.missions.contacts.associate` has odometry, attitude and the contacts without their landmarks. The graph of what it
 found is solved as `nls solve` does, and beside it that of the clean mission with all true names.
 """
 
@@ -23,9 +23,9 @@ import sim
 from factors import Cauchy, Robust, sonar_factors
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
+from nls.missions.contacts import associate
 from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, TRUE
-from nls.sonar.contacts import associate
 from nls.starts import search_elevation
 
 SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nls.cli.job import Content
 from nls.cli.solved_mission import SolvedMission, drift_record
-from nls.io.mission.dives import SHARED, Dive, DivesReport
+from nls.missions.folder.dives import SHARED, Dive, DivesReport
 from nls.values import Values
 
 if TYPE_CHECKING:

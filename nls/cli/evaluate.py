@@ -12,8 +12,8 @@ from nls.cli.outputs import refuse_unwritable, say, write_json
 
 if TYPE_CHECKING:
     from models.algebra import Array, Index
-    from nls.io.poses import Poses
     from nls.metrics import TrajectoryError
+    from nls.missions.folder.poses import Poses
 
 SCHEMA = "evaluate 1"
 LEVEL = 1e-9  # rad, below which a pose is one of the plane
@@ -30,7 +30,7 @@ def evaluate(options: argparse.Namespace) -> int:
     """Read both, match, align, compare, print; returns the exit status."""
     from models.advice import Advice
     from models.errors import GraphFileError
-    from nls.io.poses import FILES, TRUE_FILES, read_poses
+    from nls.missions.folder.poses import FILES, TRUE_FILES, read_poses
 
     distances = _distances(options.distances)
     refuse_unwritable({"--json": options.json}, options.file, options.truth)

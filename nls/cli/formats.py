@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from models.errors import LeadlineError
     from nls.graph import FactorGraph
     from nls.io import LoadReport
-    from nls.io.mission import MissionReport
+    from nls.missions import MissionReport
     from nls.values import Values
 
 __all__ = ["mission_of", "refuse_unwritable_graph", "rendered"]
@@ -87,7 +87,7 @@ def mission_of(report: LoadReport) -> MissionReport | None:
     """The report of a mission, or of several dives; None of other inputs."""
     if report.format != "mission":
         return None
-    from nls.io.mission import MissionReport
+    from nls.missions import MissionReport
 
     assert isinstance(report, MissionReport)
     return report

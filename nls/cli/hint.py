@@ -55,7 +55,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
 def _asking_of_scans(folder: str, written: Sequence[str]) -> str:
     """The command that explains the graph with the closures of a scan mission, or writes it; empty for another one."""
     from nls.cli.scan_mission import GRAPH
-    from nls.io.scan_mission import is_scan_mission
+    from nls.missions.scans.folder import is_scan_mission
 
     if not is_scan_mission(folder):
         return ""
@@ -91,7 +91,7 @@ def explain_misfit(
     """
     if (mission := mission_of(report)) is None:
         return
-    from nls.io.mission.checks.table_errors import table_errors
+    from nls.missions.checks.table_errors import table_errors
     from nls.optimizers.fit import TWICE
 
     chi2, dof = result.believed
@@ -103,8 +103,8 @@ def explain_misfit(
     if not (implausible or any(error.evident for error in mission.errors)):
         return
     from nls.cli.progress import Progress
-    from nls.io.mission.checks.trials import explained, worth_trying
-    from nls.io.mission.folder import read_tables
+    from nls.missions.checks.trials import explained, worth_trying
+    from nls.missions.folder.folder import read_tables
     from nls.stages import listened
 
     if worth_trying(mission.findings):

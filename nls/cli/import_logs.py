@@ -10,7 +10,7 @@ from nls.cli.outputs import say
 def import_logs(options: argparse.Namespace) -> int:
     """Write a mission, or print a draft of a mapping; returns the exit status."""
     from models.errors import OptionError
-    from nls.io.importing import draft, import_logs, read_mapping, write_imported
+    from nls.missions.importing import draft, import_logs, read_mapping, write_imported
 
     options.phase.now(f"while reading {options.logs[0]}")
     if options.map is None:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io import LoadReport
-    from nls.io.charts import Projection
     from nls.io.report import Source
     from nls.linear import LinearSolver
+    from nls.missions.charts import Projection
     from nls.optimizers import Result, Stop
     from nls.robust import Robustified
     from nls.values import Values

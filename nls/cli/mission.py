@@ -14,7 +14,7 @@ from nls.io.dialects import SUFFIXES
 
 if TYPE_CHECKING:
     from nls.io import LoadReport
-    from nls.io.charts import Projection
+    from nls.missions.charts import Projection
 
 SIZES = {"heading": "rad", "zero of the depth": "m", "scale": "of it", "place": "m", "clock": "s", "arm": "m"}
 
@@ -48,9 +48,9 @@ def chosen_projection(name: str, output: str | None, report: LoadReport) -> Proj
     Raises
     ------
     OptionError
-        Where it would have no effect, and as for `nls.io.charts.projection`.
+        Where it would have no effect, and as for `nls.missions.charts.projection`.
     """
-    from nls.io.charts import projection
+    from nls.missions.charts import projection
 
     if (mission := mission_of(report)) is None or not output:
         raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")

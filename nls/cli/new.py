@@ -11,7 +11,7 @@ from nls.cli.outputs import say
 def new(options: argparse.Namespace) -> int:
     """Write the templates that are not there yet; returns the exit status."""
     from nls.io.files import write_folder
-    from nls.io.importing import templates
+    from nls.missions.importing import templates
 
     files = templates(options.map)
     there = [name for name in files if Path(options.folder, name).exists()]

@@ -128,8 +128,8 @@ def _inputs(read: str) -> set[object]:
     """All that is read: a file, or the tables in the folder of a mission."""
     if not os.path.isdir(read):
         return {_identity(read)}
-    from nls.io.mission.columns import COLUMNS
-    from nls.io.scan_mission import COLUMNS as OF_SCANS
+    from nls.missions.folder.columns import COLUMNS
+    from nls.missions.scans.folder import COLUMNS as OF_SCANS
 
     tables = (os.path.join(read, name + end) for name in {*COLUMNS, *OF_SCANS} for end in (".csv", ".csv.gz"))
     return {_identity(read), *(_identity(table) for table in tables if os.path.exists(table))}

@@ -11,8 +11,8 @@ def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
     from nls.cli.formats import read
     from nls.io.files import title_of
+    from nls.missions.pictures.mission import plan
     from nls.plot import trajectory
-    from nls.plot.mission import plan
     from nls.plot.picture import write_picture
 
     refuse_unwritable({"OUT": options.output}, options.file)

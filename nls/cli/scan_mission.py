@@ -16,18 +16,18 @@ from models.errors import GraphWarning, LeadlineError, OptionError, SingularGeom
 from models.options import did_you_mean
 from nls.cli.evaluate import circles
 from nls.cli.job import Content, Job, Solution
-from nls.io.scan_mission import ScanReport, is_scan_mission
-from nls.io.scan_mission.results import closures_text, map_text, points_text, trajectory_text, verdict_words
-from nls.sonar.scans import SetupFinding, check_setup, close
-from nls.sonar.scans.closing import ROUNDS, SELECTIONS
-from nls.sonar.scans.setup.checks import BENDING
-from nls.sonar.scans.setup.words import record as finding_record
-from nls.sonar.scans.setup.words import sentence
+from nls.missions.checks.scan_setup import BENDING, SetupFinding, check_setup
+from nls.missions.checks.scan_words import record as finding_record
+from nls.missions.checks.scan_words import sentence
+from nls.missions.scans import close
+from nls.missions.scans.closing import ROUNDS, SELECTIONS
+from nls.missions.scans.folder import ScanReport, is_scan_mission
+from nls.missions.scans.results import closures_text, map_text, points_text, trajectory_text, verdict_words
 
 if TYPE_CHECKING:
     from models.algebra import Array
     from nls.metrics import TrajectoryError
-    from nls.sonar.scans import Closing, Matches, Round
+    from nls.missions.scans import Closing, Matches, Round
 
 __all__ = ["GRAPH", "SolvedScans", "close_loops", "refuse_explanation", "selection_of"]
 
@@ -238,7 +238,7 @@ class SolvedScans(Solution):
 
     def picture(self) -> Any:
         """The map from above."""
-        from nls.plot.scan_map import scan_map
+        from nls.missions.pictures.scan_map import scan_map
 
         truth = self.report.truth if self.errors else None
         return scan_map(self.poses, self.dead, self.report.scans, self.matches, truth)

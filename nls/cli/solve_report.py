@@ -68,7 +68,7 @@ def _findings(report: LoadReport) -> dict[str, Any]:
     """What is implausible in the tables of a mission."""
     if (mission := mission_of(report)) is None:
         return {}
-    from nls.io.mission.checks.words import record
+    from nls.missions.checks.words import record
 
     explained = mission.explained and record(mission.explained)
     return {"findings": [record(finding) for finding in mission.findings], "explained": explained}

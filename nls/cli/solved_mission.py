@@ -17,16 +17,16 @@ from models.listing import some
 from nls.cli.evaluate import circles
 from nls.cli.job import Content, Job, Solution
 from nls.cli.mission import lines, of_tables
-from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.calibration import NAMES as CALIBRATIONS
-from nls.io.mission.determination import position_checks, sigma_at_the_end
-from nls.io.mission.results import beacons_text, calibration_text, map_text, trajectory_text, undetermined
+from nls.missions import Elevations, MissionReport, Track, elevations, track_of
+from nls.missions.determination import position_checks, sigma_at_the_end
+from nls.missions.folder.calibration import NAMES as CALIBRATIONS
+from nls.missions.results import beacons_text, calibration_text, map_text, trajectory_text, undetermined
 
 if TYPE_CHECKING:
     from models.algebra import Array
     from nls.covariance import Marginals
-    from nls.io.charts import Chart
-    from nls.io.mission.determination import Determination
+    from nls.missions.charts import Chart
+    from nls.missions.determination import Determination
 
 __all__ = ["SolvedMission", "drift_record"]
 
@@ -113,7 +113,7 @@ class SolvedMission(Solution):
     @cached_property
     def calibrations(self) -> list[Determination]:
         """The calibrations by the measurements."""
-        from nls.io.mission.determination import determinations
+        from nls.missions.determination import determinations
 
         marginals = self.covariances[0] if self.report.calibrations else None
         return determinations(self.values, self.report, marginals)
@@ -181,7 +181,7 @@ class SolvedMission(Solution):
     def picture(self) -> Any:
         """Before and after, from above and from the side."""
         from nls.io.files import title_of
-        from nls.plot.mission import plan_before_after
+        from nls.missions.pictures.mission import plan_before_after
 
         return plan_before_after(self.graph, self.job.before, self.result, title=title_of(self.report.path))
 
@@ -191,7 +191,7 @@ class SolvedMission(Solution):
 
     def files(self) -> dict[str, Content]:
         """The files of the folder, by name."""
-        from nls.io.charts import depths_text, geojson_text, kml_text, points_text
+        from nls.missions.charts import depths_text, geojson_text, kml_text, points_text
 
         stacks, plane, projection = self.values.stacks, self.report.plane, self.job.projection
         if plane is None:
@@ -222,7 +222,7 @@ class SolvedMission(Solution):
     @cached_property
     def chart(self) -> Chart:
         """Track and map with their covariances."""
-        from nls.io.charts import chart_of
+        from nls.missions.charts import chart_of
 
         chart = chart_of(self.values, self.marginals, self.report, self.elevations if self.mapped else None)
         doubts = "; ".join(self.doubts)
@@ -230,7 +230,7 @@ class SolvedMission(Solution):
 
     def _extra(self, p: Array, times: Array | None = None) -> dict[str, Array]:
         """Times and coordinates on the Earth of positions (n, 3), as columns of the tables."""
-        from nls.io.charts import extra
+        from nls.missions.charts import extra
 
         return extra(p, self.report.plane, self.job.projection, times)
 
@@ -247,19 +247,19 @@ class SolvedMission(Solution):
         return beacons_text(self.values, self.marginals, self._extra(np.asarray(self.values.stack("b").X)))
 
     def _track(self) -> Any:
-        from nls.plot.mission import track
+        from nls.missions.pictures.mission import track
 
         return track(self.values, self.dead, self.report.truth, self.marginals, self.tracks)
 
     def _landmarks(self) -> Any:
-        from nls.plot.mission import landmark_map
+        from nls.missions.pictures.mission import landmark_map
 
         assert self.report.sonar is not None
         return landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
 
     def _fan(self) -> Any:
         """The fan of the pose with the most contacts."""
-        from nls.plot.sonar import arcs
+        from nls.missions.pictures.sonar import arcs
 
         assert self.report.sonar is not None
         poses, count = np.unique(self.contacts[0].keys[0].numbers, return_counts=True)

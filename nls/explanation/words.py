@@ -26,8 +26,8 @@ def sentence(finding: Finding) -> str:
 
 
 def _implausible(f: Finding) -> str:
-    from nls.io.mission.checks import Explained, Implausible, Reading, Trial
-    from nls.io.mission.checks.words import sentence as of_table
+    from nls.missions.checks import Explained, Implausible, Reading, Trial
+    from nls.missions.checks.words import sentence as of_table
 
     if "trials" in f.numbers:
         trials = (Trial(**{**trial, "reading": Reading(**trial["reading"])}) for trial in f.numbers["trials"])

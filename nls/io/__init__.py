@@ -79,8 +79,8 @@ def load(
 
     Returns
     -------
-    graph, values, report : of a mission, dead reckoning as values, and a `nls.io.mission.MissionReport`; of a scan
-        mission a `nls.io.scan_mission.ScanReport`, which has the points.
+    graph, values, report : of a mission, dead reckoning as values, and a `nls.missions.folder.MissionReport`; of a scan
+        mission a `nls.missions.scans.folder.ScanReport`, which has the points.
 
     Raises
     ------
@@ -156,8 +156,8 @@ def _read(
     """The graph of a file or folder, without its warnings; parameters and errors as for `load`."""
     path = graph_file(path)
     if isinstance(path, str | os.PathLike) and os.path.isdir(path):
-        from nls.io.mission import read_mission
-        from nls.io.scan_mission import is_scan_mission, read_scan_mission
+        from nls.missions.folder import read_mission
+        from nls.missions.scans.folder import is_scan_mission, read_scan_mission
 
         if dialect != "auto":
             raise OptionError("dialect", dialect, f"auto: {path} is a folder, and folders are missions")
@@ -178,7 +178,7 @@ def _read_dives(
     paths: Sequence[str | Path], convention: str, dialect: str, elevation: str | None, options: LineOptions
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph of several missions, without its warnings; parameters and errors as for `load`."""
-    from nls.io.mission.dives import read_dives
+    from nls.missions.folder.dives import read_dives
 
     if not isinstance(paths, list | tuple) or len(paths) < 2:
         raise OptionError("path", paths, "a file or folder, or a list of the folders of several missions")
@@ -320,7 +320,7 @@ def rendered(
 
         return values_table(values, report), notes + measurements_left_out("csv", graph)
     if dialect == "ply":
-        from nls.io.charts.ply import cloud_text
+        from nls.missions.charts.ply import cloud_text
 
         data, more = cloud_text(path, values)
         return data, notes + more + measurements_left_out("ply", graph)

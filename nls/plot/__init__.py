@@ -1,17 +1,33 @@
-"""Pictures, and a page of them; here alone is matplotlib imported, and lazily."""
+"""Pictures, and a page of them; here alone is matplotlib imported, and lazily.
 
+Pictures of missions are registered in `OF_MISSIONS`, and imported when they are first used.
+"""
+
+from nls.lazy import importer
 from nls.plot.convergence import convergence
 from nls.plot.correlations import correlations
-from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
 from nls.plot.filters import belief
 from nls.plot.offsets import offsets
 from nls.plot.player import animation
 from nls.plot.report import report
-from nls.plot.sonar import fan_image, frustum, polar_image
 from nls.plot.sparsity import spy
 from nls.plot.trajectory import before_after, trajectory
+
+TYPE_CHECKING = False  # to a type checker always true
+if TYPE_CHECKING:
+    from nls.missions.pictures.elevation_map import elevation_map as elevation_map
+    from nls.missions.pictures.sonar import fan_image as fan_image
+    from nls.missions.pictures.sonar import frustum as frustum
+    from nls.missions.pictures.sonar import polar_image as polar_image
+
+OF_MISSIONS = {
+    "elevation_map": "nls.missions.pictures.elevation_map",
+    "fan_image": "nls.missions.pictures.sonar",
+    "frustum": "nls.missions.pictures.sonar",
+    "polar_image": "nls.missions.pictures.sonar",
+}
 
 __all__ = [
     "animation",
@@ -30,3 +46,6 @@ __all__ = [
     "spy",
     "trajectory",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = importer("nls.plot", OF_MISSIONS)

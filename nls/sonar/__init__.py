@@ -1,17 +1,11 @@
-"""Imaging sonar: detections in its images; two views, a factor between them, and motions that show the elevation.
+"""Imaging sonar under its public path: detections, two views, and motions that show the elevation.
 
-`detect` finds the cells of an image that stand out of the noise, at a stated rate of false alarms.
-
-`two_views` makes a factor between two poses without information along unobserved directions. `elevation_sigma`
-tells which motion determines the elevation. Weak directions of landmarks: `nls.analysis.landmark_information`, and
-`nls.linear.truncated_inverse`, which leaves them out of a step.
+The room is `nls.missions.sonar`; contacts without names are `nls.sonar.contacts`, maps of scans `nls.sonar.scans`.
 """
 
 from typing import Any
 
-from nls.sonar.detection import Detections, detect
-from nls.sonar.elevation import elevation_sigma
-from nls.sonar.two_view import TwoView, two_views
+from nls.missions.sonar import Detections, TwoView, detect, elevation_sigma, two_views
 
 __all__ = ["Detections", "TwoView", "detect", "elevation_sigma", "two_views"]
 

@@ -14,7 +14,7 @@ from models.errors import GraphError, OptionError
 from models.options import check_between
 from models.sensors import ImagingSonar
 from nls.metrics import ate
-from nls.sonar.scans import Drift, Scans
+from nls.missions.scans import Drift, Scans
 from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.harbor_scans import SONAR, drawn, imaged
 from sim.harbor_scenes import GEOMETRIES, way

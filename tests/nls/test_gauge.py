@@ -14,7 +14,7 @@ from nls.gauge import calibrations, choose_gauge, placeless_kinds
 from nls.linear import LU, SOLVERS
 from nls.linear.factorization import Factorization
 from nls.linear.free_gauge import FreeGauge
-from nls.sonar.scans import dead_reckoning
+from nls.missions.scans import dead_reckoning
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 

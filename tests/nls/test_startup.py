@@ -89,7 +89,13 @@ def test_the_choices_of_the_command_line_are_those_of_the_library() -> None:
 def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -> None:
     """Without modules of NumPy that only ``from numpy import *`` asks for; a small one without sparse matrices."""
     graph = str(written(tmp_path, PLANE))
-    rest = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.io.mission", "nls.io.scan_mission", "nls.robust")
+    rest = (
+        "scipy.linalg",
+        "scipy.special",
+        "numpy.f2py.f2py2e",
+        "nls.missions",
+        "nls.robust",
+    )
     rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.report")
     rest += ("scipy.sparse._base", "sksparse.cholmod")
     program = (

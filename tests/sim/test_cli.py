@@ -14,7 +14,7 @@ import pytest
 
 import sim
 from nls import kinds, load
-from nls.io.mission import read_mission
+from nls.missions import read_mission
 from sim.calibration import calibrated
 from sim.cli import EXAMPLES, MISSIONS, WORLDS, main
 from tests.nls.io.disk import small_disk

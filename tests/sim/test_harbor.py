@@ -12,9 +12,9 @@ import sim
 from models import SE2
 from models.algebra import wrap
 from models.errors import GraphError, OptionError
-from nls.io.mission.table import csv_text
-from nls.sonar.scans import close, dead_reckoning
-from nls.sonar.scans.scans import in_world
+from nls.missions.folder.table import csv_text
+from nls.missions.scans import close, dead_reckoning
+from nls.missions.scans.scans import in_world
 from sim.harbor_files import harbor_files
 
 Array = npt.NDArray[np.float64]

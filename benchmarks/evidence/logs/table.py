@@ -11,7 +11,7 @@ import numpy as np
 from models.algebra import Array
 from models.errors import GraphFileError
 from nls.io.files import read_bytes
-from nls.io.importing import Mapping, import_logs
+from nls.missions.importing import Mapping, import_logs
 
 __all__ = ["columns", "or_compressed", "tables"]
 

@@ -14,7 +14,7 @@ import nls
 from models.algebra import Array
 from models.geodesy import LocalPlane
 from tests.nls.cli.shell import Shell, rows
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.missions.folder.mission_files import TINY, folder
 
 x, l = nls.kinds("x", "l")
 ORIGIN = "lat_deg,lon_deg\n{},{}\n"

@@ -18,7 +18,7 @@ from nls.cli import main
 from sim.cli import main as sim
 from tests.nls.cli.shell import SPOILED, Shell
 from tests.nls.io.g2o_files import PLANE
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 HOSTILE = "\x1b]0;pwned\x07\x7f\x9b2J\u202egpj\u2066"
 SHOWN = r"\x1b]0;pwned\x07\x7f\x9b2J\u202egpj\u2066"

@@ -10,10 +10,10 @@ import pytest
 
 import nls
 from factors import Cauchy
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
 from nls.plot import picture
 from tests.nls.cli.shell import SPOILED, Shell, row, rows
-from tests.nls.io.mission.mission_files import folder, raw
+from tests.nls.missions.folder.mission_files import folder, raw
 from tests.nls.plot.html_page import Page, undrawn
 
 pytestmark = pytest.mark.filterwarnings("ignore::nls.GraphWarning")

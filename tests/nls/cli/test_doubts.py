@@ -13,10 +13,10 @@ from nls.analysis.chi_squared import chi2_interval
 from nls.cli.hint import asking, doubts
 from nls.cli.parser import parser
 from nls.io import read_tum
-from nls.io.mission.table import csv_text
+from nls.missions.folder.table import csv_text
 from tests.nls.cli.shell import PART, RAY, Shell, row, rows
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.missions.folder.mission_files import TINY, folder, raw
 from tests.nls.plot.html_page import Page, undrawn
 
 KERNEL = "look at these rows, or solve with --robust Position=cauchy:1"

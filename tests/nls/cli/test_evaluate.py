@@ -16,7 +16,7 @@ from nls.metrics import ALIGNMENTS, ate, cep, drms2, rpe
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.graphs import moved, walk
 from tests.nls.io.g2o_files import INFORMATION_2
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.missions.folder.mission_files import folder
 
 BUNDLE = "1 1 1\n0 0 1 2\n" + "0\n" * 12
 HEAD = "i,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m"

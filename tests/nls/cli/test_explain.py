@@ -12,7 +12,7 @@ import nls
 from nls.cli import main
 from tests.nls.cli.shell import PART, RAY, Shell
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.missions.folder.mission_files import folder
 
 MORE = f"EDGE_SE2 0 2 2 1 1.55 {INFORMATION_2}\nEDGE_SE2 1 3 4 -3 1 {INFORMATION_2}\n"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from tests.nls.cli.shell import Shell, rows
-from tests.nls.io.mission.mission_files import raw
+from tests.nls.missions.folder.mission_files import raw
 
 LOG = "t [s];depth [cm];note\n0;250;a\n1;260;b\n"
 MAPPING = 'depth = { time_s = "t [s]", z_m = "depth [cm]" }\n'

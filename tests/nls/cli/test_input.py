@@ -18,7 +18,7 @@ from nls.io import load_stream
 from tests.nls.cli.shell import RING, SPOILED, Shell
 from tests.nls.io.g2o_files import PLANE
 from tests.nls.io.io_files import BAL, ISAM_APART_2, PYFG, TORO_2
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.missions.folder.mission_files import folder
 
 ROOT = Path(__file__).parents[3]
 FOREIGN = PLANE + "SONAR 0 1 3.4\n"

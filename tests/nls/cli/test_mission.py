@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 import nls
 from models import SE3, euler
 from nls.io import read_tum
-from nls.io.mission import elevations
-from nls.io.mission.results import MAP, TRAJECTORY
-from nls.io.mission.table import Table
+from nls.missions import elevations
+from nls.missions.folder.table import Table
+from nls.missions.results import MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 x, l = nls.kinds("x", "l")
 TABLES = ["trajectory.tum", "trajectory.csv", "map.csv", "map.ply", "depth.asc"]

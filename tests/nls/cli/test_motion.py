@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from nls.io.poses import read_poses
+from nls.missions.folder.poses import read_poses
 from tests.nls.cli.shell import Shell, row
 
 ROWS = [f"{k},{48 + k * 1e-5},-123.0,{263 + k},{10 + k / 10}\n" for k in range(5)]

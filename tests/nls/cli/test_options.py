@@ -15,7 +15,7 @@ from models import R
 from nls.optimizers import OPTIMIZERS
 from tests.nls.cli.shell import Shell, rows
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.missions.folder.mission_files import TINY, folder
 
 OUTLIER = PLANE + f"EDGE_SE2 1 3 5 5 0 {INFORMATION_2}\n"
 

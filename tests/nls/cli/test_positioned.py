@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import nls
-from nls.io.mission.table import Table
+from nls.missions.folder.table import Table
 from tests.nls.cli.shell import Shell, row
-from tests.nls.io.mission.mission_files import folder
-from tests.nls.io.mission.positioned import BEACONS, Positioned, csv
-from tests.nls.io.mission.test_acoustic import HEARD, KNOWN, RANGE, SIGMA, T
+from tests.nls.missions.folder.mission_files import folder
+from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
+from tests.nls.missions.folder.test_acoustic import HEARD, KNOWN, RANGE, SIGMA, T
 
 
 def test_beacons_and_calibrations_are_written_with_their_sigmas(shell: Shell, tmp_path: Path) -> None:

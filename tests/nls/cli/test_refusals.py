@@ -12,7 +12,7 @@ from nls.cli import main
 from tests.nls.cli.shell import RAY, Shell
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
 from tests.nls.io.io_files import PYFG
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.missions.folder.mission_files import TINY, folder
 
 FILES = {
     "graph.g2o": PLANE,

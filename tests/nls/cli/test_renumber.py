@@ -8,8 +8,8 @@ import pytest
 import nls
 from nls import kinds
 from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.io.charted import charted, subsea
 from tests.nls.io.io_files import ISAM_APART_2
+from tests.nls.missions.charts.charted import charted, subsea
 
 x, l = kinds("x", "l")
 

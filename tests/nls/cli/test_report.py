@@ -10,8 +10,8 @@ import pytest
 
 from nls.cli import main
 from tests.nls.cli.shell import Shell
-from tests.nls.io.mission.mission_files import folder
 from tests.nls.io.test_bal import GOOD
+from tests.nls.missions.folder.mission_files import folder
 from tests.nls.plot.html_page import Page, undrawn
 
 

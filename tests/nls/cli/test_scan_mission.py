@@ -15,10 +15,10 @@ import nls
 from factors.keys import kinds
 from models.errors import GraphFileError
 from nls.io import read_tum
-from nls.io.scan_mission.results import CLOSURES, MAP, TRAJECTORY
+from nls.missions.scans.results import CLOSURES, MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.io.scan_mission.rooms import room, write
-from tests.nls.io.scan_mission.test_read import FILES
+from tests.nls.missions.scans.room_files import room, write
+from tests.nls.missions.scans.test_folder import FILES
 
 x = kinds("x")[0]
 TABLES = ["trajectory.csv", "trajectory.tum", "map.csv", "map.ply", "graph.npz", "map.png"]

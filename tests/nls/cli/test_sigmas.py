@@ -10,7 +10,7 @@ import pytest
 import nls
 import sim
 from factors.rescaled import rescaled
-from nls.io.mission.write import write_mission
+from nls.missions.folder.write import write_mission
 from tests.nls.cli.shell import RING, SPOILED, Shell, rows
 
 

@@ -14,7 +14,7 @@ import pytest
 import sim
 from factors.sighting import Sighting
 from nls import FactorGraph
-from nls.io.mission.write import mission_files
+from nls.missions.folder.write import mission_files
 from tests.nls.cli.shell import Shell, row
 
 

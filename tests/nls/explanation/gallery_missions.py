@@ -10,7 +10,7 @@ DIVE = """
 from pathlib import Path
 from factors import XYH, ZPR, RangeAzimuth
 from models.sensors import DIDSON_HIGH
-from nls.io.mission import write_mission
+from nls.missions import write_mission
 step = XYH(x[0], x[1], [0.5, 0.0, 0.1], Isotropic(0.01))
 tilt = ZPR(x[[0, 1]], [[4.0, 0.0, 0.0], [4.2, 0.0, 0.1]], Isotropic(0.01))
 """

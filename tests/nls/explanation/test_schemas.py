@@ -14,7 +14,7 @@ from jsonschema import Draft202012Validator
 import nls
 import sim
 from nls.cli import main
-from nls.io.mission.write import write_mission
+from nls.missions.folder.write import write_mission
 from tests.combinations import for_all
 from tests.nls.explanation.sentences import FINDINGS
 from tests.nls.io.g2o_files import PLANE, write

@@ -14,7 +14,7 @@ from nls.io.files import read_bytes, read_text, write_bytes, write_folder
 from tests.combinations import for_all
 from tests.nls.io.disk import small_disk
 from tests.nls.io.g2o_files import PLANE, write
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.missions.folder.mission_files import TINY, folder
 
 Captured = pytest.CaptureFixture[str]
 

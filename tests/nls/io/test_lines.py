@@ -17,7 +17,7 @@ from nls.cli.preparation import prepare
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.io_files import ALL
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 NO_MEASUREMENT = ("VERTEX", "PARAMS", "FIX", "#", "EDGE_SWITCH_PRIOR")
 TWO_VEHICLES = """VERTEX_SE2 0 A0 0 0 0

@@ -20,13 +20,13 @@ from nls import GraphFileError, LeadlineError, ResourceLimitError, load
 from nls.io import bounded_text, files
 from nls.io.bounded_text import PER_BYTE, PER_WORD
 from nls.io.files import read_bytes
-from nls.io.mission.table import Table
 from nls.io.text import PER_TAG, Text
 from nls.io.trajectory import read_kitti, read_tum
 from nls.linear import limits
+from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.io_files import ISAM_2, PLANE, PYFG, SPACE
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.missions.folder.mission_files import folder
 
 N = 1 << 15
 CHUNK, BASE = 1 << 12, 1 << 17  # bytes read at once here; that any call takes: messages, short arrays

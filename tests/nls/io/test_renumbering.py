@@ -12,7 +12,7 @@ from factors import Between, BetweenSensors, Isotropic, Landmark, Range
 from models import SE2, Manifold, R
 from nls import FactorGraph, Values, kinds
 from nls.io.renumbering import renumbered
-from tests.nls.io.charted import charted
+from tests.nls.missions.charts.charted import charted
 
 x, l, o = kinds("x", "l", "o")
 

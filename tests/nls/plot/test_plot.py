@@ -18,8 +18,8 @@ from factors import ZPR, Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
 from nls import FactorGraph, Marginals, Values
 from nls.explanation.findings import number
+from nls.missions.scans import dead_reckoning
 from nls.plot import before_after, convergence, spy, trajectory
-from nls.sonar.scans import dead_reckoning
 from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x
 
 ROOT = Path(__file__).parents[3]

@@ -14,13 +14,13 @@ from factors import BearingRange, Between, Cauchy, Factor, Isotropic, Prior, Ran
 from models import SE2, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, Values, initialize, kinds
-from nls.io.mission.table import csv_text
 from nls.metrics import ate
+from nls.missions.folder.table import csv_text
 from nls.optimizers import LevenbergMarquardt, Result, Status
 from nls.starts import STARTS
 from nls.starts.candidates import Candidates
 from tests.nls.graphs import between, pose_graph
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.missions.folder.mission_files import folder
 
 x, l = kinds("x", "l")
 

@@ -1,0 +1,122 @@
+"""What the data of a mission determine: its calibrations, and how many measured numbers check its dead reckoning.
+
+Of a calibration it is told how much of what was not known before is left,
+
+    share = sigma after all measurements / sigma of the row in calibration.csv
+
+1 where no measurement says anything, near 0 where they say everything. A calibration that keeps `LEFT` of its sigma is
+not determined: its value is the one it was believed to be.
+
+A raw log measures depth and attitude at each pose and a step to the next. These are as many numbers as unknowns, so
+whatever the DVL says fits. The degrees of freedom left for the position are those of the graph without those of the
+yaw:
+
+    checks = dof - max(0, headings + turns - poses)
+
+with `Heading` as headings, and the rows of `XYH` that say the turn and nothing of x and y as turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors import XYH, Heading
+from factors.keys import Kind, kinds
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.missions.folder.report import MissionReport
+from nls.values import Values
+
+__all__ = ["Determination", "determinations", "position_checks", "sigma_at_the_end"]
+
+LEFT = 0.9  # of the sigma: 81 % of the variance
+YAW = 2  # column of XYH
+(x,) = kinds("x")
+
+
+@dataclass(frozen=True)
+class Determination:
+    """An estimated calibration.
+
+    Attributes
+    ----------
+    name : in calibration.csv; ``gyro_bias`` is that of the first minute.
+    value, sigma : after the measurements; sigma is None where it is not known.
+    believed, sigma_before : before them.
+    """
+
+    name: str
+    value: float
+    sigma: float | None
+    believed: float
+    sigma_before: float
+
+    @property
+    def share(self) -> float | None:
+        """The part of the sigma before the measurements that is left."""
+        return None if self.sigma is None else self.sigma / self.sigma_before
+
+    @property
+    def sigmas_away(self) -> float:
+        """How far the estimate is from what was believed, in sigmas before the measurements."""
+        return abs(self.value - self.believed) / self.sigma_before
+
+    @property
+    def determined(self) -> bool | None:
+        """Whether the measurements say more of it than was known before."""
+        return None if self.share is None else self.share <= LEFT
+
+
+def determinations(values: Values, report: MissionReport, marginals: Marginals | None) -> list[Determination]:
+    """The calibrations of a solved mission, in the order of calibration.csv.
+
+    Parameters
+    ----------
+    values, report : the solution of a mission.
+    marginals : its covariances; None where there are none, so that no sigma is known.
+    """
+    rows = []
+    for name, (believed, before) in report.calibrations.items():
+        kind, sigma = Kind(name), None
+        if marginals is not None and marginals.status(kind)[0] == "estimated":
+            sigma = float(np.sqrt(marginals.covariance(kind[0])[0, 0]))
+        rows.append(Determination(name, float(values[kind[0]][0]), sigma, believed, before))
+    return rows
+
+
+def position_checks(graph: FactorGraph, values: Values, dof: int) -> int:
+    """Measured numbers beyond those that say where the vehicle is: 0 where nothing checks dead reckoning.
+
+    Parameters
+    ----------
+    graph, values : of a mission, with poses ``x``.
+    dof : degrees of freedom of the graph.
+    """
+    headings = sum(len(factor) for factor in graph.factors if isinstance(factor, Heading))
+    turns = sum(_turns(factor, values) for factor in graph.factors if isinstance(factor, XYH))
+    return max(0, dof - max(0, headings + turns - len(values.stack("x"))))
+
+
+def _turns(factor: XYH, values: Values) -> int:
+    """Rows of a batch of steps that measure the yaw, and neither x nor y."""
+    W = values.gather(factor)[0].W
+    if W.ndim == 2:
+        rows = int((W[:, YAW] != 0).sum())
+    else:
+        rows = int(((W[:, :, YAW] != 0) & (W[:, :, :YAW] == 0).all(axis=2)).sum())
+    return rows * (len(factor) if len(W) == 1 else 1)
+
+
+def sigma_at_the_end(marginals: Marginals, report: MissionReport) -> float:
+    """Standard deviation of the distance of the last pose from the true one, m: the root of the trace of its x, y, z.
+
+    Raises
+    ------
+    UnderconstrainedError
+        It is free.
+    """
+    numbers = marginals.values.stack("x").numbers
+    last = int(numbers[np.argmax(report.vertex_times.get("x", numbers))])
+    return float(np.sqrt(np.trace(marginals.covariance(x[last], view="position"))))

@@ -1,0 +1,311 @@
+"""beacons.csv, ranges.csv, usbl.csv, ship.csv, sound-speed.csv: places of beacons, ranges and directions by sound.
+
+    r = c (t - turn_around) / ways                       a travel time t as a range
+    p_s = (1 - k) p_0 + k p_1,   k = (t - t_0) / (t_1 - t_0)     the ship between two rows, and so its angles
+
+The pose of the ship at a row of usbl.csv is a variable of kind ``s`` that is held: it costs nothing in the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from factors import BearingRange, Diagonal, Prior, Range, ScaledRange
+from factors.base import Factor
+from factors.keys import Kind, kinds
+from models import SE3, Manifold, R, euler
+from models.algebra import Array, Index, Mask, Numbers
+from models.listing import some as listed
+from nls.missions.folder.columns import ANGLES, PLACE, USBL, suffixed
+from nls.missions.folder.rows import Assembly, add_rows, arms, columns_together, horizontal
+from nls.missions.folder.table import Table
+from nls.missions.folder.timeline import Timeline, leave_out, one_of
+
+__all__ = ["Acoustics", "Profile"]
+
+x, b, s = kinds("x", "b", "s")
+MOMENT = 0.5  # s, before and after, over which the ship moves
+SCALE = "sound_speed_scale"
+NOMINAL = 1500.0  # m/s
+NEAR = 1e-3  # m: depths that are one
+SLOWEST, FASTEST = 300.0, 3000.0  # m/s: of sound in air, and faster than in any water
+USBL_SCALE, USBL_YAW = "usbl_scale", "usbl_yaw_rad"
+
+
+class Acoustics:
+    """Acoustic measurements: their factors, added to a graph, and the variables they need.
+
+    Parameters
+    ----------
+    mission, timeline : which get factors and their lines.
+    depth : (n,) of the poses, m, in the order of their numbers.
+
+    Attributes
+    ----------
+    numbers : (m,) of the beacons that were measured, rising.
+    places : (m, 3) where they are by beacons.csv, nan where it does not say.
+    ship : (k, 7) poses of the ship, variables ``s`` that are held.
+    ship_twist : (k, 6) how they move, m/s and rad/s, in their own axes.
+
+    Raises
+    ------
+    GraphFileError
+        Columns that do not fit together, no such pose, time or ship, a range that cannot be.
+    """
+
+    def __init__(self, mission: Assembly, timeline: Timeline, depth: Array) -> None:
+        self._mission, self._timeline = mission, timeline
+        self._report, self._tables = mission.report, mission.tables
+        measured = {name: mission.tables[name] for name in ("ranges", "usbl") if name in mission.tables}
+        self._rows = {table: timeline.poses(name, table) for name, table in measured.items()}
+        beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
+        self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
+        self.places = np.full((len(self.numbers), 3), np.nan)
+        self._shifts: list[str] = []
+        self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
+        self._beacons(self._tables.get("beacons"))
+        if "ranges" in measured:
+            self._ranges(measured["ranges"], depth)
+        if "usbl" in measured:
+            self._usbl(measured["usbl"])
+        self._unused()
+
+    def shift(self) -> None:
+        """Put the factors of usbl.csv under a `Shifted` of each of its calibrations that is a variable."""
+        factors, calibrations = self._mission.graph.factors, self._mission.calibrations
+        for k, source in enumerate(self._report.sources if self._shifts else ()):
+            if source.path != self._tables["usbl"].path:
+                continue
+            for name in self._shifts:
+                factor, size = factors[k], 1 + calibrations.value(name)
+                G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / size
+                factors[k] = calibrations.shifted(factor, name, np.broadcast_to(G, factor.z.shape))
+
+    def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
+        """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
+        out: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+        if len(self.numbers):
+            out[b] = (R(3), np.nan_to_num(self.places), self.numbers)
+        if len(self.ship):
+            out[s] = (SE3, self.ship, np.arange(len(self.ship)))
+        return out
+
+    @property
+    def absolute(self) -> list[str]:
+        """The files among them that say where in the world the vehicle is."""
+        placed = bool(np.isfinite(self.places).all(axis=1).any())
+        return ["beacons.csv"] * placed + ["ship.csv"] * bool(len(self.ship))
+
+    def _beacons(self, table: Table | None) -> None:
+        """Priors of the beacons: their place, or their depth alone."""
+        if table is None:
+            return
+        ids = table.unique("beacon", "beacon")
+        depths, sigma_z = table.measured("z_m"), table.positive("sigma_z_m")
+        sigmas_xy = suffixed(PLACE[:2])
+        names: tuple[str, ...] = ("z",)
+        z, sigmas = depths, sigma_z
+        if table.has("x_m") or table.has("lat_deg") or columns_together(table, *sigmas_xy):
+            z = np.hstack([horizontal(table, self._report.plane), depths])
+            if not columns_together(table, *sigmas_xy):
+                raise table.at_names("has places and no sigma_x_m and sigma_y_m, how well they are known")
+            names, sigmas = ("x", "y", "z"), np.hstack([table.positive(*sigmas_xy), sigma_z])
+        used = np.isin(ids, self.numbers)
+        if not used.all():
+            self._report.notes.append(
+                f"beacons.csv has {int((~used).sum())} of {len(ids)} beacons that nothing measures, the first is "
+                f"{ids[~used][0]}: not used"
+            )
+        if not used.any():
+            return
+        rows = np.flatnonzero(used)
+        self.places[np.searchsorted(self.numbers, ids[rows]), 3 - len(names) :] = z[rows]
+        value = z[rows] if len(names) == 3 else np.column_stack([np.zeros((len(rows), 2)), z[rows]])
+        components = None if len(names) == 3 else names
+        prior = Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components)
+        self._mission.add(prior, table.source(rows))
+
+    def _ranges(self, table: Table, depth: Array) -> None:
+        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
+        beacon, mount = table.integers("beacon"), _mount(table)
+        if one_of(table, ("range_m", "sigma_range_m"), ("travel_time_s", "sigma_travel_time_s")):
+            for name in ("turn_around_s", "ways"):
+                if table.has(name):
+                    raise table.at_names(f"has range_m and {name}, which is of travel_time_s; leave it out")
+            table.measured("range_m")  # within what a meter may be
+            z, sigmas = table.positive("range_m")[:, 0], table.positive("sigma_range_m")[:, 0]
+        else:
+            z, sigmas = self._meters(table, poses[:, 0], beacon, depth)
+        scale, value = calibrations.variable(SCALE), calibrations.value(SCALE)
+        if scale is None:
+            z, sigmas = z / (1 + value), sigmas / (1 + value)
+        pose, target, noise = x[poses[:, 0]], b[beacon], Diagonal(sigmas[:, None])
+        factor: Factor = Range(pose, target, z, noise, mount)
+        if scale is not None:
+            factor = ScaledRange(pose, target, scale, z, noise, mount)
+        add_rows(self._mission.graph, self._report, table, rows, factor)
+
+    def _meters(self, table: Table, poses: Numbers, beacon: Numbers, depth: Array) -> tuple[Array, Array]:
+        """Ranges (n,) and their standard deviations from travel times, m."""
+        t, sigma = table.measured("travel_time_s")[:, 0], table.positive("sigma_travel_time_s")[:, 0]
+        wait = table.measured("turn_around_s")[:, 0] if table.has("turn_around_s") else np.zeros(len(t))
+        ways = table.integers("ways") if table.has("ways") else np.full(len(t), 2)
+        for wrong, message in (
+            (~np.isin(ways, (1, 2)), "ways is {ways}; expected 1, or 2 where the sound went there and back"),
+            (wait < 0, "turn_around_s is {wait!r}; expected seconds, 0 or more"),
+            (t - wait <= 0, "travel_time_s is {t!r}, of which {wait!r} s are the turn-around; expected more than that"),
+        ):
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                raise table.at(k, message.format(ways=ways[k], wait=float(wait[k]), t=float(t[k])))
+        c: Array | float = NOMINAL
+        if (profile := self._tables.get("sound-speed")) is None:
+            self._report.notes.append(f"there is no sound-speed.csv: travel times at {NOMINAL:g} m/s")
+        else:
+            at = depth[np.minimum(np.searchsorted(self._timeline.numbers, poses), len(depth) - 1)]
+            to = self.places[np.minimum(np.searchsorted(self.numbers, beacon), len(self.numbers) - 1), 2]
+            if (unknown := np.isnan(to)).any():
+                self._report.notes.append(
+                    f"no depth of beacon {beacon[unknown][0]} in beacons.csv: the speed of sound is taken at the depth "
+                    "of the vehicle"
+                )
+            c = Profile(profile).mean(at, np.where(unknown, at, to))
+        return c * (t - wait) / ways, c * sigma / ways
+
+    def _usbl(self, table: Table) -> None:
+        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
+        table.positive("range_m")
+        z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
+        steep = ~(np.abs(z[:, 1]) <= np.pi / 2)
+        expected = "expected radians, -pi/2 to pi/2, down is positive"
+        table.refuse_rows(steep, lambda k: f"elevation_rad is {float(z[k, 1])!r}; {expected}")
+        noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
+        z[:, 0] += calibrations.value(USBL_YAW)
+        z[:, 2] /= 1 + calibrations.value(USBL_SCALE)
+        noise[:, 2] /= 1 + calibrations.value(USBL_SCALE)
+        self._shifts = [name for name in (USBL_YAW, USBL_SCALE) if calibrations.variable(name) is not None]
+        if table.has("beacon"):
+            to_beacons = BearingRange(x[poses[:, 0]], b[table.integers("beacon")], z, Diagonal(noise), mount)
+            add_rows(self._mission.graph, self._report, table, rows, to_beacons)
+            return
+        if mount is not None:
+            raise table.at_names(
+                "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
+                "and arm_z_m out, or 0, or write positions of the transponder to fixes.csv, which has a lever arm"
+            )
+        place, rows = self._ship(table, poses[:, 0], rows)
+        self._mission.graph.fix(s[np.arange(len(self.ship))])
+        to_vehicle = BearingRange(s[place], x[poses[:, 0]], z, Diagonal(noise))
+        add_rows(self._mission.graph, self._report, table, rows, to_vehicle)
+
+    def _ship(self, table: Table, poses: Numbers, rows: Mask) -> tuple[Index, Mask]:
+        """The number of the pose of the ship (n,) of every row, and which rows (n,) have one."""
+        if (ship := self._tables.get("ship")) is None:
+            raise table.at_names(
+                "has no column beacon, so the ship measured the vehicle; write ship.csv with the poses of its "
+                "transceiver, or name the beacon"
+            )
+        t_s = ship.rising("time_s")
+        rpy = np.unwrap(ship.attitude(*ANGLES), axis=0)
+        p = np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")])
+        rowed = self._mission.times.get("usbl")
+        t = self._timeline.at(poses) if rowed is None else rowed[:, 0]
+        inside = (t >= t_s[0]) & (t <= t_s[-1])
+        if (away := rows & ~inside).any():
+            span = f"the times of ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
+            leave_out(table, away, not (rows & inside).any(), float(t[np.argmax(away)]), span, self._report)
+        rows = rows & inside
+
+        def pose(t: Array) -> Array:
+            return euler.to_se3(np.column_stack([np.interp(t, t_s, column) for column in np.hstack([rpy, p]).T]))
+
+        self.ship = pose(t[rows])
+        before, after = np.maximum(t[rows] - MOMENT, t_s[0]), np.minimum(t[rows] + MOMENT, t_s[-1])
+        step = SE3.local(pose(before), pose(after))
+        self.ship_twist = step / np.maximum(after - before, MOMENT)[:, None]
+        return np.cumsum(rows) - 1, rows
+
+    def _unused(self) -> None:
+        """Files without effect."""
+        ranges, usbl = self._tables.get("ranges"), self._tables.get("usbl")
+        for name, needed in (
+            ("beacons", len(self.numbers) > 0),
+            ("sound-speed", ranges is not None and ranges.has("travel_time_s")),
+            ("ship", usbl is not None and not usbl.has("beacon")),
+        ):
+            if name in self._tables and not needed:
+                self._report.notes.append(f"{name}.csv is not used: nothing in this mission needs it")
+        unknown = self.numbers[np.isnan(self.places[:, 2])]
+        if len(unknown):
+            self._report.notes.append(
+                f"{_beacons(unknown)} not in beacons.csv: estimated, with a start below the vehicle. On a track of one "
+                "depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
+            )
+
+
+def _beacons(numbers: Sequence[int] | Numbers) -> str:
+    """Beacons by name, with their verb."""
+    names = listed([str(number) for number in numbers])
+    return f"beacon {names} is" if len(numbers) == 1 else f"beacons {names} are"
+
+
+def _mount(table: Table) -> Array | None:
+    """Poses (n, 7) of the transducer on the vehicle, along its axes; None where it is at its center."""
+    if (arm := arms(table)) is None:
+        return None
+    mount = SE3.identity(len(arm))
+    mount[:, :3] = arm
+    return mount
+
+
+class Profile:
+    """The speed of sound over depth, as straight lines between the rows of sound-speed.csv.
+
+    A sound that goes straight from depth a to depth b needs, over each meter of depth, a time in proportion to 1/c(z):
+
+        c = (b - a) / (S(b) - S(a)),   S(z) = int dz / c(z)
+
+    the harmonic mean. Between two rows c is on the line between them, with the gradient g: S grows by
+    ln(c_1 / c_0) / g. Above the first row and below the last one c is that of the row. The bending of the ray is left
+    out. It makes the way longer by a fraction of (g L / c)^2 / 24, 2e-6 over 1 km with 0.01 1/s.
+
+    Source: H. Medwin, C. Clay, Fundamentals of Acoustical Oceanography, 1998, section 3.3.
+
+    Parameters
+    ----------
+    table : of the file.
+
+    Raises
+    ------
+    GraphFileError
+        Depths that do not rise, a speed that no water has.
+    """
+
+    def __init__(self, table: Table) -> None:
+        self.z, self.c = table.rising("z_m"), table.measured("sound_speed_m_s")[:, 0]
+        wrong = (self.c < SLOWEST) | (self.c > FASTEST)
+        expected = "expected m/s, near 1500 in water"
+        table.refuse_rows(wrong, lambda k: f"sound_speed_m_s is {float(self.c[k])!r}; {expected}")
+        change = np.diff(self.c)
+        mean = change / np.where(change == 0, 1.0, np.log1p(change / self.c[:-1]))  # no cancellation where it is small
+        self._mean = np.where(change == 0, self.c[:-1], mean)  # g / ln(c_1 / c_0), times the thickness
+        self._S = np.append(0.0, np.cumsum(np.diff(self.z) / self._mean))
+
+    def mean(self, a: Array, b: Array) -> Array:
+        """Harmonic mean (n,) of the speeds between depths a and b (n,), m/s."""
+        away = np.abs(b - a) > NEAR
+        S = self._time(b) - self._time(a)
+        return np.where(away, (b - a) / np.where(away, S, 1.0), np.interp(a, self.z, self.c))
+
+    def _time(self, z: Array) -> Array:
+        """S(z) (n,), s, from the first row."""
+        z, c, zs = np.asarray(z, dtype=float), self.c, self.z
+        k = np.clip(np.searchsorted(zs, z, side="right") - 1, 0, max(len(zs) - 2, 0))
+        inside = np.clip(z, zs[0], zs[-1])
+        at = np.interp(inside, zs, c)
+        change = at - c[k]
+        slowness = np.where(change == 0, 1 / c[k], np.log1p(change / c[k]) / np.where(change == 0, 1.0, change))
+        S = self._S[k] + (inside - zs[k]) * slowness
+        return np.asarray(S + np.minimum(z - zs[0], 0.0) / c[0] + np.maximum(z - zs[-1], 0.0) / c[-1])

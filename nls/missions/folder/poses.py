@@ -1,0 +1,132 @@
+"""Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, CSV with a head, graphs.
+
+A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
+yaw_rad. It has i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
+Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A column of empty cells
+is none, as of what nothing measures. A scan mission calls its
+columns keyframe, time, x, y and yaw.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from models import euler
+from models.algebra import Array, Numbers
+from models.errors import OptionError
+from models.options import did_you_mean
+from nls.io import load
+from nls.io.dialects import SUFFIXES
+from nls.io.files import GRAPH_FILES
+from nls.io.trajectory import TRAJECTORIES, lifted, load_trajectory, track_of
+from nls.missions.folder.columns import ANGLES, PLACE, UPRIGHT, suffixed
+from nls.missions.folder.table import Table
+
+__all__ = ["Poses", "read_poses"]
+
+NEEDED = (*ANGLES, *PLACE)
+SIGMAS = suffixed(PLACE)
+OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)
+COLUMNS = ("x_m", "y_m", *OPTIONAL)
+FILES, TRUE_FILES = ("trajectory.csv",), ("truth.csv", "truth.npz", "trajectory.csv")  # of a solution; a mission
+ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
+
+
+@dataclass(frozen=True)
+class Poses:
+    """The poses of a file, in the order of its rows.
+
+    Attributes
+    ----------
+    path : the file.
+    X : (n, 7) SE3.
+    times : (n,) s; None where the file has none.
+    numbers : (n,) of the poses; None where the file has none.
+    sigmas : (n, 3) standard deviations of x, y and z, m, nan in empty cells; None without these columns.
+    oriented : whether the file has headings; without them the rotations are those of 0.
+    """
+
+    path: str
+    X: Array = field(repr=False)
+    times: Array | None = field(default=None, repr=False)
+    numbers: Numbers | None = field(default=None, repr=False)
+    sigmas: Array | None = field(default=None, repr=False)
+    oriented: bool = True
+
+
+def read_poses(path: str | Path, folder_files: Sequence[str] = FILES) -> Poses:
+    """The poses of a trajectory, ``*.tum``, ``*.kitti`` or ``*.csv``, or of a graph; files may be gzip-compressed.
+
+    Parameters
+    ----------
+    path : the file; or a folder with one of `folder_files`, the first of which counts, or with a graph.
+    folder_files : their names without ``.gz``.
+
+    Raises
+    ------
+    OptionError
+        A name that says no such format; a folder without such a file.
+    GraphError
+        A graph whose poses are none, or of several kinds.
+    GraphFileError
+        No such file, a column that is missing, a cell that is no number, a number given twice: with file and line.
+    SingularGeometryError
+        Euler angles at gimbal lock.
+    """
+    if os.path.isdir(path):
+        names = (Path(path, name + end) for name in (*folder_files, *GRAPH_FILES) for end in ("", ".gz"))
+        if (file := next((name for name in names if name.is_file()), None)) is None:
+            cure = f"a folder with {' or '.join(folder_files)}, as nls solve {shlex.quote(str(path))} -o OUT writes"
+            raise OptionError("folder of poses", str(path), cure)
+        path = file
+    form = Path(str(path).lower().removesuffix(".gz")).suffix[1:]
+    if form in TRAJECTORIES:
+        values, report = load_trajectory(path, form)
+        return Poses(str(path), np.asarray(values.stack("x").X), report.vertex_times.get("x") if len(values) else None)
+    if form == "csv":
+        return _table(path)
+    if f".{form}" not in (known := [name for name in SUFFIXES if name != ".ply"]):
+        raise OptionError("file of poses", str(path), f"a folder, or a file ending in {', '.join(known)}")
+    _, values, report = load(path)
+    stack = track_of(path, values)
+    return Poses(str(path), lifted(stack.X), report.vertex_times.get(stack.kind), stack.numbers)
+
+
+def _table(path: str | Path) -> Poses:
+    """The poses of a CSV file."""
+    table = Table(path, COLUMNS, OPTIONAL, needed=True, others=ALIASES)
+    if any(map(table.has, UPRIGHT)) and (missing := [name for name in NEEDED if not table.has(name)]):
+        near = did_you_mean(missing[0], table.names)
+        raise table.at_names(f"no column {missing[0]!r}{near}; expected {', '.join(NEEDED)}")
+    if not (table.has("i") or table.has("time_s")):
+        raise table.at_names("no column 'i' and none 'time_s': one of the two says which pose a row is")
+    measured = [name for name in NEEDED if table.has(name) and table.filled(name).any()]
+    table.refuse_empty([name for name in ("i", "time_s", *measured) if table.has(name)])
+    state = np.zeros((len(table), len(NEEDED)))
+    state[:, [NEEDED.index(name) for name in measured]] = table.floats(*measured)
+    times = table.floats("time_s")[:, 0] if table.has("time_s") else None
+    ids = _numbers(table) if table.has("i") else None
+    sigmas = np.column_stack([_where_filled(table, name) for name in SIGMAS]) if table.has(*SIGMAS) else None
+    return Poses(str(path), euler.to_se3(state), times, ids, sigmas, "yaw_rad" in measured)
+
+
+def _numbers(table: Table) -> Numbers:
+    """Numbers (n,) of the poses, each once."""
+    i = table.floats("i")[:, 0]  # also as a program writes them: 3.0
+    table.refuse_rows((i != np.rint(i)) | (np.abs(i) > 2**53), lambda k: f"i is {i[k]:g}; expected a whole number")
+    ids = i.astype(np.int64)
+    table.once(ids, table.lines, "pose ")
+    return ids
+
+
+def _where_filled(table: Table, name: str) -> Array:
+    """Numbers (n,) of a column, nan of its empty cells."""
+    numbers, filled = np.full(len(table), np.nan), table.filled(name)[:, 0]
+    numbers[filled] = table.part(filled).floats(name)[:, 0]
+    return numbers

@@ -1,0 +1,68 @@
+"""The report of a mission folder: its contents besides the graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from models.algebra import Array
+from models.geodesy import LocalPlane
+from nls.io.report import LoadReport
+from nls.missions.checks.findings import Explained, Implausible, TableError
+from nls.values import Values
+
+if TYPE_CHECKING:
+    from models.sensors import ImagingSonar
+    from nls.missions.folder.table import Table
+
+__all__ = ["MissionReport"]
+
+
+@dataclass
+class MissionReport(LoadReport):
+    """The report of a mission folder; `vertex_times` has the times of its poses where poses.csv gives them.
+
+    Attributes
+    ----------
+    truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
+    sonar : the sonar its contacts were seen with; None without contacts.
+    offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    unmeasured : components of a pose, such as ``yaw``, that nothing measures: held at 0, their cells are empty.
+    compass : whether a sensor measures the heading in the world.
+    elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
+    world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
+    soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
+    findings : what is implausible in the tables, each also a warning.
+    explained : what explains chi2 where it was implausible; None where it was not asked.
+    errors : of whole tables at the optimum, as `nls.missions.checks.table_errors` has them.
+    plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
+    dive_of : the name of the dive that each factor is of; empty for one mission.
+    calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
+    """
+
+    truth: Values = field(default_factory=Values)
+    sonar: ImagingSonar | None = None
+    offset: Array | None = field(default=None, compare=False)
+    unmeasured: tuple[str, ...] = ()
+    compass: bool = False
+    elsewhere: Table | None = field(default=None, compare=False, repr=False)
+    world: list[str] = field(default_factory=list)
+    soundings: Array | None = field(default=None, compare=False)
+    plane: LocalPlane | None = None
+    calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
+    findings: list[Implausible] = field(default_factory=list)
+    explained: Explained | None = None
+    errors: list[TableError] = field(default_factory=list)
+    dive_of: list[str] = field(default_factory=list, repr=False)
+
+    @property
+    def tables(self) -> list[str]:
+        """The file that each factor is from, such as ``fixes.csv``; of several dives with the name of the dive."""
+        files = [Path(source.path).name for source in self.sources]
+        return [f"{dive}/{file}" for dive, file in zip(self.dive_of, files, strict=True)] if self.dive_of else files
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a file places the mission in the world."""
+        return bool(self.world) or "anchor.csv" in self.tags

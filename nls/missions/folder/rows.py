@@ -1,0 +1,176 @@
+"""What the files of a mission share: the graph they add to, and columns: places, lever arms, robust kernels, sigmas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from factors.base import Factor
+from factors.robust import Kernel, kernel_from_text
+from models.algebra import Array, Mask
+from models.errors import NoiseModelError, OptionError
+from models.geodesy import REACH, LocalPlane
+from nls.graph import FactorGraph
+from nls.io.report import Source
+from nls.missions.folder.calibration import Calibrations
+from nls.missions.folder.columns import ARM, GEODETIC, MAY_BE_0
+from nls.missions.folder.report import MissionReport
+from nls.missions.folder.table import Table
+from nls.missions.folder.timeline import Times, one_of
+
+__all__ = ["Assembly", "add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
+
+NO_KERNEL = "none"
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The tables of a mission, and the graph that is made of them.
+
+    Attributes
+    ----------
+    tables : by name.
+    report : gets notes, and the lines of the factors.
+    calibrations : of calibration.csv.
+    times : of the rows of files, see `nls.missions.folder.timeline`.
+    graph : gets the factors.
+    """
+
+    tables: dict[str, Table]
+    report: MissionReport
+    calibrations: Calibrations
+    times: Times
+    graph: FactorGraph = field(default_factory=FactorGraph)
+
+    def add(self, factor: Factor, source: Source) -> None:
+        """Add a factor, with the lines that it was read from."""
+        self.graph.add(factor)
+        self.report.sources.append(source)
+
+
+def horizontal(table: Table, plane: LocalPlane | None) -> Array:
+    """North and east (n, 2) of the places of a file, m, from x and y or from latitude and longitude.
+
+    Raises
+    ------
+    GraphFileError
+        Both, neither, or a latitude without origin.csv or far from it.
+    """
+    if one_of(table, ("x_m", "y_m"), GEODETIC):
+        return table.measured("x_m", "y_m")
+    lat_lon = table.measured(*GEODETIC)
+    lat = lat_lon[:, 0]
+    table.refuse_rows(np.abs(lat) > 90, lambda k: f"lat_deg is {float(lat[k])!r}; expected degrees, -90 to 90")
+    if plane is None:
+        first = ",".join(repr(number) for number in lat_lon[0].tolist())
+        raise table.at_names(
+            "has latitudes, and no file says where x = y = 0 is; write origin.csv with one row of lat_deg,lon_deg, "
+            f"such as {first}"
+        )
+    p = plane.local(*lat_lon.T)
+    far = np.linalg.norm(p, axis=1)
+    if (beyond := ~(far <= REACH)).any():
+        k = int(np.argmax(beyond))
+        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in _elsewhere(plane, *lat_lon[k]))
+        why = ", so one of the two files is wrong" if hints else ""
+        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km{hints}{why}")
+    return p
+
+
+def _elsewhere(plane: LocalPlane, lat: float, lon: float) -> Iterator[tuple[str, float]]:
+    """How a latitude and a longitude may be meant that are near the origin then, and how far they are, m."""
+    for how, (a, b) in {
+        "lat_deg, lon_deg exchanged": (lon, lat),
+        "lon_deg times -1": (lat, -lon),
+        "lat_deg times -1": (-lat, lon),
+        "lat_deg, lon_deg read in rad": (np.degrees(lat), np.degrees(lon)),
+    }.items():
+        if abs(a) <= 90 and (d := float(np.linalg.norm(plane.local(np.array([a]), np.array([b]))))) <= REACH:
+            yield how, d
+
+
+def columns_together(table: Table, *names: str) -> bool:
+    """Whether a file has columns that need each other.
+
+    Raises
+    ------
+    GraphFileError
+        It has some of them.
+    """
+    here = [name for name in names if table.has(name)]
+    if here and len(here) < len(names):
+        missing = next(name for name in names if name not in here)
+        raise table.at_names(f"has {here[0]} and no {missing}; they need each other")
+    return bool(here)
+
+
+def arms(table: Table) -> Array | None:
+    """Lever arms (n, 3) of the rows, m; None where the antenna is at the center of the vehicle."""
+    a = table.measured(*ARM) if columns_together(table, *ARM) else np.zeros((1, 3))
+    return a if a.any() else None
+
+
+def add_rows(graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, factor: Factor) -> None:
+    """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
+
+    Raises
+    ------
+    GraphFileError
+        No such kernel.
+    """
+    index = np.flatnonzero(rows)
+    kernels: dict[str, Kernel | None] = {}
+    words = table.text_of("kernel") if table.has("kernel") else [NO_KERNEL] * len(table)
+    for row, word in enumerate(words):
+        if word not in kernels:
+            try:
+                kernels[word] = None if word == NO_KERNEL else kernel_from_text(word)
+            except (OptionError, NoiseModelError) as error:
+                raise table.at(
+                    row, f"kernel is {word!r}; expected one such as huber:1.345, or none: {error}"
+                ) from error
+    column = np.array(words)
+    for word, kernel in kernels.items():
+        if len(some := index[column[index] == word]):
+            graph.add(factor[some] if kernel is None else factor[some].robust(kernel))
+            report.sources.append(table.source(some))
+
+
+def noise_of(table: Table, used: dict[str, str]) -> dict[str, float]:
+    """The numbers of noise.csv by column.
+
+    Parameters
+    ----------
+    table : of the file.
+    used : columns that must be there, each with the table that needs it.
+
+    Raises
+    ------
+    GraphFileError
+        A second row, a number that cannot be, a column that is missing.
+    """
+    noise = one_row(table)
+    for name in noise:
+        if name not in MAY_BE_0:
+            table.positive(name)
+        elif (number := float(table.measured(name)[0, 0])) < 0:
+            raise table.at(0, f"{name} is {number!r}; expected 0 or above")
+    for name, user in used.items():
+        if name not in noise:
+            raise table.at(0, f"there is no column {name}, which {user}.csv needs")
+    return noise
+
+
+def one_row(table: Table) -> dict[str, float]:
+    """The numbers of a table of one row, by column.
+
+    Raises
+    ------
+    GraphFileError
+        A second row.
+    """
+    if len(table) > 1:
+        raise table.at(1, "a second row; expected one")
+    return dict(zip(table.names, table.floats(*table.names)[0].tolist(), strict=True))

@@ -1,0 +1,198 @@
+"""Which pose a row is of: rows have a pose, ``i``, or a time, ``time_s``, which is late by ``delay_s`` and by a clock.
+
+    t = time_s - delay_s - clock
+
+A raw log without poses.csv gets a pose at every such time (`united`); elsewhere a time must be that of a pose. Times
+closer than `SAME` are one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from models.algebra import Array, Mask, Numbers
+from models.errors import GraphFileError
+from nls.missions.folder.calibration import NAMES as CALIBRATIONS
+from nls.missions.folder.calibration import Calibrations
+from nls.missions.folder.report import MissionReport
+from nls.missions.folder.table import Table
+
+__all__ = ["Timeline", "Times", "leave_out", "measured_times", "poses_of_rows", "united"]
+
+AROUND = 5  # rows of a log, over which poses are counted
+SAME = 1e-3  # s: 2 mm at 2 m/s
+TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
+NUMBERED = ("anchor", "truth", *TIMED)  # files that may name poses
+Times = dict[str, Array]  # of the rows (n, k) of files, s; closures.csv has two a row
+
+
+def measured_times(tables: dict[str, Table], calibrations: Calibrations) -> Times:
+    """The times of files whose rows have times, less delay and clock.
+
+    Raises
+    ------
+    GraphFileError
+        Times and poses both, or neither; a delay of a row that is of a pose.
+    """
+    times: Times = {}
+    for name in TIMED:
+        if (table := tables.get(name)) is None:
+            continue
+        timed, numbered = (("time_i_s", "time_j_s"), ("i", "j")) if name == "closures" else (("time_s",), ("i",))
+        if not one_of(table, timed, numbered):
+            if table.has("delay_s"):
+                raise table.at_names("has delay_s and no time_s: a row with i is of that pose; leave delay_s out")
+            continue
+        t = table.measured(*timed)
+        if table.has("delay_s"):
+            t = t - table.measured("delay_s")
+        if (clock := f"{name}_clock_s") in CALIBRATIONS:
+            calibrations.variable(clock)  # which counts it as used
+            t = t - calibrations.value(clock)
+        times[name] = t
+    return times
+
+
+def one_of(table: Table, columns: tuple[str, ...], others: tuple[str, ...]) -> bool:
+    """Whether a file has the first of two alternatives.
+
+    Raises
+    ------
+    GraphFileError
+        It has both, a part of one, or none.
+    """
+    some = [[name for name in names if table.has(name)] for names in (columns, others)]
+    if all(some) or not any(some):
+        both = f"has {some[0][0]} and {some[1][0]}" if all(some) else "has neither"
+        raise table.at_names(f"{both}; expected either {' and '.join(columns)} or {' and '.join(others)}")
+    whole = columns if some[0] else others
+    if missing := [name for name in whole if not table.has(name)]:
+        raise table.at_names(f"no column {missing[0]!r}; expected either {' and '.join(whole)} or none of these")
+    return bool(some[0])
+
+
+def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Array:
+    """The times of the poses (n,) of a raw log: those on the grid b, and those of rows from its begin to the end.
+
+    Raises
+    ------
+    GraphFileError
+        Times beside a file that names poses by number: numbers would shift.
+    """
+    if not times:
+        return b
+    for name in NUMBERED:
+        if (table := tables.get(name)) is not None and table.has("i"):
+            raise table.at_names(
+                f"names poses by i, but the times of {next(iter(times))}.csv add poses; write poses.csv, with i and "
+                "time_s of every pose"
+            )
+    t = np.sort(np.concatenate([b, *(rows.ravel() for rows in times.values())]))
+    t = t[(t >= b[0]) & (t <= end)]
+    close = np.flatnonzero(np.diff(t) < SAME)
+    keep, last = np.ones(len(t), dtype=bool), -1
+    for k in close.tolist():  # t[k + 1] is close to t[k]; to the last one that is kept?
+        last = k if keep[k] else last
+        keep[k + 1] = t[k + 1] - t[last] >= SAME
+    return np.asarray(t[keep])
+
+
+def poses_of_rows(t: Array, b: Array) -> Array:
+    """Root of how many poses (n,) at times b there are for a row of a log at rising times t, 1 or more.
+
+    Poses between rows are interpolated, and each counts as a measurement of its own. Where they are denser than the
+    rows, counted over `AROUND` of these, their sigmas grow by this. Together they say no more than the rows do.
+    """
+    reach = AROUND / 2 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+    rows, poses = (
+        np.searchsorted(times, b + reach, side="right") - np.searchsorted(times, b - reach) for times in (t, np.sort(b))
+    )
+    return np.asarray(np.sqrt(np.maximum(1.0, poses / np.maximum(rows, 1))))
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The poses of a mission and their times.
+
+    Attributes
+    ----------
+    numbers : (n,) of the poses, rising.
+    times : (n,) of the poses, s, in the order of their numbers; None where no file says them.
+    rows : the times of the files, see `measured_times`.
+    open : whether rows outside the track are left out, as of a raw log without poses.csv, and not refused.
+    report : gets notes on what is left out.
+    """
+
+    numbers: Numbers
+    times: Array | None
+    rows: Times
+    open: bool
+    report: MissionReport = field(repr=False)
+
+    def poses(self, name: str, table: Table) -> tuple[Numbers, Mask]:
+        """Poses (n, 1 or 2) of the rows of a file, and which rows (n,) have some; the others are left out.
+
+        Raises
+        ------
+        GraphFileError
+            No such pose; no pose at that time; no row within the track.
+        """
+        if name not in self.rows:
+            columns = ("i", "j") if name == "closures" else ("i",)
+            problem = "no such pose in the track"
+            numbers = np.stack([table.known(column, self.numbers, problem) for column in columns], axis=1)
+            return numbers, np.ones(len(table), dtype=bool)
+        if self.times is None:
+            raise table.at_names("has times, but no pose has one; add poses.csv, with i and time_s of every pose")
+        t = self.rows[name]
+        order = np.argsort(self.times)
+        rising = self.times[order]
+        nearest = np.abs(rising[_nearest(rising, t)] - t)
+        away: Mask = np.any(nearest >= SAME, axis=1)
+        if away.any():
+            self._outside(table, t, away, rising, self.numbers[order])
+        return self.numbers[order][_nearest(rising, t)], ~away
+
+    def _outside(self, table: Table, t: Array, away: Mask, rising: Array, numbers: Numbers) -> None:
+        """Refuse rows that are not at the time of a pose, or say that they are left out."""
+        k = int(np.argmax(away))
+        time = round(float(t[k][np.abs(rising[_nearest(rising, t[k])] - t[k]) >= SAME][0]), 6)
+        span = f"{float(rising[0])!r} to {float(rising[-1])!r} s"
+        if not self.open:
+            near = int(_nearest(rising, np.array([time]))[0])
+            raise table.at(
+                k,
+                f"no pose is at {time!r} s; the nearest is pose {numbers[near]} at {float(rising[near])!r} s. Add a "
+                "pose at this time to poses.csv"
+                + ("" if "odometry.csv" in self.report.tags else ", or leave poses.csv out"),
+            )
+        leave_out(table, away, bool(away.all()), time, f"the track, {span}", self.report)
+
+    def at(self, numbers: Numbers) -> Array:
+        """Times (n,) of poses, s; a GraphFileError where there are none."""
+        if self.times is None:
+            raise GraphFileError("no pose has a time; add poses.csv, with i and time_s of every pose", self.report.path)
+        return self.times[np.searchsorted(self.numbers, numbers)]
+
+
+def leave_out(table: Table, away: Mask, no_other: bool, time: float, span: str, report: MissionReport) -> None:
+    """Say that rows (n,) away from a span of time are left out, the first of them at a time, s.
+
+    Raises
+    ------
+    GraphFileError
+        There is no other row.
+    """
+    k = int(np.argmax(away))
+    if no_other:
+        raise table.at(k, f"is at {time!r} s, and no row is within {span}; do the clocks agree?")
+    count = f"the first row of {int(away.sum())} that are left out, of {len(table)}"
+    report.notes.append(f"{table.place(k)}: {count}: not within {span}")
+
+
+def _nearest(rising: Array, t: Array) -> Numbers:
+    """The places of the nearest of rising times."""
+    after = np.clip(np.searchsorted(rising, t), 1, max(len(rising) - 1, 1))
+    return np.where(t - rising[after - 1] <= rising[np.minimum(after, len(rising) - 1)] - t, after - 1, after)

@@ -1,0 +1,269 @@
+"""A graph as a mission folder: the files `read_mission` reads, numbers bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import XYH, ZPR, Elevation, Heading, Position, Prior, RangeAzimuth
+from factors.base import Factor
+from models import SE3, euler
+from models.algebra import Array, Numbers
+from models.errors import GraphError, GraphFileError
+from nls.graph import FactorGraph
+from nls.io.files import write_folder
+from nls.missions.folder.columns import COLUMNS, COMPASS, CONTACT, LEVEL, PLACE, POSE, TILT, TRACK
+from nls.missions.folder.statements import Columns, columns_of, joined, measured, no_file, positioned_rows, table_text
+from nls.values import Values
+
+if TYPE_CHECKING:
+    from models.sensors import ImagingSonar
+
+__all__ = ["mission_files", "refuse_mixed", "write_mission"]
+
+MEASURED = {"odometry": (("i", "j"), LEVEL), "zpr": (("i",), TILT), "contacts": (("i", "landmark"), CONTACT)}
+
+
+def write_mission(
+    folder: str | Path,
+    graph: FactorGraph,
+    sonar: ImagingSonar | None = None,
+    offset: npt.ArrayLike | None = None,
+    truth: Values | None = None,
+    times: npt.ArrayLike | None = None,
+) -> list[str]:
+    """Write a mission folder, which is made where there is none.
+
+    Parameters
+    ----------
+    folder : where.
+    graph : `XYH` and `ZPR` of poses ``x``; `Heading` of a compass, for every pose of `ZPR` or none; the anchor, a
+        `Prior` of x, y and yaw, or `Position` and `Heading` of the same poses; `RangeAzimuth` of landmarks ``l``;
+        `Position` without a `Heading`, `Between` of poses, `Range` to beacons ``b`` and their `Prior`, also under
+        robust kernels. Factors of the elevation have no file: sonar.csv says the aperture, and `read_mission` makes
+        them. Of an anchor that is a `Prior`, x, y and yaw are written.
+    sonar, offset : the sonar and its mounting (7,), SE3; None where it saw nothing, and where it is the vehicle.
+    truth : true poses ``x`` and landmarks ``l``.
+    times : (n,) of the poses, s, in the order of their numbers.
+
+    Returns
+    -------
+    list of str
+        The files that were written.
+
+    Raises
+    ------
+    GraphError
+        A factor, kind of variable or noise that no file has columns for; a pose that is not in the track; a fixed
+        variable.
+    GraphFileError
+        The folder cannot be written, or holds files of another mission that would be mixed with these.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from factors import XYH, ZPR, Diagonal
+    >>> from nls import FactorGraph, kinds
+    >>> (x,) = kinds("x")
+    >>> step = XYH(x[0], x[1], [1.0, 0.2, 0.5], Diagonal(x=0.01, y=0.01, yaw=0.004))
+    >>> tilt = ZPR(x[[0, 1]], [[5.0, 0.1, 0.0], [5.5, 0.2, -0.1]], Diagonal(z=0.01, pitch=0.002, roll=0.002))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = write_mission(folder, FactorGraph([step, tilt]))
+    ...     print(Path(folder, "odometry.csv").read_text())
+    i,j,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad
+    0,1,1.0,0.2,0.5,0.01,0.01,0.004
+    >>> [Path(file).name for file in files]
+    ['odometry.csv', 'zpr.csv']
+    """
+    files = mission_files(graph, sonar, offset, truth, times)
+    refuse_mixed(folder, files)
+    return write_folder(folder, files)
+
+
+def refuse_mixed(folder: str | Path, files: Collection[str]) -> None:
+    """Refuse a folder with a file of another mission, which would be mixed with these files.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    path = Path(folder)
+    for name in COLUMNS:
+        for file in (path / f"{name}.csv", path / f"{name}.csv.gz"):
+            if file.exists() and file.name not in files:
+                raise GraphFileError(
+                    "is of another mission, which would be mixed with this one; remove it, or give another folder",
+                    str(file),
+                )
+
+
+def mission_files(
+    graph: FactorGraph,
+    sonar: ImagingSonar | None = None,
+    offset: npt.ArrayLike | None = None,
+    truth: Values | None = None,
+    times: npt.ArrayLike | None = None,
+) -> dict[str, bytes]:
+    """The files `write_mission` writes, by name; parameters and errors as there."""
+    mount = SE3.identity()[0] if offset is None else SE3.stack(offset)[0]
+    rows: dict[str, list[Columns]] = {}
+    factors = [factor for factor in graph.factors if len(factor)]  # what measures nothing needs no file
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        first = next(iter(held[0]))
+        raise GraphError(
+            f"write_mission: {first!r} is fixed, which no file of a mission says; hold it by a factor instead: an "
+            "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
+            [first],
+        )
+    tables, factors = positioned_rows(factors)
+    for factor in factors:
+        if (name := _file_of(factor, mount)) in MEASURED:
+            rows.setdefault(name, []).append(measured(factor, *MEASURED[name]))
+    anchors, compass = _anchors(factors)
+    if anchors:
+        rows["anchor"] = anchors
+    if sonar is not None:
+        rows["sonar"] = [_sonar(sonar, mount)]
+    for name, kind, number, names in (("truth", "x", "i", POSE[1:]), ("landmarks", "l", "landmark", PLACE)):
+        if truth is not None and kind in truth.stacks:
+            X = np.asarray(truth.stack(kind).X)
+            places = columns_of(names, euler.from_se3(X) if kind == "x" else X)
+            rows[name] = [{number: truth.stack(kind).numbers} | places]
+    if missing := [name for name in TRACK if name not in rows]:
+        raise GraphError(f"write_mission: the graph has no factors for {missing[0]}.csv; a mission needs XYH and ZPR")
+    if "contacts" in rows and sonar is None:
+        raise GraphError("write_mission: the graph has contacts; give the sonar that saw them")
+    if "contacts" not in rows and sonar is not None:
+        raise GraphError("write_mission: the graph has no contacts; leave the sonar out")
+    poses = _refuse_stray(rows, tables)
+    if compass:
+        rows["zpr"] = [_with_headings(joined(rows["zpr"]), compass)]
+    if times is not None:
+        rows["poses"] = [_times(poses, times)]
+    ordered = {name: rows[name] for name in COLUMNS if name in rows}
+    return {f"{name}.csv": table_text(name, parts) for name, parts in (ordered | tables).items()}
+
+
+def _file_of(factor: Factor, mount: Array) -> str:
+    """The file a factor is written to; anchor for its parts, and none for the elevation.
+
+    Raises
+    ------
+    GraphError
+        No file has columns for it.
+    """
+    kinds = [keys.kind for keys in factor.keys]
+    observes_landmark = isinstance(factor, RangeAzimuth | Elevation)
+    expected = ["x", "l"] if observes_landmark else ["x"] * len(kinds)
+    if kinds != expected:
+        raise no_file(factor, f"its variables are {kinds}, expected {expected}")
+    if factor.kernel is not None:
+        raise no_file(factor, "it has a robust kernel; write the graph without")
+    if isinstance(factor, RangeAzimuth | Elevation):
+        own = SE3.identity() if factor.offset is None else np.asarray(factor.offset)
+        if not (own == mount).all():
+            raise no_file(factor, "its offset is not the one given for sonar.csv")
+        return "contacts" if isinstance(factor, RangeAzimuth) else ""
+    if isinstance(factor, XYH) and factor.form != "levelled":
+        raise no_file(factor, "odometry.csv holds the levelled form")
+    for name, kind in (("odometry", XYH), ("zpr", ZPR), ("anchor", Prior), ("anchor", Position), ("anchor", Heading)):
+        if isinstance(factor, kind):
+            return name
+    raise no_file(
+        factor, "files hold XYH, ZPR, Heading, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor"
+    )
+
+
+def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns]]) -> Numbers:
+    """Numbers of the poses of the track, rising; refuses what `read_mission` would.
+
+    Raises
+    ------
+    GraphError
+        A pose that is not in the track; two rows for a pose that has one.
+    """
+    poses = np.unique(_poses(rows["odometry"]))
+    for name, parts in ({name: rows.get(name, []) for name in ("zpr", "anchor", "contacts")} | tables).items():
+        unique_ids, count = np.unique(_poses(parts), return_counts=True)
+        if len(stray := np.setdiff1d(unique_ids, poses)):
+            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
+        if name in ("zpr", "anchor") and (count > 1).any():
+            raise GraphError(
+                f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
+            )
+    return poses
+
+
+def _poses(rows: list[Columns]) -> Numbers:
+    """Numbers of the poses in the rows of a table."""
+    numbers = [np.asarray(row[column]) for row in rows for column in ("i", "j") if column in row]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
+
+
+def _times(poses: Numbers, times: npt.ArrayLike) -> Columns:
+    """The rows of poses.csv, in the order of time."""
+    t = np.asarray(times, dtype=float)
+    if t.shape != poses.shape or len(np.unique(t)) < len(t):
+        raise GraphError(
+            f"write_mission: times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
+        )
+    order = np.argsort(t)
+    return {"i": poses[order], "time_s": t[order]}
+
+
+def _anchors(factors: list[Factor]) -> tuple[list[Columns], list[Heading]]:
+    """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading; and headings without a position.
+
+    Of two headings of the same poses the later one is of the anchor, as `read_mission` adds them.
+    """
+    rows: list[Columns] = []
+    for factor in factors:
+        if isinstance(factor, Prior):
+            if factor.components != ("x", "y", "yaw") or factor.offset is not None:
+                raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
+            z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))[:, [3, 4, 2]]
+            rows.append(measured(factor, ("i",), LEVEL, z))
+    headings = [factor for factor in factors if isinstance(factor, Heading)]
+    for p in (factor for factor in factors if isinstance(factor, Position)):
+        own = [k for k, h in enumerate(headings) if h.keys == p.keys]
+        if not own or p.components != ("x", "y") or p.offset is not None:
+            raise no_file(p, "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose")
+        h = headings.pop(own[-1])
+        rows.append(measured(p, ("i",), LEVEL[:2]) | measured(h, ("i",), LEVEL[2:]))
+    return rows, headings
+
+
+def _with_headings(zpr: dict[str, Any], compass: list[Heading]) -> Columns:
+    """The rows of zpr.csv with the headings of a compass.
+
+    Raises
+    ------
+    GraphError
+        A pose with a depth has no heading, or several, or one with a heading has no depth.
+    """
+    headings = joined([measured(h, ("i",), COMPASS[:1]) for h in compass])
+    unique, first, count = np.unique(headings["i"], return_index=True, return_counts=True)
+    wrong = [*unique[count > 1], *np.setxor1d(unique, zpr["i"])]
+    if wrong:
+        h = next((h for h in compass if wrong[0] in h.keys[0].numbers), compass[0])
+        raise no_file(
+            h,
+            f"zpr.csv has a depth and a heading for every pose, once: not for x{wrong[0]}; one of a large sigma says "
+            "nothing",
+        )
+    rows = first[np.searchsorted(unique, zpr["i"])]
+    return zpr | {name: headings[name][rows] for name in COMPASS}
+
+
+def _sonar(sonar: ImagingSonar, mount: Array) -> Columns:
+    """The row of sonar.csv."""
+    if "\n" in sonar.name:
+        raise GraphError(f"write_mission: the name of the sonar, {sonar.name!r}, has more than one line")
+    quoted = '"' + sonar.name.replace('"', '""') + '"'
+    numbers = [sonar.fan, sonar.aperture, *sonar.window, *mount[:3], *euler.from_se3(mount)[:3]]
+    cells: list[Any] = [quoted, sonar.beams, sonar.bins, *map(float, numbers)]
+    return {column: [cell] for column, cell in zip(COLUMNS["sonar"], cells, strict=True)}

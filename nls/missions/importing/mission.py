@@ -1,0 +1,261 @@
+"""Logs and a mapping as the files of a mission folder: one zero of time, one origin, and a README that says both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from models.errors import GraphFileError, OptionError
+from models.geodesy import LocalPlane
+from models.listing import several
+from models.visible import visible
+from nls.io.files import write_folder
+from nls.missions.folder.columns import COLUMNS, needed
+from nls.missions.folder.table import csv_text
+from nls.missions.folder.write import refuse_mixed
+from nls.missions.importing.bags import refuse_no_log
+from nls.missions.importing.cell import WHOLE as LARGEST
+from nls.missions.importing.dates import NANOSECONDS, iso, parse_zero
+from nls.missions.importing.mapping import Mapping, Section
+from nls.missions.importing.sources import Logs
+from nls.missions.importing.tables import TIMES, WHOLE, Rows, rows_of
+from nls.missions.importing.times import DAY, WEEK
+
+__all__ = ["Imported", "import_logs", "write_imported"]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The files of a mission as they are to be written.
+
+    Attributes
+    ----------
+    files : content by name, README.txt among them.
+    rows : how many by table.
+    notes : what was assumed, converted and left out.
+    """
+
+    files: dict[str, bytes] = field(repr=False)
+    rows: dict[str, int]
+    notes: list[str] = field(default_factory=list)
+
+
+def import_logs(logs: Sequence[str | Path], mapping: Mapping) -> Imported:
+    """The mission files of logs.
+
+    Parameters
+    ----------
+    logs : text files and bags.
+    mapping : which of their columns are which of the mission's.
+
+    Raises
+    ------
+    GraphFileError
+        A column, cell, unit, time or place that cannot be; says the line of the log or of the mapping.
+    OptionError
+        Two logs of one name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = Path(folder, "log.csv")
+    ...     _ = log.write_text("t [ms];depth [cm]\\n0;250\\n500;260\\n")
+    ...     imported = import_logs([log], Mapping('depth = { time_s = "t [ms]", z_m = "depth [cm]" }', "mapping.toml"))
+    >>> print(imported.files["depth.csv"].decode())
+    time_s,z_m
+    0.0,2.5
+    0.5,2.6
+    """
+    refuse_no_log(logs)
+    sources = Logs(logs)
+    parts = [rows_of(section, sources.of(section)) for section in mapping.sections]
+    if logs and not any(section.used for section in mapping.sections):
+        names = ", ".join(sources.paths)
+        raise GraphFileError(f'uses no column of {names}; write the name of one, such as time_s = "Time"', mapping.path)
+    notes = [*sources.notes, *dict.fromkeys(note for log in sources.used for note in log.notes)]
+    notes += dict.fromkeys(note for part in parts for note in part.notes)
+    zero = _zero(mapping, parts, notes)
+    origin = _origin(parts, notes)
+    files, rows = {}, {}
+    for table in COLUMNS:
+        if table == "origin":
+            if origin is not None:
+                files["origin.csv"] = csv_text(COLUMNS["origin"], [[origin.lat, origin.lon]])
+                rows["origin"] = 1
+        elif several_parts := [part for part in parts if part.section.table == table]:
+            files[f"{table}.csv"], rows[table] = _text(several_parts, zero, origin)
+    if missing := _missing(set(rows)):
+        notes.append(missing)
+    files["README.txt"] = _readme(sources, mapping, rows, notes)
+    return Imported(files, rows, notes)
+
+
+def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | Path]) -> list[str]:
+    """Write the files of a mission into a folder; earlier ones of the same names are replaced.
+
+    Parameters
+    ----------
+    folder : where.
+    imported : the files.
+    read : the logs and the mapping, which are never replaced.
+
+    Raises
+    ------
+    OptionError
+        A file that would replace one that was read.
+    GraphFileError
+        The folder holds files of another mission, or cannot be written.
+    """
+    inputs = {Path(path).resolve() for path in read}
+    for name in imported.files:
+        if Path(folder, name).resolve() in inputs:
+            raise OptionError("output folder", str(folder), f"another folder: {name} there is a log that is read")
+    refuse_mixed(folder, imported.files)
+    return write_folder(folder, imported.files)
+
+
+def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
+    """What is subtracted from times since 1970, ns: as the mapping says, else the whole second before the first one."""
+    since = {part.section.table: s for part in parts for s in part.times.values() if s.since_1970}
+    own = [(part.section, s) for part in parts for s in part.times.values() if not s.since_1970]
+    known = [int(f(s.ns[s.present])) for s in since.values() for f in (np.min, np.max)] or [0]
+    first, last = min(known), max(known)
+    if since and own:
+        section, stamp = own[0]
+        days, of_day = first // DAY, stamp.ns.max() <= DAY
+        midnight = (days if of_day else days - (days + 4) % 7) * DAY  # of the day, or of the Sunday before
+        fits = stamp.ns.max() <= WEEK and midnight + stamp.ns[0] <= last and midnight + stamp.ns[-1] >= first
+        write = "time_s = { column = ..., offset = SECONDS }"
+        if fits:
+            write = f'`date = "{iso(midnight)[:10]}"`, as they are of the {"day" if of_day else "week of GPS"},'
+        raise section.error(
+            "time_s",
+            f"the times of [{section.table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
+            f"write {write} in [{section.table}] of the mapping",
+        )
+    if mapping.time_zero is not None:
+        zero = parse_zero(mapping.time_zero)
+        if zero is None:
+            raise mapping.error(
+                "",
+                "time_zero",
+                f"{mapping.time_zero!r} is not possible; expected a time of ISO 8601 such as "
+                '"2020-05-01T12:00:00Z", or seconds since 1970',
+            )
+        if not since:
+            raise mapping.error("", "time_zero", "no time of the logs is since 1970; leave time_zero out")
+    elif since:
+        zero = first // NANOSECONDS * NANOSECONDS
+    else:
+        return 0
+    seconds = f"{zero / NANOSECONDS:.9g}" if zero % NANOSECONDS else f"{zero // NANOSECONDS}"
+    notes.append(f"time_zero {iso(zero)}: {seconds} s since 1970 are subtracted from all times")
+    return zero
+
+
+def _origin(parts: Sequence[Rows], notes: list[str]) -> LocalPlane | None:
+    """The plane at [origin], else at the first latitude and longitude."""
+    candidates = [part for part in parts if {"lat_deg", "lon_deg"} <= part.numbers.keys()]
+    for part in sorted(candidates, key=lambda part: part.section.table != "origin"):
+        places = np.column_stack([part.numbers[name] for name in ("lat_deg", "lon_deg")])
+        lat, lon = places[np.argmax(places.any(axis=1))].tolist()  # a receiver without a fix writes 0, 0
+        try:
+            plane = LocalPlane(lat, lon)
+        except OptionError as error:
+            raise part.section.error("lat_deg", str(error)) from error
+        if part.section.table != "origin" or part.section.used:
+            notes.append(f"the origin x = y = 0 is the first place of [{part.section.table}]: {lat!r}, {lon!r} deg")
+        return plane
+    for part in parts:
+        if {"lat_deg", "lon_deg"} & part.numbers.keys():
+            raise part.section.error("lat_deg", "lat_deg and lon_deg belong together; one is missing")
+    return None
+
+
+def _text(parts: Sequence[Rows], zero: int, origin: LocalPlane | None) -> tuple[bytes, int]:
+    """A table and its number of rows, of one or more sections."""
+    table = parts[0].section.table
+    columns = [_columns(part, zero, origin) for part in parts]
+    for part, own in zip(parts, columns, strict=True):
+        if own.keys() != columns[0].keys():
+            other = sorted(own.keys() ^ columns[0].keys())[0]
+            raise part.section.error("", f"one section [[{table}]] has {other} and another has not; give it in all")
+    names = [name for name in COLUMNS[table] if name in columns[0]]
+    merged = {name: np.concatenate([np.asarray(own[name]) for own in columns]) for name in names}
+    count = len(merged[names[0]])
+    order = np.arange(count)
+    if len(parts) > 1 and "time_s" in merged:
+        order = np.argsort(merged["time_s"], kind="stable")
+    _refuse_whole(parts[0].section, merged)
+    for name in names:
+        if name in (*WHOLE, "valid"):
+            merged[name] = merged[name].astype(np.int64)
+    return csv_text(names, *(_cells(merged[name][order]) for name in names)), count
+
+
+def _columns(part: Rows, zero: int, origin: LocalPlane | None) -> dict[str, npt.ArrayLike]:
+    """The columns of a section with times from the zero of the mission and places on its plane."""
+    numbers: dict[str, npt.ArrayLike] = {**part.numbers, **part.words}
+    numbers |= {name: stamp.relative(zero) for name, stamp in part.times.items()}
+    if "lat_deg" in part.numbers and "lat_deg" not in COLUMNS[part.section.table]:
+        assert origin is not None
+        try:
+            place = origin.local(numbers.pop("lat_deg"), numbers.pop("lon_deg"))
+        except OptionError as error:
+            raise part.section.error("lat_deg", str(error)) from error
+        numbers |= {"x_m": place[:, 0], "y_m": place[:, 1]}
+    return numbers
+
+
+def _refuse_whole(section: Section, merged: dict[str, Array]) -> None:
+    """Refuse a number of a pose or a landmark that is not whole, and times that are constants."""
+    for name in WHOLE:
+        if name in merged and (bad := (merged[name] != np.rint(merged[name])) | (np.abs(merged[name]) > LARGEST)).any():
+            k = int(np.argmax(bad))
+            raise section.error(name, f"{name} is {float(merged[name][k])!r}; expected whole numbers, up to 2^53")
+    timed = [section.cells[name] for name in TIMES if name in section.cells]
+    if section.used and any(not cell.columns and cell.row is None for cell in timed):
+        raise section.error("time_s", "time_s is a constant, and times rise; name the column of the log")
+
+
+def _cells(column: Array) -> npt.ArrayLike:
+    """Cells of a CSV file; words with a comma or a quotation mark stand in quotation marks."""
+    if column.dtype.kind != "U":
+        return column
+    return ['"' + word.replace('"', '""') + '"' if "," in word or '"' in word else word for word in column.tolist()]
+
+
+def _missing(tables: set[str]) -> str:
+    """The note on what a mission still needs."""
+    of_sonar = ("contacts", "sonar") if tables & {"contacts", "sonar"} else ()
+    absent = [f"{name}.csv" for name in (*needed(tables), *of_sonar) if name not in tables]
+    if not absent:
+        return ""
+    walk = "write `sigma_walk_m_sqrt_s = 0.5` in [motion] of the mapping: meters that the vehicle may go in a second"
+    walk = f"; without a DVL {walk}" if "dvl.csv" in absent else ""
+    needs = f"nls solve needs {', '.join(absent)} besides"
+    return f"{needs}: give the sections, or the files (nls new writes templates){walk}"
+
+
+def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequence[str]) -> bytes:
+    """What the folder is made of, for people."""
+    lines = [
+        "A mission, made by nls import.",
+        "Axes of the world: x north, y east, z down. Of the body: x ahead, y to starboard, z down. SI units.",
+        "",
+        *(f"log      {path}" for path in sources.paths.values()),
+        f"mapping  {mapping.path}",
+        *(f"table    {name}.csv: {several(count, 'row')}" for name, count in rows.items()),
+        *(f"note     {note}" for note in notes),
+        "",
+        "The mapping:",
+        "",
+        mapping.text.rstrip("\n"),
+    ]
+    return (visible("\n".join(lines)) + "\n").encode()

@@ -1,5 +1,0 @@
-"""Contacts without names: which of them are of one landmark."""
-
-from nls.sonar.contacts.associate import Associated, associate
-
-__all__ = ["Associated", "associate"]

@@ -1,0 +1,80 @@
+"""Mission folders of every kind, made of a right log; and a dive with fixes at its begin and its end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.algebra import Array
+from nls.missions.checks import Fixes, Log
+from nls.missions.folder.table import csv_text
+from tests.nls.missions.checks.vehicle import clean
+from tests.nls.missions.folder.mission_files import RAW
+
+__all__ = ["dive", "files_of", "kinds", "path_of", "with_fixes"]
+FIXES = ["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"]
+
+
+def files_of(log: Log) -> dict[str, str]:
+    """The files of a log without its fixes."""
+    names = list(log.sigmas)
+    tables = {
+        "dvl": csv_text(RAW["dvl"], log.t_v, log.v, log.valid.astype(int)),
+        "ahrs": csv_text(RAW["ahrs"], log.t_a, log.rpy),
+        "depth": csv_text(RAW["depth"], log.t_z, log.z),
+        "noise": csv_text(names, np.array([[log.sigmas[name] for name in names]])),
+    }
+    return {name: text.decode() for name, text in tables.items()}
+
+
+def with_fixes(log: Log) -> dict[str, str]:
+    """The files of a log and its fixes."""
+    return files_of(log) | {"fixes": fixes_of(log)}
+
+
+def fixes_of(log: Log) -> str:
+    fixes = log.fixes
+    assert fixes is not None
+    sigma = np.column_stack([fixes.sigma, fixes.sigma]) / np.sqrt(2)
+    return csv_text(FIXES, fixes.t, fixes.p, sigma).decode()
+
+
+def path_of(log: Log) -> dict[str, str]:
+    """A path by dead reckoning, with depth and heading, and the fixes."""
+    thin = log.thinned()
+    z, yaw = np.interp(thin.t_v, log.t_z, log.z), np.interp(thin.t_v, log.t_a, np.unwrap(log.rpy[:, 2]))
+    yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
+    start = np.zeros(2) if log.fixes is None else log.fixes.p[0]
+    names = ["time_s", "x_m", "y_m", "z_m", "yaw_rad", "sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_yaw_rad"]
+    sigmas = np.tile([0.05, 0.05, 0.05, 0.01], (len(z), 1))
+    table = csv_text(names, thin.t_v, thin.way()[:, :2] + start, z, yaw, sigmas).decode()
+    return {"path": table} | ({"fixes": fixes_of(log)} if log.fixes else {})
+
+
+def kinds(log: Log) -> dict[str, dict[str, str]]:
+    """The files of a mission of every kind by its name."""
+    motion = {"motion": "sigma_walk_m_sqrt_s\n1.0\n", "fixes": fixes_of(log)}
+    return {"log": with_fixes(log), "path": path_of(log), "motion": motion}
+
+
+def dive(seed: int, on_deck: float = 0.0, minutes: float = 12.0) -> Log:
+    """A dive with fixes in its first and last six seconds, and `on_deck` seconds before and after it."""
+    log = clean(seed, minutes=minutes)
+    t, end = log.t_z, float(log.t_v[-1])
+    depth = np.clip(0.25 * np.minimum(t - 6.0, end - 6.0 - t), 0.0, 12.0) + 0.02 * np.sin(t)
+    w = np.gradient(np.interp(log.t_v, t, depth), log.t_v)
+    v = np.array(log.v)
+    v[:, 2] = w
+    level = replace(log, v=v, rpy=log.rpy * [0, 0, 1], z=np.asarray(depth))
+    way = level.way()
+    t_f = np.concatenate([np.arange(-on_deck, 6.5), np.arange(end - 6.0, end + on_deck + 0.5)])
+    p = np.column_stack([np.interp(t_f, log.t_v, column) for column in way[:, :2].T])
+    p += np.random.default_rng(seed).normal(0, 0.3, p.shape)
+    return replace(level, fixes=Fixes(t_f, p, np.full(len(t_f), 0.42), ("x_m", "y_m"), np.arange(len(t_f))))
+
+
+def rows(text: str) -> tuple[list[str], Array]:
+    """Names and numbers of a file."""
+    lines = text.splitlines()
+    return lines[0].split(","), np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])

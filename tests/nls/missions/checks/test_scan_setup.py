@@ -1,0 +1,199 @@
+"""Wrong setups of a scan mission are named: laps in a room with a few walls, and a straight way along one."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+
+from factors.keys import kinds
+from models import SE2
+from models.algebra import Array, wrap
+from models.errors import GraphError
+from nls.graph import FactorGraph
+from nls.missions.checks.scan_mounting import corrected
+from nls.missions.checks.scan_setup import most_are_mirrored
+from nls.missions.checks.scan_sigmas import Fit, fits
+from nls.missions.checks.scan_words import observable, record, sentence
+from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
+from nls.values import Values
+
+WALLS = [[0, 0, 44, 0], [44, 0, 44, 30], [44, 30, 0, 30], [0, 30, 0, 0], [12, 10, 16, 14], [26, 16, 33, 16]]
+RAYS = np.radians(np.arange(-65, 66, 2.5)) + 0.0123  # none along a wall
+Right: TypeAlias = tuple[FactorGraph, Values, Scans, Array, Closing]
+FAR, PERIOD = 25.0, 2.0  # m, s
+STRAIGHT = np.column_stack([np.linspace(4, 40, 40), np.full(40, 6.0), np.zeros(40)])
+
+
+def laps() -> Array:
+    """A lap and a half (66, 3), m and rad."""
+    a = np.linspace(0, 3 * np.pi, 66, endpoint=False)
+    p = np.column_stack([22 + 14 * np.cos(a) * (1 + 0.15 * np.sin(3 * a)), 15 + 8 * np.sin(a) + 1.5 * np.sin(5 * a)])
+    v = np.gradient(p, axis=0)
+    return np.column_stack([p, np.unwrap(np.arctan2(v[:, 1], v[:, 0]))])
+
+
+def view(sensors: Array) -> tuple[Array, Array, Array]:
+    """Pose, range and azimuth (n,) of the nearest wall along every ray from poses (k, 3)."""
+    walls = np.array(WALLS, dtype=float)
+    a, d = walls[:, :2], walls[:, 2:] - walls[:, :2]
+    azimuth = sensors[:, 2, None] + RAYS
+    u, v = np.cos(azimuth)[..., None], np.sin(azimuth)[..., None]
+    w = (a - sensors[:, None, :2])[:, None]
+    cross = u * d[:, 1] - v * d[:, 0]
+    s, along = (w[..., 0] * d[:, 1] - w[..., 1] * d[:, 0]) / cross, (w[..., 0] * v - w[..., 1] * u) / cross
+    r = np.where((s > 0) & (along >= 0) & (along <= 1), s, np.inf).min(axis=-1)
+    i, j = np.nonzero(r < FAR)
+    return i, r[i, j], RAYS[j]
+
+
+def mission(
+    X: Array, mount: tuple[float, float, float] = (0.0, 0.0, 0.0), late: float = 0.0
+) -> tuple[FactorGraph, Values, Scans, Array]:
+    """Dead reckoning with a drift of 5 % and a compass, scans by a sensor at a mount, stamped late; and the times."""
+    rng = np.random.default_rng(0)
+    t = PERIOD * np.arange(len(X)) + rng.uniform(-0.3, 0.3, len(X))
+    there = np.column_stack([np.interp(t - late, t, column) for column in X.T])
+    k, r, azimuth = view(SE2.compose(there, np.broadcast_to(mount, X.shape)))
+    r = r + rng.normal(0, 0.05, len(r))
+    step = SE2.between(X[:-1], X[1:])[:, :2]
+    step = step + 0.05 * np.linalg.norm(step, axis=1)[:, None] * [1.0, 0.0] + rng.normal(0, 0.03, step.shape)
+    yaw = X[:, 2] + rng.normal(0, 0.01, len(X))
+    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    way = np.column_stack([cos * step[:, 0] - sin * step[:, 1], sin * step[:, 0] + cos * step[:, 1]])
+    reckoned = np.column_stack([X[0, :2] + np.vstack([np.zeros(2), np.cumsum(way, axis=0)]), wrap(yaw)])
+    points = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)])
+    graph, values = dead_reckoning(reckoned, Drift(step=0.05, yaw=0.02, heading=0.01))
+    return graph, values, Scans(points, k, len(X)), t
+
+
+@pytest.fixture(scope="module")
+def right() -> Right:
+    graph, values, scans, t = mission(laps())
+    return graph, values, scans, t, close(graph, values, scans, rounds=1)
+
+
+def test_a_right_setup_gives_no_finding(right: Right) -> None:
+    graph, values, scans, t, _ = right
+    assert check_setup(graph, values, scans, times=t) == []
+
+
+def test_mirrored_azimuths_are_named(right: Right) -> None:
+    graph, values, scans, t, _ = right
+    (finding,) = check_setup(graph, values, scans.mirrored(), times=t)
+    assert finding.kind is SetupKind.MIRRORED
+    assert finding.numbers["mirrored"] > 10 * finding.numbers["given"]
+    assert 'azimuth = "left" or "right"' in sentence(finding)
+
+
+def test_a_mirror_needs_steps_and_most_of_them() -> None:
+    counts = [(0, 9), (3, 10), (10, 30), (10, 31)]
+    assert [most_are_mirrored(*pair) for pair in counts] == [False, True, False, True]
+
+
+def test_scans_without_points_say_nothing() -> None:
+    graph, values = dead_reckoning(STRAIGHT)
+    scans = Scans(np.zeros((0, 2)), np.zeros(0, dtype=int), len(STRAIGHT))
+    assert check_setup(graph, values, scans, times=np.arange(40.0)) == []
+    assert not mounting(graph, values, scans).determined.any()
+
+
+def test_the_mounting_is_estimated() -> None:
+    graph, values, scans, _ = mission(laps(), mount=(1.5, -0.8, 0.0))
+    estimate = mounting(graph, values, scans)
+    assert (np.abs(estimate.value[:3] - [1.5, -0.8, 0.0]) < 3 * estimate.sigma[:3]).all()
+    assert (estimate.sigma[:2] < 0.4).all()
+    assert estimate.wrong[0]
+    assert corrected(scans, estimate, values).mount[0] == pytest.approx(estimate.value[0])
+
+
+def test_a_sensor_ahead_is_named() -> None:
+    graph, values, scans, _ = mission(laps())
+    (finding,) = check_setup(graph, values, scans.at([2.0, 0.0, 0.0]))
+    assert finding.kind is SetupKind.MOUNTING
+    assert record(finding)["numbers"]["component"] == "x"
+    assert abs(finding.numbers["mount"][0]) < 3 * finding.numbers["sigma"]
+    assert "place of the sonar ahead looks wrong by -" in sentence(finding)
+
+
+def test_a_turned_sonar_and_a_drift_to_the_side_are_not_told_apart() -> None:
+    graph, values, scans, _ = mission(laps(), mount=(0.0, 0.0, 0.2))
+    (finding,) = check_setup(graph, values, scans)
+    assert finding.kind is SetupKind.TURNED
+    assert abs(finding.numbers["value"] - 0.2) < 3 * finding.numbers["sigma"]
+    assert "looks the same in scans" in sentence(finding)
+
+
+def test_a_late_clock_is_named() -> None:
+    graph, values, scans, t = mission(laps(), late=1.0)
+    (finding,) = check_setup(graph, values, scans, times=t)
+    assert finding.kind is SetupKind.TIME_OFFSET
+    assert abs(finding.numbers["value"] - 1.0) < 3 * finding.numbers["sigma"]
+    assert "s late against the track: subtract" in sentence(finding)
+
+
+def test_scans_of_a_late_clock_are_moved_to_their_poses(right: Right) -> None:
+    _, values, scans, t, _ = right
+    late = np.array([0.0, 0.0, 0.0, 2.0])
+    estimate = Mounting(50, late, 0.1 * np.ones(4), 10 * np.ones(4), np.zeros(3), float("nan"), (0.0, 1.0))
+    before, after = (SE2.between(values[kinds("x")[0]][[9]], values[kinds("x")[0]][[k]]) for k in (8, 10))
+    v = SE2.log(SE2.compose(SE2.inverse(before), after)) / (t[10] - t[8])
+    moved = corrected(scans, estimate, values, t)[9]
+    np.testing.assert_allclose(moved, SE2.act(np.repeat(SE2.exp(-2.0 * v), len(moved), axis=0), scans[9]))
+
+
+def test_a_straight_way_determines_no_lever_arm() -> None:
+    graph, values, scans, _ = mission(STRAIGHT)
+    estimate = mounting(graph, values, scans)
+    assert estimate.steps > 20
+    assert not estimate.determined[:2].any()
+    assert observable(estimate)[0].startswith("place of the sonar ahead: not determined by")
+
+
+def test_sigmas_of_steps_and_closures(right: Right) -> None:
+    graph, values, scans, _, closing = right
+    shown = {fit.name: fit for fit in fits(graph, closing)}
+    assert list(shown) == ["steps", "drifts", "closures"]
+    assert sum(fit.dof for fit in shown.values()) < closing.result.dof
+    exact = [f for f in check_setup(graph, values, scans, closing) if f.kind is SetupKind.SIGMAS_TOO_LARGE]
+    assert {f.numbers["measurements"] for f in exact} <= {"drifts", "closures"}
+    assert all("times too large: chi2" in sentence(f) for f in exact)
+    doubtful = [Fit("closures", *numbers) for numbers in ((24.0, 100.0), (26.0, 100.0), (410.0, 100.0), (2.0, 10.0))]
+    assert [fit.too_large for fit in doubtful] == [True, False, False, False]
+    assert [fit.too_small for fit in doubtful] == [False, False, True, False]
+    assert not Fit("steps", 1.0, 100.0).too_large, "their yaw and the heading are one number"
+
+
+def test_times_have_to_rise(right: Right) -> None:
+    graph, values, scans, t, _ = right
+    with pytest.raises(GraphError, match=r"times: .*one rising number"):
+        mounting(graph, values, scans, t[::-1])
+
+
+def test_what_is_wrong_is_far_in_sigmas_and_in_meters() -> None:
+    value, sigma = np.array([0.6, 0.4, 0.5, np.nan]), np.array([0.1, 0.1, 0.2, np.nan])
+    before = np.array([2.0, 2.0, 0.17, 10.0])
+    estimate = Mounting(50, value, sigma, before, np.zeros(3), float("nan"), (float("nan"), float("nan")))
+    assert estimate.wrong.tolist() == [True, False, False, False]
+
+
+def test_clutter_is_named() -> None:
+    """Random points close loops by chance; no scan shows those of the scan before it."""
+    graph, values, scans, t = mission(laps())
+    rng, n = np.random.default_rng(0), 25 * len(scans)
+    r, azimuth = rng.uniform(1, 20, n), rng.uniform(-1.1, 1.1, n)
+    points = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)])
+    clutter = Scans(points, np.repeat(np.arange(len(scans)), 25), len(scans))
+    (finding,) = check_setup(graph, values, clutter, times=t)
+    assert finding.kind is SetupKind.UNREPEATED
+    assert finding.numbers["fit"] < 0.25 * finding.numbers["scans"]
+    assert "Closures of such points are chance" in sentence(finding)
+
+
+def test_dead_reckoning_alone_says_nothing_of_its_sigmas() -> None:
+    """Without a closure all residuals are 0."""
+    k = np.arange(60.0)
+    graph, values = dead_reckoning(np.column_stack([k, 0.1 * k, 0.01 * k]))
+    empty = Scans(np.zeros((0, 2)), np.zeros(0, dtype=int), 60)
+    assert check_setup(graph, values, empty, close(graph, values, empty)) == []

@@ -1,0 +1,162 @@
+"""Sensors that are off are found out by positions: as variables within their sigmas, as constants exactly."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import nls
+from factors.keys import Kind
+from models.algebra import Array
+from models.errors import GraphFileError
+from nls import Values
+from nls.cli import main
+from nls.missions.folder.table import csv_text
+from tests.nls.missions.folder.mission_files import folder, raw
+from tests.nls.missions.folder.surveys import Survey, away
+
+OFF = {"dvl_scale": 0.01, "dvl_yaw_rad": np.radians(1.0), "ahrs_clock_s": 0.3}
+PRIOR = {"dvl_scale": (0.0, 0.02), "dvl_yaw_rad": (0.0, 0.05), "ahrs_clock_s": (0.0, 0.5)}
+ARM = np.array([0.8, -0.3, 0.4])
+
+
+def solved(
+    survey: Survey, path: Path, calibration: dict[str, tuple[float, float]], **how: object
+) -> tuple[Values, nls.Marginals]:
+    graph, values, _ = survey.load(path, calibration, **how)  # type: ignore[arg-type]
+    result = graph.optimize(values)
+    assert result.converged
+    return result.values, nls.Marginals(graph, result.values)
+
+
+def of(name: str, values: Values, marginals: nls.Marginals) -> tuple[Array, Array]:
+    """Estimates and sigmas of the variables of a kind."""
+    return np.asarray(values.stack(name).X)[:, 0], np.sqrt(marginals.all(Kind(name))[:, 0, 0])
+
+
+def test_constants_are_taken_out(tmp_path: Path) -> None:
+    off = {**OFF, "declination_rad": 0.1}
+    survey = Survey(None, arm=ARM, **off)
+    _, dead, _ = survey.load(tmp_path / "m", {name: (value, 0.0) for name, value in off.items()}, fixes=0)
+    assert list(dead.stacks) == ["x"]
+    assert away(survey, dead).max() < 0.01
+    assert away(survey, survey.load(tmp_path / "n", {}, fixes=0)[1]).max() > 1.0
+
+
+@pytest.mark.parametrize("name", [*OFF, "declination_rad"])
+def test_one_is_found_without_noise(name: str, tmp_path: Path) -> None:
+    true = {**OFF, "declination_rad": 0.1}[name]
+    survey = Survey(None, arm=ARM, **{name: true})
+    for k, believed in enumerate((0.0, 0.8 * true)):
+        values, marginals = solved(survey, tmp_path / str(k), {name: (believed, 100 * abs(true))})
+        assert of(name, values, marginals)[0] == pytest.approx(true, rel=0.02)
+        assert away(survey, values).max() < 0.05
+
+
+def test_three_are_found_within_their_sigmas(tmp_path: Path) -> None:
+    off = []
+    for seed in range(5):
+        survey = Survey(seed, arm=ARM, **OFF)
+        values, marginals = solved(survey, tmp_path / str(seed), PRIOR)
+        for name, true in OFF.items():
+            estimate, sigma = of(name, values, marginals)
+            assert sigma < 0.25 * PRIOR[name][1]
+            off.append(float((estimate - true)[0] / sigma[0]))
+    assert max(map(abs, off)) < 3
+    low, high = stats.chi2.ppf([0.005, 0.995], len(off))
+    assert low < np.square(off).sum() < high
+
+
+def test_a_straight_way_without_positions_determines_none(tmp_path: Path) -> None:
+    values, marginals = solved(Survey(0, straight=True, arm=ARM, **OFF), tmp_path / "m", PRIOR, fixes=0)
+    for name, (_, prior) in PRIOR.items():
+        assert of(name, values, marginals)[1] == pytest.approx(prior, rel=1e-3)
+
+
+def test_positions_determine_declination_and_mounting_only_together(tmp_path: Path) -> None:
+    calibration = {"dvl_yaw_rad": (0.0, 0.1), "declination_rad": (0.0, 0.1)}
+    values, marginals = solved(Survey(0, dvl_yaw_rad=0.02, declination_rad=0.03), tmp_path / "m", calibration)
+    (a, sigma_a), (d, sigma_d) = (of(name, values, marginals) for name in calibration)
+    assert sigma_a == pytest.approx(0.1 / np.sqrt(2), rel=0.03)
+    assert sigma_d == pytest.approx(0.1 / np.sqrt(2), rel=0.03)
+    assert a + d == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_bias_of_a_gyro_is_found_and_the_heading_with_it(tmp_path: Path) -> None:
+    normalized = []
+    for seed in range(4):
+        survey = Survey(seed, gyro_bias=0.002)
+        values, marginals = solved(survey, tmp_path / str(seed), {}, gyro=True)
+        bias, sigma = of("gyro_bias", values, marginals)
+        assert len(bias) == 4
+        assert np.abs(bias - 0.002).max() < 3 * sigma.max() < 3e-4
+        normalized.append(np.square((bias - 0.002) / sigma).mean())
+    assert np.mean(normalized) < stats.chi2.ppf(0.995, 4) / 4
+    exact = Survey(None)
+    _, dead, _ = exact.load(tmp_path / "exact", {}, gyro=True)
+    assert away(exact, dead).max() < 0.02, "the yaw of an exact gyro is the yaw"
+
+
+def test_calibrations_without_an_effect_are_refused(tmp_path: Path) -> None:
+    survey = Survey(0)
+    with pytest.raises(GraphFileError, match=r"calibration\.csv:2: .* has a declination_rad"):
+        survey.load(tmp_path / "gyro", {"declination_rad": (0.1, 0.0)}, gyro=True)
+    with pytest.raises(GraphFileError, match=r"calibration\.csv:2: .*no calibration is called 'dvl_scal'"):
+        nls.load(folder(tmp_path / "m", {**raw(), "calibration": "name,value,sigma\ndvl_scal,0,0.01\n"}))
+
+
+def test_a_hole_in_the_log_of_a_gyro_is_an_even_turn_less_well_known(tmp_path: Path) -> None:
+    survey, files = Survey(0), Survey(0).tables(gyro=True)
+    names, (t, w) = files["gyro"]
+    keep = (np.asarray(t) < 60.3) | (np.asarray(t) > 63.4)
+    text = csv_text(names, np.asarray(t)[keep], np.asarray(w)[keep]).decode()
+    graph, _, report = survey.load(tmp_path / "m", {}, gyro=True, replace={"gyro": text})
+    steps = graph.factors[0]
+    sigma = 1 / steps.noise.sqrt_information(len(steps), ("x", "y", "yaw"))[:, 2, 2]
+    hole = np.abs(np.arange(len(sigma)) - 58.5) < 2
+    assert sigma[hole].min() > 20 * np.median(sigma)
+    assert sigma[~hole].max() < 2 * np.median(sigma)
+    assert any("turn evenly from row to row" in note for note in report.notes)
+
+
+def test_gyro_and_compass_are_refused_together_and_missed_apart(tmp_path: Path) -> None:
+    files = {n: csv_text(names, *c).decode() for n, (names, c) in Survey(0).tables(gyro=True).items()}
+    without = {name: text for name, text in files.items() if name != "gyro"}
+    sigma_yaw = {"noise": raw()["noise"]}
+    for k, (tables, problem) in enumerate(
+        (
+            ({**files, "ahrs": raw()["ahrs"]}, r"gyro\.csv: gives the yaw, and ahrs\.csv has a column yaw_rad"),
+            ({**without, **sigma_yaw}, r"ahrs\.csv: has no column 'yaw_rad', and there is no gyro\.csv"),
+            ({**files, **sigma_yaw}, r"noise\.csv:2: there is no column sigma_w_rad_s_sqrt_hz, which gyro\.csv needs"),
+            ({**files, "gyro": "time_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0,0,300\n"}, r"wz_rad_s is 300\.0; expected rad"),
+        )
+    ):
+        with pytest.raises(GraphFileError, match=problem):
+            nls.load(folder(tmp_path / str(k), tables))
+
+
+def test_solve_says_which_calibrations_the_data_determine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reports = {}
+    for name, straight, fixes in (("turns", False, 20), ("straight", True, 0)):
+        survey = Survey(0, straight=straight, arm=ARM, **OFF)
+        survey.load(tmp_path / name, PRIOR, fixes=0)
+        if fixes:
+            i = np.arange(0, 240, fixes)
+            rows = [[k, *survey.p[(3 + k) * 200, :2], survey.rpy[(3 + k) * 200, 2], 0.2, 0.2, 0.5] for k in i.tolist()]
+            names = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
+            lines = [names] + [f"{row[0]}," + ",".join(repr(float(item)) for item in row[1:]) for row in rows]
+            (tmp_path / name / "anchor.csv").write_text("\n".join(lines) + "\n")
+        assert main(["solve", str(tmp_path / name), "--json", str(tmp_path / f"{name}.json")]) == 0
+        out = capsys.readouterr().out
+        reports[name] = json.loads((tmp_path / f"{name}.json").read_text())["mission"]["calibrations"]
+        assert out.count("not determined by these data") == (3 if straight else 0)
+        assert [c["name"] for c in reports[name]] == list(PRIOR)
+    for c in reports["turns"]:
+        assert c["determined"]
+        assert c["share"] == pytest.approx(c["sigma"] / PRIOR[c["name"]][1])
+        assert abs(c["value"] - OFF[c["name"]]) < 3 * c["sigma"]
+    assert all(c["share"] == pytest.approx(1.0, abs=1e-3) for c in reports["straight"])

@@ -1,0 +1,118 @@
+"""Raw logs: how long a track they make, and that no reading counts twice in its covariances."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import nls
+from factors import XYH
+from models import SE3, euler
+from models.manifolds.so3 import rotation3
+from nls import GraphFileError
+from nls.missions.folder.table import csv_text
+from tests.nls.io.g2o_files import assert_refused
+from tests.nls.missions.folder.mission_files import RAW, folder, raw
+
+(x,) = nls.kinds("x")
+
+
+def log(t: np.ndarray, valid: np.ndarray | None = None) -> dict[str, str]:
+    """1 m/s ahead at times t."""
+    ones, zeros = np.ones((len(t), 1)), np.zeros((len(t), 3))
+    valid = np.ones(len(t), dtype=int) if valid is None else valid.astype(int)
+    rows = {
+        "dvl": (t, np.hstack([ones, zeros[:, 1:]]), valid),
+        "ahrs": (t, zeros),
+        "depth": (t, 2 * ones),
+        "noise": ([[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]],),
+    }
+    return {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}
+
+
+def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
+    assert 12.46 + 68.0 > 80.46  # what floor() of the difference, 68.0, would make a pose of
+    for first, last, poses in ((12.46, 80.46, 68), (0.1, 80.1, 81), (0.0, 3.0, 4)):
+        t = np.append(np.arange(first, last - 0.1, 0.5), last)
+        _, values, report = nls.load(folder(tmp_path / "m", log(t)))
+        times = report.vertex_times["x"]
+        assert (len(values), len(times)) == (poses, poses)
+        assert times[0] == first
+        assert last - 1 < times[-1] <= last
+
+
+def test_rows_without_bottom_lock_at_the_ends_are_left_out(tmp_path: Path) -> None:
+    t = np.arange(0.0, 30.1, 0.5)
+    valid = (t >= 2.5) & (t <= 28.0) & (t != 10.0)
+    _, values, report = nls.load(folder(tmp_path / "m", log(t, valid)))
+    assert report.vertex_times["x"].tolist() == np.arange(2.5, 28.1).tolist()
+    assert np.ptp(SE3.position(values[x])[:, 0]) == pytest.approx(25.0)
+    assert "the DVL has no bottom lock in its first 2.5 s and its last 2 s: left out" in report.notes
+    for poses, line in (("0,2.0\n1,9.0\n", 2), ("0,2.5\n1,28.5\n", 3)):
+        place = folder(tmp_path / "poses", log(t, valid), poses=f"i,time_s\n{poses}")
+        assert_refused(line, "dvl.csv with bottom lock 2.5 to 28.0 s", nls.load, place)
+    _, values, _ = nls.load(folder(tmp_path / "poses", log(t, valid), poses="i,time_s\n0,2.5\n1,28.0\n"))
+    assert np.ptp(SE3.position(values[x])[:, 0]) == pytest.approx(25.5)
+
+
+def test_logs_too_short_and_too_long(tmp_path: Path) -> None:
+    t = np.arange(0.0, 3.1, 0.5)
+    for count in (0, 1):
+        with pytest.raises(GraphFileError, match=rf"dvl\.csv: {count} of 7 rows are valid; expected two"):
+            nls.load(folder(tmp_path / "m", log(t, np.arange(7) < count)))
+    with pytest.raises(GraphFileError, match=r"dvl\.csv: the logs last 1\.7e\+12 s"):
+        nls.load(folder(tmp_path / "m", log(np.array([0.0, 1e12, 1.7e12]))))
+
+
+def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_path: Path) -> None:
+    found = []
+    for sigma_yaw in ("0.01", "0.3"):
+        files = raw()
+        files["noise"] = files["noise"].replace("0.002,0.01,0.05", f"0.002,{sigma_yaw},0.05")
+        graph, _, _ = nls.load(folder(tmp_path / sigma_yaw, files))
+        assert isinstance(graph.factors[0], XYH)
+        found.append(graph.factors[0].noise.sqrt_information(len(graph.factors[0]), ("x", "y", "yaw")))
+        assert not found[-1][:, 2].any()
+        assert not found[-1][:, :, 2].any()
+    assert found[0] == pytest.approx(found[1], rel=1e-9)  # the noise of the heading is in Heading alone
+    Sigma = np.linalg.inv(found[0][5, :2, :2].T @ found[0][5, :2, :2])
+    dt, n = 0.25, 5  # samples of 1/8, 1/4, 1/4, 1/4, 1/8 s in a leg of 1 s at 1 m/s, 0.2 % of it by the scale
+    white = 0.01**2 * dt**2 * (n - 1)  # the samples at its ends, half in either leg, count by half, not a quarter
+    assert Sigma[0, 0] == pytest.approx(white + 0.002**2, rel=1e-3)
+    assert Sigma[1, 1] == pytest.approx(white, rel=1e-2)
+
+
+def test_yaw_is_as_well_known_as_its_covariance_says(tmp_path: Path) -> None:
+    """NEES over 40 draws: of the yaw within 95 % bounds, of the place at the end not above them."""
+    draws, sigma_v, sigma_tilt, sigma_yaw, sigma_z = 40, 0.005, 0.002, 0.02, 0.01
+    fine = np.linspace(0.0, 12.0, 24001)
+    rpy = np.column_stack([0.05 * np.sin(0.5 * fine), 0.05 * np.cos(0.4 * fine), 0.6 * np.sin(0.2 * fine)])
+    v = np.column_stack([np.full(len(fine), 0.5), 0.05 * np.sin(fine), np.zeros(len(fine))])
+    world = np.einsum("nij,nj->ni", rotation3(euler.quaternion_from_angles(rpy)), v)
+    p = np.zeros((len(fine), 3))
+    p[1:] = np.cumsum(0.5 * (world[1:] + world[:-1]) * np.diff(fine)[:, None], axis=0)
+    p += [0.0, 0.0, 5.0]
+    at, poses = np.arange(0, len(fine), 1000), np.arange(0, len(fine), 2000)  # samples each 0.5 s, poses each second
+    yaw, end = [], []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        n = len(at)
+        rows = {
+            "dvl": (fine[at], v[at] + rng.normal(0, sigma_v, (n, 3)), np.ones(n, dtype=int)),
+            "ahrs": (fine[at], rpy[at] + rng.normal(0, [sigma_tilt, sigma_tilt, sigma_yaw], (n, 3))),
+            "depth": (fine[at], p[at, 2:] + rng.normal(0, sigma_z, (n, 1))),
+            "noise": ([[sigma_v, 0.0, 0.05, sigma_tilt, sigma_tilt, sigma_yaw, sigma_z]],),
+        }
+        files = {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
+        graph, values, _ = nls.load(folder(tmp_path / "m", files))
+        values = graph.optimize(values).values
+        Sigma = nls.Marginals(graph, values).all(x, view="euler")
+        e = euler.from_se3(values[x]) - np.column_stack([rpy[poses], p[poses]])
+        yaw.append(e[:, 2] ** 2 / Sigma[:, 2, 2])
+        end.append(e[-1, 3:5] @ np.linalg.solve(Sigma[-1, 3:5, 3:5], e[-1, 3:5]))
+    n = draws * len(poses)
+    assert stats.chi2.ppf(0.025, n) / n < np.mean(yaw) < stats.chi2.ppf(0.975, n) / n
+    assert 0.5 < np.mean(end) < stats.chi2.ppf(0.975, 2 * draws) / draws

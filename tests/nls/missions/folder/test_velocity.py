@@ -1,0 +1,112 @@
+"""Which rows of dvl.csv count, and the way through the water where none does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors import XYH
+from models import SE3
+from models.errors import GraphFileError
+from nls.io.report import LoadReport
+from tests.nls.missions.folder.mission_files import folder
+
+(x,) = nls.kinds("x")
+T = np.arange(0.0, 40.01, 0.2)
+
+
+def log(
+    columns: dict[str, object], noise: str = "", value: str = "", v: float = 1.0, yaw: float = 0.0
+) -> dict[str, str]:
+    """1 m/s ahead; columns of dvl.csv besides."""
+    n = len(T)
+    table = {"time_s": T, "vx_m_s": np.full(n, v), "vy_m_s": np.zeros(n), "vz_m_s": np.zeros(n), **columns}
+    cells = [[repr(item) for item in np.broadcast_to(np.asarray(column), n).tolist()] for column in table.values()]
+    rows = "\n".join(",".join(row) for row in zip(*cells, strict=True))
+    return {
+        "dvl": f"{','.join(table)}\n{rows}\n",
+        "ahrs": "time_s,roll_rad,pitch_rad,yaw_rad\n" + "".join(f"{float(t)!r},0,0,{yaw}\n" for t in T),
+        "depth": "time_s,z_m\n" + "".join(f"{float(t)!r},5\n" for t in T),
+        "noise": "sigma_v_m_s,scale,sigma_bridge_m_s_sqrt_s,sigma_roll_rad,sigma_pitch_rad,sigma_yaw_rad,sigma_z_m"
+        f"{noise}\n0.01,0,0.05,0.002,0.002,0.01,0.05{value}\n",
+    }
+
+
+def way(path: Path, files: dict[str, str]) -> tuple[float, float, LoadReport]:
+    """How far the dead reckoning ends from its begin, the largest sigma of a leg, the report."""
+    graph, values, report = nls.load(folder(path, files))
+    steps = next(factor for factor in graph.factors if isinstance(factor, XYH))
+    W = steps.noise.sqrt_information(len(steps), ("x", "y", "yaw"))
+    p = SE3.position(values.stack("x").X)
+    return float(np.linalg.norm(p[-1] - p[0])), float(1 / W[:, 0, 0].min()), report
+
+
+def test_beams_and_altitude_say_where_the_bottom_is(tmp_path: Path) -> None:
+    lost = (T > 10) & (T < 12)
+    v = np.where(lost, 77.0, 1.0)
+    reference = way(tmp_path / "valid", log({"vx_m_s": v, "valid": 1 * ~lost}))
+    for name, columns, reason in (
+        ("beams", {"beams": np.where(lost, 2, 4)}, "fewer than 3 beams on the bottom"),
+        ("altitude", {"valid": 1, "altitude_m": np.where(lost, 0.0, 9.0)}, "an altitude that is not above 0"),
+    ):
+        distance, sigma, report = way(tmp_path / name, log({"vx_m_s": v, **columns}))
+        assert (distance, sigma) == pytest.approx(reference[:2])
+        assert f"dvl.csv:53: 9 rows, this one the first, have {reason}: without bottom lock" in report.notes
+
+
+def test_a_gate_leaves_out_what_no_vehicle_does(tmp_path: Path) -> None:
+    v = np.where(np.isin(np.arange(len(T)), [50, 51, 120]), 3.0, 1.0)
+    distance, _, report = way(tmp_path / "gate", log({"vx_m_s": v, "valid": 1}, ",gate_v_m_s", ",0.5"))
+    assert distance == pytest.approx(40.0)
+    assert "dvl.csv:52: 3 rows, this one the first, have a velocity further than gate_v_m_s, 0.5 m/s" in str(
+        report.notes
+    )
+    distance, _, report = way(tmp_path / "none", log({"vx_m_s": v, "valid": 1}))
+    assert distance == pytest.approx(40.0 + 3 * 2 * 0.2)
+    assert "gate" not in str(report.notes)
+
+
+def test_each_row_has_its_sigma(tmp_path: Path) -> None:
+    one = way(tmp_path / "noise", log({"valid": 1}))[1]
+    assert way(tmp_path / "rows", log({"valid": 1, "sigma_v_m_s": 0.03}))[1] == pytest.approx(3 * one, rel=1e-6)
+    with pytest.raises(GraphFileError, match=r"dvl\.csv:2: sigma_v_m_s is 0\.0; expected a number above 0"):
+        nls.load(folder(tmp_path / "zero", log({"valid": 1, "sigma_v_m_s": 0.0})))
+
+
+def test_the_way_through_the_water_and_the_current_go_on(tmp_path: Path) -> None:
+    """Looking east over ground at 1 m/s, with a current of 0.3 m/s to the east: 0.7 m/s ahead through the water."""
+    rng = np.random.default_rng(0)
+    lost = (T > 15) & (T < 25)
+    speed = np.where(lost, 1.0 + 0.5 * np.sin(np.pi * (T - 15) / 10), 1.0)  # which no bridge knows
+    water = {"water_vx_m_s": speed - 0.3 + rng.normal(0, 0.02, len(T)), "water_vy_m_s": 0.0, "water_vz_m_s": 0.0}
+    files = log({"vx_m_s": np.where(lost, 0.0, speed), "valid": 1 * ~lost, **water}, yaw=np.pi / 2)
+    distance, sigma, report = way(tmp_path / "water", files)
+    assert distance == pytest.approx(40 + 10 / np.pi, abs=0.15)
+    assert "the velocity through the water and the current, north " in str(report.notes)
+    assert "east 0.3" in str(report.notes)
+    assert sigma < 0.2
+    legs, spread = 10, 0.02  # the whole of the loss: its 49 rows have the error of the current in common
+    assert sigma * np.sqrt(legs) == pytest.approx(spread * 10, rel=0.25)
+    blind = {**water, "water_valid": 1 * lost}
+    distance, _, report = way(
+        tmp_path / "alone", log({"vx_m_s": np.where(lost, 0, speed), "valid": 1 * ~lost, **blind})
+    )
+    assert distance == pytest.approx(40.0)
+    assert "is not used: fewer than two rows have both" in str(report.notes)
+
+
+def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
+    through = {"water_vx_m_s": 1.0, "water_vy_m_s": 0.0, "water_vz_m_s": 0.0}
+    for k, (columns, problem) in enumerate(
+        (
+            ({}, r"dvl\.csv: has no column 'valid' and none 'beams'"),
+            ({"beams": -1}, r"dvl\.csv:2: beams is -1; expected how many see the bottom"),
+            ({"beams": 2}, r"dvl\.csv: 0 of 201 rows are valid"),
+            ({"valid": 1 * (np.arange(201) < 9), **through, "water_valid": 2}, r"water_valid is '2'; expected 0 or 1"),
+        )
+    ):
+        with pytest.raises(GraphFileError, match=problem):
+            nls.load(folder(tmp_path / str(k), log(columns)))

@@ -1,0 +1,245 @@
+"""Graphs as mission folders: numbers bit for bit, and a refusal for what no file has columns for."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nls
+from factors import (
+    XYH,
+    ZPR,
+    Bearing,
+    Covariance,
+    Diagonal,
+    Heading,
+    Huber,
+    Isotropic,
+    Position,
+    Prior,
+    RangeAzimuth,
+    sonar_factors,
+)
+from models import SE3, R, euler
+from models.sensors import DIDSON_HIGH
+from nls import FactorGraph, GraphError, GraphFileError, Values
+from nls.missions import MissionReport, read_mission, write_mission
+from nls.missions.folder.table import Table, csv_text
+from tests.combinations import for_all
+from tests.nls.missions.folder.mission_files import TINY, folder
+
+x, l = nls.kinds("x", "l")
+OFFSET = euler.to_se3([0.1, -0.6, 0.2, 0.3, 0.0, 0.1])
+AWKWARD = [0.1 + 0.2, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, 1e22, 1e23, 123456789012345678.0, -1e-7]
+
+
+def track(rng: np.random.Generator) -> list[Any]:
+    """Steps, depth and tilt of poses with large and negative numbers, sigmas of every form."""
+    z = rng.normal(size=(3, 3))
+    i, j = x[[-5, 0, 7]], x[[0, 7, 2**60]]
+    return [
+        XYH(i, j, z, Diagonal(yaw=rng.uniform(0.1, 1, 3), x=0.1, y=[0.1, 0.2, 0.3])),
+        XYH(x[-5], x[7], z[0], Isotropic(0.25)),
+        ZPR(x[[-5, 0, 7, 2**60]], 0.1 * rng.normal(size=(4, 3)), Diagonal(rng.uniform(0.1, 1, (4, 3)))),
+    ]
+
+
+def test_what_is_written_is_read_bit_for_bit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    z = np.column_stack([rng.uniform(1, 6, 5), rng.uniform(-0.2, 0.2, 5)])
+    contacts = sonar_factors(x[[-5, 0, 7, 0, 7]], l[[3, 3, 3, 9, 9]], z, None, DIDSON_HIGH, OFFSET)
+    anchor = [
+        Position(x[0], [1 / 3, -2.0], Isotropic(1e-3), components=("x", "y")),
+        Heading(x[0], 0.1 + 0.2, Isotropic(1e-4)),
+    ]
+    graph = FactorGraph([*track(rng), *anchor, *contacts])
+    X = euler.to_se3(rng.normal(size=(4, 6)) * 0.1)
+    truth = Values({x: (SE3, X, [7, 0, -5, 2**60]), l: (R(3), rng.normal(size=(2, 3)), [9, 3])})
+    files = write_mission(tmp_path / "a" / "m", graph, DIDSON_HIGH, OFFSET, truth, times=[0.5, -1.1, 2.3, 1e9])
+    names = ["sonar", "contacts", "odometry", "zpr", "anchor", "truth", "landmarks", "poses"]
+    assert [Path(file).name for file in files] == [f"{name}.csv" for name in names]
+    again, values, report = read_mission(tmp_path / "a" / "m")
+    assert report.sonar == DIDSON_HIGH
+    assert SE3.local(report.offset, OFFSET) == pytest.approx(np.zeros(6), abs=1e-15)
+    assert report.vertex_times["x"].tolist() == [0.5, -1.1, 2.3, 1e9]
+    with pytest.raises(GraphError, match=r"times of shape \(3,\), expected \(4,\): one of its own for each pose"):
+        write_mission(tmp_path / "a" / "m", graph, DIDSON_HIGH, OFFSET, truth, times=[0.0, 1.1, 2.3])
+    assert np.array_equal(report.truth[l[[9, 3]]], truth[l[[9, 3]]])
+    assert report.truth[x[[7, 0, -5]]] == pytest.approx(X[:3], abs=1e-15)
+    assert values.stack("x").numbers.tolist() == [-5, 0, 7, 2**60]
+    steps = next(f for f in again.factors if isinstance(f, XYH))
+    assert steps.z.tolist() == [*graph.factors[0].z.tolist(), graph.factors[1].z.tolist()]
+    assert steps.keys == (x[[-5, 0, 7, -5]], x[[0, 7, 2**60, 7]])
+    assert again.factors[1].z.tolist() == graph.factors[2].z.tolist()
+    assert again.factors[4].z.tolist() == z.tolist()
+    assert again.factors[4].noise.sigmas.tolist() == [DIDSON_HIGH.noise_sigmas.tolist()] * 5  # type: ignore[attr-defined]
+    assert again.chi2(values) == pytest.approx(graph.chi2(values), rel=1e-12)
+
+    write_mission(tmp_path / "b", again, report.sonar, report.offset, report.truth, report.vertex_times["x"])
+    for name in names:
+        one, two = ((tmp_path / where / f"{name}.csv").read_text() for where in ("a/m", "b"))
+        if name in ("sonar", "truth"):  # angles go through a quaternion
+            rows = [[line.split(",")[1:] for line in text.splitlines()[1:]] for text in (one, two)]
+            if name == "truth":
+                assert np.array(rows[0], dtype=float) == pytest.approx(np.array(rows[1], dtype=float), abs=1e-15)
+        else:
+            assert one == two
+
+
+def test_a_simulated_mission_is_the_same_after_a_file(tmp_path: Path) -> None:
+    import sim
+
+    mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=8)
+    write_mission(tmp_path / "m", mission.graph, mission.sonar, mission.offset, mission.truth)
+    graph, values, report = nls.load(tmp_path / "m")
+    assert isinstance(report, MissionReport)
+    assert report.sonar == mission.sonar
+    assert graph.summary() == mission.graph.summary()
+    apart = SE3.local(values[x], mission.start[x])  # at the first pose, depth and tilt as measured and the true ones
+    assert np.abs(apart[1:]).max() < 1e-9
+    assert np.abs(apart[0, [0, 1, 5]]).max() < 1e-3
+    assert graph.chi2(report.truth) == pytest.approx(mission.graph.chi2(mission.truth), rel=1e-9)
+
+
+def test_the_tiny_folder_is_written_as_it_was(tmp_path: Path) -> None:
+    graph, _, report = read_mission(folder(tmp_path / "m"))
+    write_mission(tmp_path / "n", graph, report.sonar, report.offset, report.truth)
+    for name, text in TINY.items():
+        if name not in ("truth", "sonar"):
+            assert (tmp_path / "n" / f"{name}.csv").read_text() == text
+
+
+def test_a_prior_is_an_anchor_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    start = euler.to_se3([0.1, 0.2, 0.5, 1.0, 2.0, 3.0])
+    prior = Prior(x[0], start, Diagonal(yaw=0.01, x=0.1, y=0.2), components=("x", "y", "yaw"))
+    write_mission(tmp_path / "m", FactorGraph([*track(rng), prior]))
+    row = (tmp_path / "m" / "anchor.csv").read_text().splitlines()[1].split(",")
+    assert [float(cell) for cell in row] == pytest.approx([0, 1.0, 2.0, 0.5, 0.1, 0.2, 0.01])
+
+
+@for_all(anchored=[True, False])
+def test_headings_of_a_compass_come_back(anchored: bool, tmp_path: Path) -> None:
+    """In the rows of their poses; the heading of an anchor is another one, also where it is of all poses."""
+    first_folder, second_folder = tmp_path / f"m{anchored}", tmp_path / f"n{anchored}"
+    rng = np.random.default_rng(7)
+    yaw, sigma, poses = rng.uniform(-3, 3, 4), rng.uniform(0.1, 1, 4), x[[-5, 0, 7, 2**60]]
+    compass = [Heading(poses[rows], yaw[rows], Diagonal(sigma[rows, None])) for rows in ([2, 0], [3, 1])]
+    anchor = [
+        Position(poses, rng.normal(size=(4, 2)), Isotropic(1e-3), components=("x", "y")),
+        Heading(poses, rng.uniform(-3, 3, 4), Isotropic(1e-4)),
+    ]
+    write_mission(first_folder, FactorGraph([*track(rng), *compass, *anchor[: 2 * anchored]]))
+    graph, _, _ = read_mission(first_folder)
+    first, *others = (factor for factor in graph.factors if isinstance(factor, Heading))
+    assert first.keys == (poses,)
+    assert (first.z.ravel().tolist(), first.noise.sigmas.ravel().tolist()) == (yaw.tolist(), sigma.tolist())  # type: ignore[attr-defined]
+    assert [h.z.ravel().tolist() for h in others] == [anchor[1].z.ravel().tolist()] * anchored
+    write_mission(second_folder, graph)
+    for name in ("zpr", "anchor")[: 1 + anchored]:
+        assert (second_folder / f"{name}.csv").read_text() == (first_folder / f"{name}.csv").read_text()
+
+
+def test_numbers_of_every_size_come_back(tmp_path: Path) -> None:
+    file = tmp_path / "depth.csv"
+    file.write_bytes(csv_text(["time_s", "z_m"], np.array([AWKWARD, AWKWARD[::-1]]).T))
+    found = Table(file, ["time_s", "z_m"]).floats("z_m", "time_s")
+    assert found.tobytes() == np.array([AWKWARD[::-1], AWKWARD]).T.tobytes()
+    with pytest.raises(GraphError, match="z_m: a number is not finite"):
+        csv_text(["i", "z_m"], [1], [[np.inf]])
+
+
+STEP = XYH(x[0], x[1], [1, 0, 0], Isotropic(1))
+TILT = ZPR(x[[0, 1]], np.zeros((2, 3)), Isotropic(1))
+SEEN = RangeAzimuth(x[0], l[0], [3, 0], Isotropic(1))
+REFUSED: list[tuple[list[Any], str]] = [
+    ([TILT], r"the graph has no factors for odometry\.csv; a mission needs XYH and ZPR"),
+    ([STEP], r"the graph has no factors for zpr\.csv"),
+    ([STEP, TILT, SEEN], "the graph has contacts; give the sonar that saw them"),
+    ([STEP, TILT, Bearing(x[0], l[0], [[0, 0]], Isotropic(1))], r"Bearing\(x0, l0\) has no file in a mission folder"),
+    ([STEP.robust(Huber(1.0)), TILT], r"XYH\(x0, x1\) has no file .* a robust kernel"),
+    ([XYH(x[0], x[1], [1, 0, 0], Isotropic(1), "relative"), TILT], "odometry.csv holds the levelled form"),
+    ([XYH(x[0], x[1], [1, 0, 0], Covariance(np.eye(3))), TILT], "its noise is Covariance; files hold standard dev"),
+    ([STEP, ZPR(l[0], [0, 0, 0], Isotropic(1))], r"its variables are \['l'\], expected \['x'\]"),
+    ([STEP, TILT, RangeAzimuth(x[0], l[0], [3, 0], Isotropic(1), OFFSET)], "its offset is not the one given"),
+    ([STEP, TILT, RangeAzimuth(x[0], l[0], [3, 0], Isotropic(1), x[1])], r"its variables are \['x', 'l', 'x'\]"),
+    ([STEP, TILT, Prior(x[0], SE3.identity()[0], Isotropic(1))], r"anchor\.csv holds x, y and yaw: components="),
+    ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("y",))], "a Position of x and y, and a Heading of"),
+    ([STEP, TILT, ZPR(x[2], [0, 0, 0], Isotropic(1))], r"x2 is in zpr\.csv, but no XYH says where it is in the track"),
+    ([STEP, TILT, TILT], r"x0 is measured twice in zpr\.csv; expected once"),
+    (
+        [STEP, TILT, Heading(x[0], 0.0, Isotropic(1))],
+        r"Heading\(x0\) has no file .* for every pose, once: not for x1; one",
+    ),
+    ([STEP, TILT, Heading(x[[0, 1, 1]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x1"),
+    ([STEP, TILT, Heading(x[[0, 1, 2]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x2"),
+    ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("z",)), Heading(x[0], 0, Isotropic(1))], r"Position\(x0\) has no"),
+]
+
+
+@for_all(case=REFUSED)
+def test_factors_without_a_file_are_refused_before_anything_is_written(
+    case: tuple[list[Any], str], tmp_path: Path
+) -> None:
+    with pytest.raises(GraphError, match=case[1]):
+        write_mission(tmp_path / "m", FactorGraph(case[0]))
+    assert not (tmp_path / "m").exists()
+
+
+def test_folders_that_cannot_be_written(tmp_path: Path) -> None:
+    graph = FactorGraph([STEP, TILT])
+    graph.fix(x[[1, 0]])
+    with pytest.raises(GraphError, match="x1 is fixed, which no file"):
+        write_mission(tmp_path / "m", graph)
+    assert not (tmp_path / "m").exists()
+    graph.fixed = []
+    (tmp_path / "file").write_text("")
+    for name in ("file", "file/inside"):
+        with pytest.raises(GraphFileError, match="cannot be made: "):
+            write_mission(tmp_path / name, graph)
+    here = folder(tmp_path / "m")
+    before = {path.name: path.read_text() for path in here.iterdir()}
+    with pytest.raises(GraphFileError, match=r"sonar\.csv: is of another mission, which would be mixed with this one"):
+        write_mission(here, graph)
+    assert {path.name: path.read_text() for path in here.iterdir()} == before
+    for name in before:
+        if name not in ("odometry.csv", "zpr.csv"):
+            (here / name).unlink()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_mission(here, graph)
+        assert len(nls.load(here)[0]) == 1 + 2 + 2
+
+
+def test_the_name_of_a_sonar(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    graph = FactorGraph([STEP, TILT, RangeAzimuth(x[0], l[0], [3.0, 0.1], Isotropic(0.1))])
+    for name in ('a "good", one', "plain", "", ",", '"', "Ärger"):
+        write_mission(tmp_path / "m", graph, replace(DIDSON_HIGH, name=name))
+        report = nls.load(tmp_path / "m")[2]
+        assert isinstance(report, MissionReport)
+        assert report.sonar is not None
+        assert report.sonar.name == name
+    with pytest.raises(GraphError, match="the graph has no contacts; leave the sonar out"):
+        write_mission(tmp_path / "m", FactorGraph([STEP, TILT]), DIDSON_HIGH)
+    with pytest.raises(GraphError, match="has more than one line"):
+        write_mission(tmp_path / "m", graph, replace(DIDSON_HIGH, name="a\nb"))
+
+
+def test_factors_without_measurements_have_no_rows(tmp_path: Path) -> None:
+    none: Any = x[np.zeros(0, dtype=int)]
+    nothing = [
+        XYH(none, none, np.zeros((0, 3)), Isotropic(1)),
+        RangeAzimuth(none, l[none.numbers], np.zeros((0, 2)), Isotropic(1)),
+        ZPR(none, np.zeros((0, 3)), Isotropic(1)),
+        Position(none, np.zeros((0, 2)), Isotropic(1), components=("x", "y")),
+        Bearing(none, l[none.numbers], np.zeros((0, 2)), Isotropic(1)),
+    ]
+    files = write_mission(tmp_path / "m", FactorGraph([*nothing, STEP, TILT, *nothing]))
+    assert [Path(file).name for file in files] == ["odometry.csv", "zpr.csv"]
+    assert len((tmp_path / "m" / "odometry.csv").read_text().splitlines()) == 2

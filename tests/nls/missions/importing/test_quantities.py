@@ -1,0 +1,218 @@
+"""Units, and what a refusal of one says to write: latitudes of every form, headings, names with another unit."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nls import GraphFileError
+from nls.missions.importing import draft
+from tests.combinations import for_all
+from tests.nls.missions.importing.logs import imported, table
+
+FIXES = 'origin = {{ lat_deg = 47, lon_deg = -122 }}\n[fixes]\ntime_s = "t"\nlat_deg = {lat}\nlon_deg = {lon}\n'
+SIGMAS = "sigma_x_m = 1\nsigma_y_m = 1\n"
+PLACES = np.array([[47.61, -122.35], [47.6105, -122.3501]])
+
+
+def places(folder: Path, lat: str, lon: str, log: str) -> np.ndarray:
+    """Latitudes and longitudes (n, 2) of an import, degrees."""
+    rows = table(imported(folder, FIXES.format(lat=lat, lon=lon) + SIGMAS, log=log), "fixes")
+    return np.column_stack([rows["lat_deg"], rows["lon_deg"]])
+
+
+@for_all(
+    case=[
+        ('{ column = "lat", unit = "degE7" }', '{ column = "lon", unit = "degE7" }', "t,lat,lon", "{a7},{b7}"),
+        ('"lat_degE7"', '"lon [1e-7 deg]"', "t,lat_degE7,lon [1e-7 deg]", "{a7},{b7}"),
+        ('{ column = "lat", unit = "ddmm" }', '{ column = "lon", unit = "ddmm" }', "t,lat,lon", "{am},-{bm}"),
+        ('{ column = ["a [ddmm.mmmm]", "NS"] }', '{ column = ["b_ddmm", "EW"] }',
+         "t,a [ddmm.mmmm],NS,b_ddmm,EW", "{am},N,{bm},w"),
+        ('{ column = ["lat", "NS"] }', '{ column = ["lon", "EW"] }', "t,lat,lon,NS,EW", "{a},{c},North,West"),
+        ('"lat"', '{ column = "lon", sign = -1 }', "t,lat,lon,NS,EW", "{a},{c},N,W"),
+        ('"lat"', '"lon"', "t,lat,lon,NS,EW", "{a},-{c},N,W"),
+        ('"lat"', '"lon"', "t,lat,lon\nUTC,degrees_north,degrees_east", "{a},-{c}"),
+    ]
+)  # fmt: skip
+def test_latitudes_and_longitudes(case: tuple[str, str, str, str], tmp_path: Path) -> None:
+    lat, lon, head, row = case
+    log = head + "\n"
+    for k, (a, b) in enumerate(PLACES.tolist()):
+        minutes = {"am": f"47{(a - 47) * 60:07.4f}", "bm": f"122{(-b - 122) * 60:07.4f}"}
+        log += f"{k}," + row.format(a=a, c=-b, a7=round(a * 1e7), b7=round(b * 1e7), **minutes) + "\n"
+    assert places(tmp_path, lat, lon, log) == pytest.approx(PLACES, abs=1e-9)
+
+
+@for_all(
+    case=[  # key, its cell, head, first rows; what is written then, and what it makes
+        ("lon_deg", '"lon"', "lat,lon,EW", "47,122.35,W", -122.35),
+        ("lon_deg", '"lon"', "lat,lon", "47,12221.0", 122.35),
+        ("lon_deg", '"lon [deg]"', "lat,lon [deg]", "47,-12221.0", -122.35),
+        ("lon_deg", '"lon"', "lat,lon", "47,-1223500000", -122.35),
+        ("lon_deg", '{ column = ["lon", "EW"] }', "lat,lon,EW", "47,-122.35,W", -122.35),
+        ("lon_deg", '"lon_m"', "lat,lon_m", "47,-122.35", -122.35),
+    ]
+)
+def test_a_refused_place_is_cured_by_the_line_that_is_printed(
+    case: tuple[str, str, str, str, float], tmp_path: Path
+) -> None:
+    key, cell, head, row, expected = case
+    log = f"t,{head}\n0,{row}\n1,{row}\n"
+    with pytest.raises(GraphFileError, match=f"write {key} = ") as error:
+        places(tmp_path, '"lat"', cell, log)
+    line = str(error.value).split(f"write {key} = ")[1]
+    cure = line[: line.index("}") + 1] if line.startswith("{") else line.split(",")[0]
+    assert places(tmp_path, '"lat"', cure, log)[:, 1] == pytest.approx([expected, expected], abs=1e-9)
+
+
+@for_all(
+    case=[
+        ('{ column = ["lat", "NS"] }', "4,X", r"log\.csv:2: NS: 'x' is no side; expected n, north, s, south"),
+        ('{ column = "lat", unit = "ddmm" }', "4760.5,N", r"log\.csv:2: lat: 4760.5 has 60.5 minutes"),
+        ('{ column = ["lat", "NS", "t"] }', "4,N", "several columns; only"),
+    ]
+)
+def test_cells_that_are_no_place(case: tuple[str, str, str], tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=case[2]):
+        places(tmp_path, case[0], "-122", f"t,lat,NS\n0,{case[1]}\n1,4,N\n")
+
+
+@for_all(
+    case=[
+        ("yaw [cdeg]", '"yaw [cdeg]"', ("9000", "35900"), None, (90, -1)),
+        ("yaw", '"yaw"', ("9000", "35900"), "cdeg", (90, -1)),
+        ("yaw [deg]", '"yaw [deg]"', ("9000", "9100"), "cdeg", (90, 91)),
+        ("yaw [deg]", '"yaw [deg]"', ("10", "35990"), "cdeg", (0.1, -0.1)),
+        ("yaw", '"yaw"', ("90", "270"), "deg", (90, -90)),
+        ("yaw [deg]", '"yaw [deg]"', ("350", "710"), None, (-10, -10)),
+    ]
+)
+def test_headings_in_hundredths_of_a_degree(
+    case: tuple[str, str, tuple[str, str], str | None, tuple[float, float]], tmp_path: Path
+) -> None:
+    head, cell, words, unit, expected = case
+    mapping = 'ahrs = {{ time_s = "t", roll_rad = 0, pitch_rad = 0, yaw_rad = {} }}'
+    log = f"t,{head}\n0,{words[0]}\n1,{words[1]}\n"
+    if unit is not None:
+        cell = f'{{ column = "{head}", unit = "{unit}" }}'
+        with pytest.raises(GraphFileError) as error:
+            imported(tmp_path, mapping.format(f'"{head}"'), log=log)
+        assert f"write yaw_rad = {cell}" in str(error.value)
+    yaw = table(imported(tmp_path, mapping.format(cell), log=log), "ahrs")["yaw_rad"]
+    assert np.degrees(yaw) == pytest.approx(expected)
+
+
+@for_all(
+    case=[
+        ("z_m", "height_deg", "'height_deg' is in deg, angle; z_m is a length, m; write z_m = "),
+        ("z_m", "depth_m_s", "'depth_m_s' is in m/s, velocity; z_m is a length"),
+        ("z_m", "depth\nrad", "'depth' is in rad, angle; z_m is a length"),
+        ("time_s", "depth_mm", "'depth_mm' is in mm, length; time_s is a time, s; write time_s = "),
+    ]
+)
+def test_a_name_with_another_unit_is_refused(case: tuple[str, str, str], tmp_path: Path) -> None:
+    key, name, problem = case
+    name, _, unit = name.partition("\n")
+    log = f"{name}\n{unit}\n1\n2\n".replace("\n\n", "\n")
+    other = "z_m = 1" if key == "time_s" else "time_s = { row = 0 }"
+    with pytest.raises(GraphFileError) as error:
+        imported(tmp_path, f'[depth]\n{key} = "{name}"\n{other}\n', log=log)
+    assert problem in str(error.value)
+    if name != "height_deg" and f"write {key}" in str(error.value):  # whose sign is asked for next
+        line = str(error.value).split("write ")[1].split(" if it is")[0]
+        assert table(imported(tmp_path, f"[depth]\n{line}\n{other}\n", log=log), "depth")[key].tolist() == [1, 2]
+
+
+def test_names_that_end_like_a_unit_and_are_none(tmp_path: Path) -> None:
+    mapping = 'ranges = { time_s = "t", beacon = 1, range_m = "range_1", sigma_range_m = 1 }'
+    assert table(imported(tmp_path, mapping, log="t,range_1\n0,5\n1,6\n"), "ranges")["range_m"].tolist() == [5, 6]
+
+
+@for_all(mapping=['sonar.file = "log.csv"', 'depth = { time_s = 0, z_m = 1, file = "log.csv" }'])
+def test_a_mapping_that_uses_no_column_of_its_file_is_refused(mapping: str, tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"mapping\.toml:1: .*uses no column of log\.csv; .* leave file out"):
+        imported(tmp_path, mapping, log="t,z\n0,1\n")
+
+
+@for_all(special=["999", "-9999"], header=["Heading [deg]", "heading"])
+def test_a_special_value_of_an_angle_is_no_unit(special: str, header: str, tmp_path: Path) -> None:
+    log = f"time,{header}\n0,10\n1,350\n2,{special}\n3,{special}\n4,12\n"
+    ahrs = '[ahrs]\ntime_s = "time"\nroll_rad = 0\npitch_rad = 0\nyaw_rad = '
+    with pytest.raises(GraphFileError, match=rf"is {special} in 2 rows.*write `missing = {special}` in \[ahrs\]"):
+        imported(tmp_path, f'{ahrs}"{header}"\n', log=log)
+    cured = f'{ahrs}{{ column = "{header}", unit = "deg" }}\nmissing = {special}\n'
+    assert table(imported(tmp_path, cured, log=log), "ahrs")["time_s"].tolist() == [0, 1, 4]
+
+
+UNKNOWN = """\
+t [s];z [furlong] | "t [s]" | "z [furlong]" | :3: 'z [furlong]' is in furlong, an unknown unit; z_m is a length, m
+t [s];z [nautical miles] | "t [s]" | "z [nautical miles]" | is in nautical miles, an unknown unit
+t;z\\ns;furlong | "t" | "z" | :3: 'z' is in furlong, an unknown unit
+t;z\\n[s];[fm] | "t" | "z" | 'z' is in fm, an unknown unit
+t [fortnight];z [m] | "t [fortnight]" | "z [m]" | :2: 't [fortnight]' is in fortnight, an unknown unit; time_s is a time
+t;z\\nfortnight;m | "t" | "z" | :2: 't' is in fortnight, an unknown unit
+"""
+
+
+@for_all(case=UNKNOWN.splitlines())
+def test_a_unit_that_is_not_known_is_refused_and_not_taken_for_that_of_the_mission(case: str, tmp_path: Path) -> None:
+    """The line that is printed is the cure; a draft of the log is refused as well, with the same cure."""
+    head, time, column, sentence = case.split(" | ")
+    mapping, log = f"[depth]\ntime_s = {time}\nz_m = {column}\n", head.replace("\\n", "\n") + "\n0;1\n1;2\n"
+    with pytest.raises(GraphFileError) as caught:
+        imported(tmp_path, mapping, log=log)
+    assert sentence in str(caught.value)
+    key, written = str(caught.value).split("; write ")[1].split(" if it is")[0].split(" = ", 1)
+    cured = "".join(f"{key} = {written}\n" if line.startswith(key) else f"{line}\n" for line in mapping.splitlines())
+    rows = table(imported(tmp_path, cured, log=log), "depth")
+    assert (rows["time_s"].tolist(), rows["z_m"].tolist()) == ([0.0, 1.0], [1.0, 2.0])
+    drafted = draft([tmp_path / "log.csv"]).split("[noise]")[0]
+    with pytest.raises(GraphFileError, match="an unknown unit"):
+        imported(tmp_path, drafted, log=log)
+
+
+@for_all(head=["t (UTC)", "t [Unix time]", "time [GPS]", "t [s]"])
+def test_the_clock_of_a_time_is_no_unit(head: str, tmp_path: Path) -> None:
+    rows = table(
+        imported(tmp_path, f'[depth]\ntime_s = "{head}"\nz_m = "z [m]"\n', log=f"{head},z [m]\n0,1\n1,2\n"), "depth"
+    )
+    assert rows["time_s"].tolist() == [0.0, 1.0]
+
+
+def test_a_draft_takes_the_units_of_their_row(tmp_path: Path) -> None:
+    log = "time,depth\ns,cm\n0,100\n1,200\n"
+    (tmp_path / "log.csv").write_text(log)
+    rows = table(imported(tmp_path, draft([tmp_path / "log.csv"]).split("[noise]")[0], log=log), "depth")
+    assert rows["z_m"].tolist() == [1.0, 2.0]
+
+
+EXTREMES = ("1e300", "-1e300", "inf", "nan", "9223372036854775808", "-9223372036854775809", "1" + 400 * "0", "1e-300")
+NUMBERS = """\
+time_zero = {}\\n[depth]\\ntime_s = "t [s]"\\nz_m = "z [m]"
+[depth]\\ntime_s = {{ column = "date", offset = {} }}\\nz_m = "z [m]"
+[depth]\\ntime_s = {{ column = "t [s]", offset = {} }}\\nz_m = {{ column = "z [m]", offset = {} }}
+[depth]\\ntime_s = {{ column = "t [s]", scale = {} }}\\nz_m = {{ column = "z [m]", scale = {} }}
+[depth]\\ntime_s = {{ row = {} }}\\nz_m = "z [m]"
+[depth]\\nskip = {}\\ntime_s = "t [s]"\\nz_m = "z [m]"
+[depth]\\nmissing = {}\\ntime_s = "t [s]"\\nz_m = {}
+[ahrs]\\ntime_s = "t [s]"\\nroll_rad = {}\\npitch_rad = 0\\nyaw_rad = 0
+[origin]\\nlat_deg = {}\\nlon_deg = {}
+"""
+
+
+@for_all(mapping=NUMBERS.splitlines(), number=EXTREMES)
+def test_a_number_of_any_size_is_used_or_refused(mapping: str, number: str, tmp_path: Path) -> None:
+    """Never another exception: dates and whole numbers overflow where other numbers do not."""
+    text = mapping.replace("\\n", "\n").replace("{}", number).replace("{{", "{").replace("}}", "}") + "\n"
+    log = "t [s],z [m],date\n1600000000,1,2022-08-15 09:59:38\n1600000001,2,2022-08-15 09:59:39\n"
+    with suppress(GraphFileError):
+        imported(tmp_path, text, log=log)
+
+
+def test_a_unit_in_brackets_may_be_followed_by_a_remark(tmp_path: Path) -> None:
+    log = "t,height [cm] (filtered)\n0,100\n1,200\n"
+    mapping = '[depth]\ntime_s = "t"\nz_m = { column = "height [cm] (filtered)", up = true }\n'
+    assert table(imported(tmp_path, mapping, log=log), "depth")["z_m"].tolist() == [-1, -2]

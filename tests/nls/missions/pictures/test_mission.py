@@ -1,0 +1,198 @@
+"""Pictures of a solved mission: what is drawn is where the numbers say it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+
+import nls
+from factors import Diagonal, Isotropic, Prior
+from models import SE3, R
+from nls.explanation.findings import number
+from nls.missions import MissionReport, elevations, track_of
+from nls.missions.pictures.mission import landmark_map, plan, plan_before_after, track
+from tests.nls.missions.folder.mission_files import folder
+
+x, l, b = nls.kinds("x", "l", "b")
+Solved = tuple[nls.FactorGraph, nls.Values, nls.Values, MissionReport]
+
+
+@pytest.fixture
+def solved(tmp_path: Path) -> Solved:
+    """Graph, dead reckoning, solution and report of the tiny mission."""
+    graph, values, report = nls.load(folder(tmp_path / "m"))
+    assert isinstance(report, MissionReport)
+    return graph, values, graph.optimize(values).values, report
+
+
+def test_the_track_from_above(solved: Solved) -> None:
+    graph, dead, values, report = solved
+    errors = {
+        name: track_of(each, report.truth, report, "truth")
+        for name, each in (("dead reckoning", dead), ("solution", values))
+    }
+    above, along = track(values, dead, report.truth, nls.Marginals(graph, values), errors).axes
+    drawn = {str(line.get_label()): line.get_xydata() for line in above.lines}
+    for name, each in (("dead reckoning", dead), ("truth", report.truth), ("solution", values)):
+        assert np.array_equal(drawn[name], SE3.position(each[x])[:, [1, 0]])  # a chart: north up, east to the right
+    assert not above.yaxis_inverted()
+    assert (above.get_xlabel(), above.get_ylabel()) == ("y, east [m]", "x, north [m]")
+    (outlines,) = [each for each in above.collections if isinstance(each, PolyCollection)]
+    assert len(outlines.get_paths()) == 4  # of poses, not of landmarks
+    assert "ellipse of every x" in legend_of(above)[-1]
+    title = above.figure.get_suptitle()  # type: ignore[union-attr]
+    assert title.startswith(f"After {errors['solution'].distance:.3g} m: dead reckoning ")
+    assert title.endswith(f", solution {errors['solution'].end:.2g} m from the truth")
+    *judged, expected = along.lines
+    for line, name in zip(judged, errors, strict=True):
+        assert np.array_equal(line.get_xydata(), np.column_stack([errors[name].along, errors[name].error]))
+    assert [line.get_label() for line in judged] == [f"{name}, against the truth" for name in errors]
+    marginals, numbers = nls.Marginals(graph, values), errors["solution"].numbers
+    sigma = [np.sqrt(np.trace(marginals.covariance(x[int(k)], frame="world")[:3, :3])) for k in numbers]
+    np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
+    assert expected.get_label() == "solution, by its covariance"
+    without = track(values, dead, None, nls.Marginals(graph, values))  # no truth: the error to be expected
+    (expected,) = without.axes[1].lines
+    np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
+    way = np.linalg.norm(np.diff(SE3.position(values[x]), axis=0), axis=1).sum()
+    assert expected.get_xdata()[-1] == pytest.approx(way)  # type: ignore[index]
+    assert without.get_suptitle() == f"After {way:.3g} m: the solution is expected to be {sigma[-1]:.2g} m off"
+    alone = track(values, dead)
+    assert [line.get_label() for line in alone.axes[0].lines] == ["dead reckoning", "solution"]
+    assert len(alone.axes) == 1
+
+
+def legend_of(axes: Axes) -> list[str]:
+    (legend,) = axes.figure.legends  # type: ignore[union-attr]
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_ellipses_are_turned_with_the_map(solved: Solved) -> None:
+    graph, dead, values, _ = solved
+    loose = nls.FactorGraph([*graph.factors[:2], Prior(x[0], values[x[0]], Diagonal([3.0, 1, 1, 1, 1, 1]))])
+    marginals = nls.Marginals(loose, nls.Values({x: (SE3, values[x])}))
+    (outlines,) = track(values, dead, marginals=marginals).axes[0].collections
+    east, north = np.ptp(outlines.get_paths()[0].vertices, axis=0)
+    Sigma = marginals.covariance(x[0], view="position")
+    assert north / east == pytest.approx(np.sqrt(Sigma[0, 0] / Sigma[1, 1]), rel=1e-2)
+    assert north > 1.2 * east
+
+
+def test_hidden_lines_and_small_ellipses_are_said(solved: Solved) -> None:
+    graph, dead, values, _ = solved
+    assert legend_of(track(values, dead).axes[0])[0] == "dead reckoning"
+    near = values.copy()
+    near[x[1]] = SE3.retract(near[x[1]], np.array([1e-4, 0, 0, 0, 0, 0]))
+    assert legend_of(track(values, near).axes[0])[0] == "dead reckoning (hidden under the solution)"
+    tight = nls.FactorGraph([*graph.factors, Prior(x[0:4], values[x], Isotropic(1e-4))])
+    axes = track(values, dead, marginals=nls.Marginals(tight, values)).axes[0]
+    assert legend_of(axes)[-1].endswith("times as large")
+
+
+def test_landmarks_and_the_arcs_they_may_be_on(solved: Solved) -> None:
+    graph, _, values, report = solved
+    found = elevations(graph, values, sigmas=True)
+    above, beside, bar = landmark_map(values, found, report.truth, aperture=0.2443).axes
+    assert bar.get_ylim() == pytest.approx((0.0, np.degrees(0.2443 / np.sqrt(12))))  # by the aperture, not by the data
+    assert all(float(label.get_text()) >= 0 for label in bar.get_yticklabels())  # plain numbers
+    assert beside.yaxis_inverted()
+    assert not above.yaxis_inverted()
+    for axes, rows in ((above, [1, 0]), (beside, [1, 2])):
+        (lines,) = [each for each in axes.collections if isinstance(each, LineCollection)]
+        segments = np.array(lines.get_segments())
+        assert segments.mean(axis=1) == pytest.approx(values[l][:, rows])
+        half = (found.range * found.sigma)[:, None] * found.along[:, rows]
+        assert segments[:, 1] - segments[:, 0] == pytest.approx(2 * half)
+        (dots,) = [each for each in axes.collections if not isinstance(each, LineCollection)]
+        assert np.asarray(dots.get_array()) == pytest.approx(np.degrees(found.sigma))
+        assert np.array_equal(axes.lines[0].get_xydata(), report.truth[l][:, rows])
+        drawn = np.concatenate([segments.reshape(-1, 2), report.truth[l][:, rows], SE3.position(values[x])[:, rows]])
+        for limits, numbers in zip((axes.get_xlim(), sorted(axes.get_ylim())), drawn.T, strict=True):
+            assert limits[0] < numbers.min() < numbers.max() < limits[1]
+
+    most = landmark_map(values, found).axes[2].get_ylim()[1]
+    assert most == pytest.approx(np.degrees(found.sigma.max()))
+    unknown = landmark_map(values, elevations(graph, values))
+    assert len(unknown.axes) == 2  # no scale of colors
+    assert not [each for each in unknown.axes[0].collections if isinstance(each, LineCollection)]
+
+
+def test_a_mission_as_it_was_read(solved: Solved) -> None:
+    """North is up, east to the right, and what is deeper is drawn lower; every contact has its line."""
+    graph, dead, _, _ = solved
+    above, beside = plan(graph, dead).axes
+    assert beside.yaxis_inverted()
+    assert not above.yaxis_inverted()
+    path, points = SE3.position(dead[x]), dead[l]
+    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+        landmarks, track_line, first = (np.asarray(line.get_xydata()) for line in ax.lines)
+        assert np.array_equal(landmarks, points[:, rows])
+        assert np.array_equal(track_line, path[:, rows])
+        assert np.array_equal(first, path[:1, rows])
+        (lines,) = [each for each in ax.collections if isinstance(each, LineCollection)]
+        drawn = {tuple(np.round(segment.reshape(-1), 9)) for segment in np.asarray(lines.get_segments())}
+        (contacts,) = [factor for factor in graph.factors if factor.name == "RangeAzimuth"]
+        pose, landmark = contacts.keys[:2]
+        ends = np.column_stack([SE3.position(dead[pose])[:, rows], dead[landmark][:, rows]])
+        assert {tuple(np.round(end, 9)) for end in ends} <= drawn
+        assert ax.get_aspect() == 1.0
+    assert legend_of(above) == [f"{len(points)} landmarks", f"track, {len(path)} poses", "first pose", "lines of sight"]
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0])
+def test_a_mission_before_and_after(solved: Solved, factor: float) -> None:
+    """Both maps are those of `plan`; they have one scale, unless the solution would be too small to be seen."""
+    graph, dead, _, _ = solved
+    result, poses = graph.optimize(dead), dead[x].copy()
+    poses[:, :3] *= factor
+    before = dead.replaced({x: poses})
+    figure = plan_before_after(graph, before, result, title="a mission")
+    assert figure.get_suptitle() == "a mission"
+    *maps, curve, _ = figure.axes
+    for panels, values in ((maps[:2], before), (maps[2:], result.values)):
+        for ax, alone in zip(panels, plan(graph, values).axes, strict=True):
+            for line, expected in zip(ax.lines, alone.lines, strict=True):
+                assert np.array_equal(line.get_xydata(), expected.get_xydata())
+                assert (line.get_marker(), line.get_label()) == (expected.get_marker(), expected.get_label())
+            points = np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines])
+            assert (limits(ax)[0] < points).all()  # nothing is cut off
+            assert (points < limits(ax)[1]).all()
+    before_size, size = (np.ptp(limits(ax), axis=0) for ax in maps[::2])
+    times = float((before_size / size)[0])
+    assert before_size == pytest.approx(times * size)
+    assert (times == 1.0) == (factor == 1.0)
+    assert maps[0].get_title().startswith(f"before: chi2 = {number(graph.chi2(before))}")
+    assert maps[0].get_title().endswith(f",\ndrawn {times:.2g} times smaller") == (factor > 1)
+    assert maps[2].get_title() == f"after: chi2 = {number(result.chi2_final)}"
+    assert curve.get_xlabel() == "iteration"
+    assert legend_of(maps[0]) == legend_of(plan(graph, dead).axes[0])  # once for both
+
+
+def limits(ax: Axes) -> np.ndarray:
+    """The lower left and the upper right corner (2, 2) of a panel, in its units."""
+    return np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
+
+
+def test_beacons_are_drawn(solved: Solved) -> None:
+    graph, dead, _, _ = solved
+    beacons = np.array([[30.0, -20.0, 5.0], [40.0, 10.0, 6.0]])
+    values = dead.copy()
+    values.add(b, R(3), beacons)
+    above, beside = plan(graph, values).axes
+    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+        (drawn,) = [line for line in ax.lines if line.get_label() == "2 beacons"]
+        assert np.array_equal(drawn.get_xydata(), beacons[:, rows])
+        assert (limits(ax)[0] < beacons[:, rows]).all()
+        assert (beacons[:, rows] < limits(ax)[1]).all()
+
+
+def test_a_mission_without_landmarks(solved: Solved) -> None:
+    graph, dead, _, _ = solved
+    poses = nls.Values.of([dead.stack(x)])
+    alone = nls.FactorGraph([factor for factor in graph.factors if {key.kind for key in factor.keys} == {"x"}])
+    figure = plan(alone, poses)
+    assert "lines of sight" not in legend_of(figure.axes[0])

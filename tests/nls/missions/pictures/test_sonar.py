@@ -1,0 +1,110 @@
+"""Sonar pictures: every cell where its range and azimuth put it, arcs that pass through their landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import sim
+from models import SE3
+from models.errors import GraphError
+from models.sensors import DIDSON_HIGH, DIDSON_LOW, cartesian, plane_projection
+from nls import kinds
+from nls.missions.pictures.sonar import arcs, fan_image, polar_image
+
+x, l = kinds("x", "l")
+SONAR = replace(DIDSON_LOW, bins=64, window=(2.0, 6.0))
+
+
+@pytest.fixture
+def image() -> np.ndarray:
+    return np.random.default_rng(0).random((48, 64))
+
+
+def test_polar_image_has_beams_across_and_ranges_upwards(image: np.ndarray) -> None:
+    left, right = (figure := Figure()).subplots(1, 2)
+    assert polar_image(image, SONAR, left) is fan_image(image, SONAR, right) is figure  # axes may be given
+    assert [axes.get_ylabel() for axes in figure.axes[2:]] == 2 * ["dB below the strongest echo"]
+    (shown,) = polar_image(image, SONAR).axes[0].images
+    np.testing.assert_allclose(shown.get_array(), 20 * np.log10((image / image.max()).clip(0.01)).T)
+    assert shown.get_extent() == pytest.approx([-14.4, 14.4, 2.0, 6.0])
+    assert shown.origin == "lower"
+
+
+def test_fan_image_puts_cells_where_they_are(image: np.ndarray) -> None:
+    """The middle of the four corners of a cell is where a contact of that beam and bin lies, within half of a cell."""
+    (mesh,) = fan_image(image, SONAR).axes[0].collections
+    C = mesh.get_coordinates()
+    r, azimuth = 2.0 + (np.arange(64) + 0.5) * 4 / 64, ((np.arange(48) + 0.5) / 48 - 0.5)[:, None] * SONAR.fan
+    middle = (C[1:, 1:] + C[1:, :-1] + C[:-1, 1:] + C[:-1, :-1]) / 4
+    np.testing.assert_allclose(middle, np.stack([r * np.sin(azimuth), r * np.cos(azimuth)], axis=-1), atol=1e-3)
+    np.testing.assert_allclose(mesh.get_array().reshape(48, 64), 20 * np.log10((image / image.max()).clip(0.01)))
+    (dark,) = fan_image(np.zeros((48, 64)), SONAR).axes[0].collections
+    assert set(np.asarray(dark.get_array()).ravel().round(9)) == {-40.0}
+
+
+@pytest.mark.parametrize(("make", "pose"), [(sim.hauv_floor, 12), (sim.hauv_hull, 100)])
+def test_arcs_pass_through_their_landmarks(make: type, pose: int) -> None:
+    """Without noise, at the truth: landmarks lie on the contacts, and every arc comes within a millimeter of one."""
+    mission = make(np.random.default_rng(1), passes=1, noise_scale=0.0)
+    axes = arcs(mission.contacts, mission.truth, x[pose], mission.sonar).axes[0]
+    contact, landmark = (np.column_stack(line.get_data()) for line in axes.lines)
+    np.testing.assert_allclose(landmark, contact, atol=1e-9)
+    z = mission.contacts.z[mission.contacts.keys[0].numbers == pose]
+    np.testing.assert_allclose(contact, np.column_stack([z[:, 0] * np.sin(z[:, 1]), z[:, 0] * np.cos(z[:, 1])]))
+    segments = axes.collections[0].get_segments()
+    assert 0 < len(segments) <= len(contact)
+    for arc in segments:
+        steps = np.diff(arc, axis=0)
+        u = np.einsum("mkd,kd->mk", landmark[:, None] - arc[None, :-1], steps) / (steps**2).sum(axis=1).clip(1e-30)
+        foot = arc[:-1] + u.clip(0, 1)[..., None] * steps
+        assert np.linalg.norm(landmark[:, None] - foot, axis=2).min() < 1e-3
+
+
+def test_an_arc_is_that_of_the_farthest_contact() -> None:
+    mission = sim.hauv_floor(np.random.default_rng(1), passes=1)
+    of, target = (k.numbers for k in mission.contacts.keys)
+    here = target[of == 40]
+    segments = arcs(mission.contacts, mission.truth, x[40], mission.sonar).axes[0].collections[0].get_segments()
+    S = SE3.compose(mission.truth[x], mission.offset[None])
+    away = np.linalg.norm(S[of, :3] - S[40, :3], axis=1)
+    expected = []
+    for k in here:
+        far = np.flatnonzero(target == k)[np.argmax(away[target == k])]
+        if away[far] > 0:
+            h = np.column_stack([np.tile(mission.contacts.z[far], (2, 1)), radians(7) * np.array([-1, 1])])
+            ends = SE3.act(SE3.inverse(S[40][None]), SE3.act(S[[of[far]]], cartesian(h)[0]))
+            expected.append(plane_projection(ends)[:, ::-1])
+    np.testing.assert_allclose([arc[[0, -1]] for arc in segments], expected, atol=1e-9)
+
+
+def test_the_longest_arc_is_pointed_at() -> None:
+    mission = sim.hauv_floor(np.random.default_rng(1), passes=1)
+    axes = arcs(mission.contacts, mission.truth, x[40], mission.sonar).axes[0]
+    segments = axes.collections[0].get_segments()
+    longest = max(segments, key=lambda arc: np.linalg.norm(np.diff(arc, axis=0), axis=1).sum())
+    measured, arc = axes.texts
+    assert measured.get_text().endswith(":\nmeasured\nhere")
+    contact = np.column_stack(axes.lines[0].get_data())
+    (which,) = np.flatnonzero((contact == measured.xy).all(axis=1))
+    here = mission.contacts.keys[1].numbers[mission.contacts.keys[0].numbers == 40]
+    assert measured.get_text().startswith(f"l{here[which]}:")
+    assert any(np.array_equal(arc.xy, end) for end in longest[[0, -1]])
+    assert np.linalg.norm(longest - contact[which], axis=1).min() < 0.1  # both of the same landmark
+    assert "its elevation\nis not measured" in arc.get_text()
+    given = Figure().add_subplot()
+    arcs(mission.contacts, mission.truth, x[40], mission.sonar, given)
+    assert not given.texts  # over an image
+
+
+def test_mistakes_are_named(image: np.ndarray) -> None:
+    for draw in (polar_image, fan_image):
+        with pytest.raises(GraphError, match=r"shape \(64, 48\); DIDSON, low frequency makes \(48, 64\): beams, bins"):
+            draw(image.T, SONAR)
+    mission = sim.hauv_hull(np.random.default_rng(1), levels=1, per_level=13)
+    with pytest.raises(GraphError, match="x99 has no contact among"):
+        arcs(mission.contacts, mission.truth, x[99], replace(DIDSON_HIGH, window=(1.0, 6.0)))

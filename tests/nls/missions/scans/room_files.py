@@ -1,0 +1,75 @@
+"""A scan mission for tests: two laps in a room with a pillar, whose walls a sonar with a fan of 130 degrees sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from models import SE2
+from models.algebra import Array
+from nls.missions.folder.table import csv_text
+
+CORNERS = np.array([[-9.0, -7.0], [10.0, -7.0], [10.0, 3.0], [6.0, 8.0], [-9.0, 8.0]])
+PILLAR = np.array([[-1.0, -1.0], [1.5, -1.0], [0.0, 1.0]])
+CURRENT = np.array([0.04, 0.02])  # drift of dead reckoning in the world, m for every meter
+
+
+def walls() -> Array:
+    """Points (n, 2) on the walls, 0.25 m apart."""
+    sides = [np.stack([shape, np.roll(shape, -1, axis=0)], axis=1) for shape in (CORNERS, PILLAR)]
+    out = []
+    for a, b in np.concatenate(sides):
+        out.append(a + np.arange(0, 1, 0.25 / np.linalg.norm(b - a))[:, None] * (b - a))
+    return np.concatenate(out)
+
+
+def track(laps: int) -> Array:
+    """True poses (n, 3) on an ellipse, about 0.7 m apart."""
+    t = np.linspace(0, 2 * np.pi * laps, 45 * laps, endpoint=False)
+    heading = np.arctan2(3.5 * np.cos(t), -6.0 * np.sin(t))
+    return np.column_stack([6.0 * np.cos(t), 3.5 * np.sin(t), heading])
+
+
+def room(laps: int = 2, side: float = 1.0, mount: Array | None = None) -> dict[str, bytes]:
+    """The tables by name: keyframes are numbered 100, 103, ..., and every tenth has no scan.
+
+    Parameters
+    ----------
+    laps : through the room.
+    side : 1 where azimuths are positive to the left, -1 to the right.
+    mount : (3,) of the sonar on the vehicle.
+    """
+    rng = np.random.default_rng(3)
+    true = track(laps)
+    reckoned = true.copy()
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1)))
+    reckoned[:, :2] += way[:, None] * CURRENT
+    numbers, times = 100 + 3 * np.arange(len(true)), 5.0 + 2.0 * np.arange(len(true))
+    rows: list[list[Array]] = [[], [], []]
+    points = walls()
+    for k, pose in enumerate(true):
+        sonar = SE2.compose(pose[None], np.zeros((1, 3)) if mount is None else mount[None])
+        q = SE2.act(np.repeat(SE2.inverse(sonar), len(points), axis=0), points)
+        q += rng.normal(scale=0.03, size=q.shape)
+        r, azimuth = np.hypot(*q.T), np.arctan2(q[:, 1], q[:, 0])
+        visible = (np.abs(azimuth) < np.radians(65)) & (r < 15) & (k % 10 != 9)
+        for column, values in zip(
+            rows, (np.full(visible.sum(), numbers[k]), r[visible], azimuth[visible]), strict=True
+        ):
+            column.append(values)
+    i, r, azimuth = (np.concatenate(column) for column in rows)
+    known = np.column_stack([times, true])
+    return {
+        "keyframes": csv_text(("keyframe", "time", "x", "y", "yaw"), numbers, times, reckoned),
+        "scans": csv_text(("keyframe", "range", "azimuth"), i, r, side * azimuth),
+        "truth": csv_text(("time", "x", "y", "yaw"), known),
+    }
+
+
+def write(folder: Path, files: dict[str, bytes]) -> Path:
+    """The folder, with these tables in it; names with a suffix are taken as they are."""
+    folder.mkdir()
+    for name, data in files.items():
+        (folder / (name if "." in name else f"{name}.csv")).write_bytes(data)
+    return folder

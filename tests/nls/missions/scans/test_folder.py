@@ -1,0 +1,118 @@
+"""Scan missions: points in the frame of the vehicle, keyframes, the truth; and tables that cannot be right."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors.keys import kinds
+from models import SE2
+from models.errors import GraphFileError, GraphWarning, OptionError
+from nls.missions.scans.folder import ScanReport, is_scan_mission, read_scan_mission
+from tests.combinations import for_all
+from tests.nls.io.g2o_files import assert_refused, cases
+from tests.nls.missions.scans.room_files import room, track, walls, write
+
+x = kinds("x")[0]
+FILES = {
+    "keyframes": b"keyframe,time,x,y,yaw\n4,10,0,0,0\n7,12,1,0,0.1\n9,15,2,0.5,0.2\n",
+    "scans": b"intensity,keyframe,range,azimuth\n80,9,5,0.5\n90,4,8,-0.25\n70,9,6,0\n",
+    "truth": b"time,x,y,yaw\n9,0,0,1.5\n13,0,4,1.5\n16,-3,4,3\n",
+    "mission.toml": b'[sonar]\nazimuth = "left"\nx_m = 0.5\n\n[drift]\nmean = 0.1\n',
+}
+
+
+def test_points_numbers_and_truth(tmp_path: Path) -> None:
+    graph, values, scans, report = read_scan_mission(write(tmp_path / "m", FILES))
+    assert values[x].tolist() == [[0, 0, 0], [1, 0, 0.1], [2, 0.5, 0.2]]
+    assert (report.numbers.tolist(), report.vertex_times["x"].tolist()) == ([4, 7, 9], [10, 12, 15])
+    assert np.diff(scans.starts).tolist() == [1, 0, 2]
+    np.testing.assert_allclose(scans[0], [[0.5 + 8 * np.cos(0.25), -8 * np.sin(0.25)]])
+    np.testing.assert_allclose(scans[2], [[0.5 + 5 * np.cos(0.5), 5 * np.sin(0.5)], [6.5, 0]])
+    assert report.intensity is not None
+    assert report.intensity.tolist() == [90, 80, 70]  # as the points, by keyframe
+    assert report.truth is not None
+    np.testing.assert_allclose(report.truth.poses, [[0, 1, 1.5], [0, 3, 1.5], [-2, 4, 2.5]])
+    assert (report.drift.mean, report.drift.stretch) == (0.1, 0.15)
+    assert graph.chi2(values) == 0
+    steps, headings = report.sources[0], report.sources[-1]
+    assert (steps.lines.tolist(), headings.lines.tolist()) == ([3, 4], [2, 3, 4])
+    loaded = nls.load(tmp_path / "m")[2]
+    assert isinstance(loaded, ScanReport)
+    assert loaded.scans.points.tolist() == scans.points.tolist()
+
+
+@pytest.mark.parametrize(("side", "word"), [(1.0, "left"), (-1.0, "right")])
+def test_the_side_and_the_mounting_put_the_points_on_the_walls(side: float, word: str, tmp_path: Path) -> None:
+    mount = np.array([0.5, -0.2, 0.3])
+    lines = f'[sonar]\nazimuth = "{word}"\nx_m = 0.5\ny_m = -0.2\nyaw_rad = 0.3\n'
+    files = room(1, side, mount) | {"mission.toml": lines.encode()}
+    scans = read_scan_mission(write(tmp_path / "m", files))[2]
+    points = SE2.act(track(1)[scans.keyframe], scans.points)
+    apart = np.linalg.norm(points[:, None] - walls()[None], axis=2).min(axis=1)
+    assert apart.max() < 0.2
+
+
+def test_compressed_tables_and_files_beside_them(tmp_path: Path) -> None:
+    files = {f"{name}.csv.gz": gzip.compress(FILES[name]) for name in ("keyframes", "scans")}
+    files |= {"README.md": b"about", "odometry.csv.gz": gzip.compress(b"time,x,y\n0,0,0\n"), "fixes.csv": b"a\n1\n"}
+    with pytest.warns(GraphWarning, match=r"no file of a scan mission, not read: fixes\.csv"):
+        _, _, report = nls.load(write(tmp_path / "m", files))
+    assert isinstance(report, ScanReport)
+    assert "not needed: odometry.csv.gz; the keyframes hold dead reckoning" in report.notes
+    assert (report.truth, report.drift.mean, report.scans.mount.tolist()) == (None, 0.2, [0, 0, 0])
+
+
+def test_folders_that_are_scan_missions(tmp_path: Path) -> None:
+    alone = write(tmp_path / "alone", {"keyframes": FILES["keyframes"]})
+    with pytest.raises(GraphFileError, match=r"has no scans\.csv; a scan mission is keyframes\.csv and scans\.csv"):
+        nls.load(alone)
+    other = write(tmp_path / "other", {"scans": FILES["scans"], "dvl": b"time_s\n0\n"})
+    assert (is_scan_mission(alone), is_scan_mission(other), is_scan_mission(tmp_path)) == (True, False, False)
+    both = write(tmp_path / "both", FILES | {"scans.csv.gz": gzip.compress(FILES["scans"])})
+    with pytest.raises(GraphFileError, match=r"scans\.csv: there is scans\.csv\.gz beside it"):
+        nls.load(both)
+    with pytest.raises(OptionError, match="elevation"):
+        nls.load(write(tmp_path / "m", FILES), elevation="hinge")
+
+
+# file, text, other text, line, words of the error
+EDITS = cases(r"""
+keyframes | keyframe,time,x,y,yaw | keyframe,time,x,y,heading | 1 | unknown column 'heading'; expected keyframe,time,x
+keyframes | 7,12,1 | 4,12,1 | 3 | keyframe 4 was given before, on line 2
+keyframes | 7,12,1 | 2,12,1 | 3 | keyframe 2 after 4; expected numbers that rise
+keyframes | 7,12,1 | 7,10,1 | 3 | time 10.0 does not rise over 10.0
+keyframes | 7,12,1 | 7,nan,1 | 3 | nan
+keyframes | 1,0,0.1 | 1,inf,0.1 | 3 | inf
+keyframes | 1,0,0.1 | 1,2e9,0.1 | 3 | y is 2000000000.0; expected meters
+keyframes | 0.5,0.2 | 0.5,12 | 4 | yaw is 12.0; expected radians
+keyframes | \n7,12,1,0,0.1\n9,15,2,0.5,0.2\n | \n | 2 | is the only keyframe; expected two or more
+keyframes | \n4,10,0,0,0\n7,12,1,0,0.1\n9,15,2,0.5,0.2\n | \n | 1 | has no row below its names; expected one or more
+scans | 90,4,8 | 90,5,8 | 3 | keyframe 5: no such keyframe in keyframes.csv, which has 3 from 4 to 9
+scans | 90,4,8 | 90,4.5,8 | 3 | 4.5
+scans | 90,4,8 | 90,4,-8 | 3 | range is -8.0; expected a number above 0
+scans | 90,4,8 | 90,4,2e10 | 3 | range is 20000000000.0; expected meters
+scans | -0.25 | -25 | 3 | azimuth is -25.0; expected radians
+scans | 80,9,5,0.5 | 80,9,5,left | 2 | left
+scans | 80,9,5,0.5 | 80,9,5 | 2 | 3 cells, expected 4
+scans | 80,9 | nan,9 | 2 | nan
+scans | intensity,keyframe,range | intensity,keyframe,distance | 1 | unknown column 'distance'
+scans | \n80,9,5,0.5\n90,4,8,-0.25\n70,9,6,0\n | \n | 1 | has no row below its names; expected one or more
+truth | 13,0,4 | 8,0,4 | 3 | time 8.0 does not rise over 9.0
+truth | \n9,0,0,1.5\n13 | \n13.5,0,0,1.5\n14 | 2 | keyframes of 10.0 to 15.0 s: 1 of these within, expected 2 or more
+truth | 13,0,4 | 13,0,4e9 | 3 | y is 4000000000.0; expected meters
+""")
+
+
+@for_all(case=EDITS)
+def test_a_damaged_table(case: list[str], tmp_path: Path) -> None:
+    name, old, new, line, words = case
+    assert old.encode() in FILES[name]
+    files = FILES | {name: FILES[name].replace(old.encode(), new.encode(), 1)}
+    place = write(tmp_path / str(EDITS.index(case)), files)
+    error = assert_refused(int(line), words, nls.load, place)
+    assert error.path == str(place / f"{name}.csv")

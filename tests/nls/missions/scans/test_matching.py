@@ -1,0 +1,168 @@
+"""Matches by correlation: poses recovered, scores summed one by one, what a wall and a row of piles leave open."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models import SE2
+from models.errors import GraphError, OptionError
+from nls.missions.scans import Field, Match, Verdict, match
+from nls.missions.scans.matches import verdicts
+from nls.missions.scans.matching import FLOOR, YAW_STEP, scores
+from tests.factors.evaluated import Array, refused, same
+
+WINDOW = (3.0, np.radians(8.0))
+S = np.arange(0, 12, 0.2)
+WALL = np.column_stack([S, 0 * S])
+CORNER = np.concatenate([WALL, WALL[:, ::-1] * [1, 0.8], [[7.0, 4.0], [7.2, 4.1], [4.0, 6.0]]])
+
+
+def seen_from(pose: Array, points: Array, sigma: float = 0.0, seed: int = 0) -> Array:
+    """Points of the map in the frame of a scan at a pose (3,)."""
+    noise = sigma * np.random.default_rng(seed).normal(size=points.shape)
+    return SE2.act(SE2.inverse(pose[None]), points) + noise
+
+
+def verdict(m: Match) -> int:
+    return int(verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread, WINDOW[0])))[0])
+
+
+def test_poses_are_recovered_from_guesses_all_over_the_window() -> None:
+    field, rng = Field(CORNER), np.random.default_rng(1)
+    for seed in range(20):
+        true = rng.uniform([-5, -5, -3], [5, 5, 3])
+        guess = true + rng.uniform(-0.5, 0.5, 3) * [WINDOW[0], WINDOW[0], WINDOW[1]]
+        m = match(field, seen_from(true, CORNER, 0.05, seed), guess, WINDOW)
+        e = SE2.local(true[None], m.pose[None])[0]
+        assert (np.abs(e) < 2 * np.append(FLOOR[:2], 2 * FLOOR[2])).all(), (seed, e)
+        assert m.score > 2.5
+        assert verdict(m) == Verdict.ACCEPTED
+        z = np.linalg.solve(m.covariance, e) @ e
+        assert z < 11.3, "the 99 % quantile"
+
+
+def test_scores_are_sums_over_the_field() -> None:
+    """Every pose of a window, against the cells its points fall into, one at a time."""
+    field = Field(CORNER, 0.5, 0.4)
+    p, guess = seen_from(np.array([1.0, -2.0, 0.3]), CORNER, 0.1), np.array([1.3, -1.7, 0.35])
+    volume, yaws, offsets = scores(field, p, guess, (2.0, 0.07))
+    assert volume.shape == (len(yaws), len(offsets), len(offsets))
+    same(np.diff(yaws), YAW_STEP)
+    rng = np.random.default_rng(0)
+    for k, i, j in rng.integers(0, volume.shape, (60, 3)):
+        q = SE2.act(np.array([[*guess[:2], guess[2] + yaws[k]]]), p)
+        cell = field.cells(q) + np.rint([offsets[i] / 0.4, offsets[j] / 0.4]).astype(int)
+        within = ((cell >= 0) & (cell < field.L.shape)).all(axis=1)
+        same(volume[k, i, j], field.L[tuple(cell[within].T)].sum(), rtol=1e-4, atol=1e-3)
+
+
+def test_a_scan_that_lies_partly_outside_the_field_does_not_wrap_around() -> None:
+    """A transform repeats its image: what leaves on one side must not come back on the other."""
+    field = Field(WALL, 0.5, 0.4)
+    far = np.concatenate([WALL + np.array(shift) for shift in ([0.0, 0.0], [14.0, 0.0], [0.0, -9.0], [200.0, 0.0])])
+    volume, _, offsets = scores(field, far, np.zeros(3), (4.0, 0.01))
+    middle = np.argmin(np.abs(offsets))
+    alone, _, _ = scores(field, WALL, np.zeros(3), (4.0, 0.01))
+    same(volume[1, middle, middle], alone[1, middle, middle], rtol=1e-4)
+
+
+@given(st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.1, 3.1)))
+def test_a_map_that_is_moved_moves_the_match(moved: tuple[float, float, float]) -> None:
+    G, true = np.array([moved]), np.array([[0.6, -0.9, 0.05]])
+    scan = seen_from(true[0], CORNER)
+    m = match(Field(SE2.act(G, CORNER)), scan, G[0], WINDOW)
+    e = SE2.local(SE2.compose(G, true), m.pose[None])[0]
+    assert (np.abs(e) < 1.5 * FLOOR).all(), e
+    assert m.edge < 0.01
+
+
+def test_a_wall_is_weak_along_itself_and_in_the_frame_of_the_scan() -> None:
+    """A scan turned by 90 deg sees the same wall across: the weak axis turns with it."""
+    for yaw, weak, strong in ((0.0, 0, 1), (np.pi / 2, 1, 0), (-np.pi / 2, 1, 0)):
+        pose = np.array([5.0, 1.0, yaw])
+        m = match(Field(WALL), seen_from(pose, WALL[15:-15]), pose, WINDOW)
+        sigma = np.sqrt(np.diag(m.covariance))
+        assert sigma[weak] > 1.0, yaw
+        assert sigma[strong] < 0.4, yaw
+        assert sigma[weak] > 3 * sigma[strong]
+        direction = np.linalg.eigh(m.covariance[:2, :2])[1][:, -1]
+        assert abs(direction[weak]) > 0.97
+    oblique = np.array([5.0, 1.0, np.pi / 4])
+    C = match(Field(WALL), seen_from(oblique, WALL[15:-15]), oblique, WINDOW).covariance
+    assert C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]) < -0.7, "the wall runs along x - y of the scan"
+
+
+def test_a_row_of_piles_fits_one_pile_further() -> None:
+    """A scan of six of ten piles fits at several places, and no noise decides: the match is wide."""
+    for period in (2.5, 4.0):
+        row = np.concatenate([[period * k, 0.0] + 0.3 * RING for k in range(10)])
+        true = np.array([3.5 * period, -3.0, 0.1])
+        some = np.abs(row[:, 0] - 3.5 * period) < 3 * period
+        guess = true + np.array([0.5 * period, 0.2, 0.02])  # two places are in the window
+        m = match(Field(row), seen_from(true, row[some], 0.05), guess, (period, 0.1))
+        assert m.ratio > 0.95
+        assert verdict(m) == Verdict.WIDE
+        hut = np.array([[3.5 * period, 3.0]]) + np.concatenate([WALL[:20], WALL[:20, ::-1]])
+        scan = seen_from(true, np.concatenate([row[some], hut]), 0.05)
+        decided = match(Field(np.concatenate([row, hut])), scan, guess, (period, 0.1))
+        assert decided.ratio < 0.9, "what is there once decides"
+        assert verdict(decided) == Verdict.ACCEPTED
+
+
+def test_a_narrow_window_has_no_second_place() -> None:
+    m = match(Field(CORNER), CORNER, np.zeros(3), (0.5, 0.02))
+    assert m.second == 0
+    assert m.ratio == 0
+
+
+def test_the_truth_outside_the_window_shows_at_its_rim() -> None:
+    true = np.array([4.5, 0.0, 0.0])
+    scan = seen_from(true, CORNER)
+    assert match(Field(CORNER), scan, np.zeros(3), (3.0, 0.1)).edge > 0.3
+    assert match(Field(CORNER), scan, np.zeros(3), (6.0, 0.1)).edge < 1e-3
+    turned = seen_from(np.array([0.0, 0.0, 0.25]), CORNER)
+    assert match(Field(CORNER), turned, np.zeros(3), (3.0, 0.1)).edge > 0.3, "the yaw has a rim, too"
+
+
+def test_nothing_fits() -> None:
+    m = match(Field(CORNER), CORNER + 100.0, np.zeros(3), (2.0, 0.05))
+    assert m.score < 0.01
+    assert verdict(m) == Verdict.NO_FIT
+
+
+def test_many_points_of_one_surface_say_no_more() -> None:
+    once, often = (match(Field(CORNER), np.tile(CORNER, (n, 1)), np.zeros(3), WINDOW) for n in (1, 5))
+    same(often.covariance, once.covariance, rtol=1e-3)
+    assert (np.diag(once.covariance) >= FLOOR**2).all()
+
+
+def test_verdicts_in_their_order() -> None:
+    fine, narrow = np.array([2.0, 0.5, 0.0, 0.3]), np.array([3.0])  # score, ratio, edge, spread; window
+    for column, value, reason in (
+        (0, 0.5, Verdict.NO_FIT),
+        (1, 0.99, Verdict.AMBIGUOUS),
+        (2, 0.5, Verdict.AT_THE_RIM),
+        (3, 2.0, Verdict.WIDE),
+    ):
+        row = fine.copy()
+        row[column] = value
+        assert verdicts(*row[:, None], narrow).tolist() == [reason]
+    assert verdicts(*fine[:, None], narrow).tolist() == [Verdict.ACCEPTED]
+    assert verdicts(*np.array([0.5, 0.99, 0.5, 2.0])[:, None], narrow).tolist() == [Verdict.NO_FIT]
+
+
+def test_what_does_not_fit() -> None:
+    field = Field(CORNER)
+    for points, guess in ((np.empty((0, 2)), np.zeros(3)), (np.zeros((4, 3)), np.zeros(3)), (CORNER, np.zeros(2))):
+        refused(lambda p=points, g=guess: match(field, p, g, WINDOW), GraphError, r"match: points .* and guess")
+    bad = CORNER.copy()
+    bad[3, 0] = np.nan
+    refused(lambda: match(field, bad, np.zeros(3), WINDOW), GraphError, "not finite")
+    refused(lambda: match(field, CORNER, [0, 0, np.inf], WINDOW), GraphError, "not finite")
+    for window in ((0.0, 0.1), (1.0, 0.0), (-1.0, 0.1), (np.nan, 0.1)):
+        refused(lambda w=window: match(field, CORNER, np.zeros(3), w), OptionError, "window")
+
+
+RING = np.column_stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)])

@@ -1,0 +1,58 @@
+"""Submaps: points of neighbors in one frame, at the ends too."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models import SE2
+from models.errors import OptionError
+from nls.missions.scans import Scans, submap
+from tests.factors.evaluated import refused, same
+from tests.nls.missions.scans.rooms import drive, laps
+
+RNG = np.random.default_rng(0)
+POSES = RNG.normal(0, 5, (9, 3))
+LANDMARKS = RNG.uniform(-20, 20, (9, 6, 2))
+SCANS = Scans(
+    np.concatenate([SE2.act(SE2.inverse(POSES[[k]]), LANDMARKS[k]) for k in range(9)]), np.repeat(np.arange(9), 6), 9
+)
+
+
+def test_points_of_the_neighbors_in_the_frame_of_the_middle() -> None:
+    for center, half, members in (
+        (4, 2, range(2, 7)),
+        (4, 0, [4]),
+        (4, (3, 0), range(1, 5)),
+        (4, (0, 9), range(4, 9)),
+        (0, 2, range(3)),
+        (8, 2, range(6, 9)),
+    ):
+        points = submap(POSES, SCANS, center, half)  # type: ignore[arg-type]
+        same(SE2.act(POSES[[center]], points), np.concatenate([LANDMARKS[k] for k in members]), atol=1e-9)
+
+
+def test_a_submap_depends_on_relative_poses_alone() -> None:
+    moved = SE2.compose(np.broadcast_to([[300.0, -70.0, 2.0]], (9, 3)), POSES)
+    same(submap(moved, SCANS, 4, 2), submap(POSES, SCANS, 4, 2), atol=1e-9)
+
+
+def test_keyframes_without_points() -> None:
+    scans = Scans([[5.0, 0.0]], [3], 9)
+    assert len(submap(POSES, scans, 6, 2)) == 0
+    same(SE2.act(POSES[[5]], submap(POSES, scans, 5, 2)), SE2.act(POSES[[3]], [[5.0, 0.0]]), atol=1e-12)
+
+
+def test_two_laps_show_the_same_walls() -> None:
+    truth = laps()
+    room = drive(truth)
+    lap = len(truth) // 2
+    first, second = (SE2.act(truth[[k]], submap(truth, room.scans, k, 4)) for k in (10, 10 + lap))
+    nearest = np.linalg.norm(first[:, None] - second, axis=2).min(axis=1)
+    assert np.quantile(nearest, 0.9) < 0.6
+
+
+def test_what_does_not_fit() -> None:
+    for center in (-1, 9):
+        refused(lambda c=center: submap(POSES, SCANS, c, 2), OptionError, "center.*0 to 8")
+    for half in (-1, (2, -3)):
+        refused(lambda h=half: submap(POSES, SCANS, 4, h), OptionError, "half")
