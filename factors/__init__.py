@@ -5,35 +5,51 @@ Each is imported when it is first used: a pose graph needs none of a sonar.
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
-    from factors.base import Factor
-    from factors.bearing import Bearing
-    from factors.bearing_range import BearingRange
-    from factors.between import Between
-    from factors.between_sensors import BetweenSensors
-    from factors.bundle import BundleProjection
-    from factors.check import check_jacobians
-    from factors.drifting_step import DriftingStep
-    from factors.dvl_leg import DvlLeg
-    from factors.elevation import Elevation, ElevationHinge
-    from factors.epipolar_arc import EpipolarArc
-    from factors.heading import Heading
-    from factors.landmark import Landmark
-    from factors.line import Line
-    from factors.noise import Covariance, Diagonal, Information, Isotropic, Noise, SqrtInformation
-    from factors.position import Position
-    from factors.prior import Prior
-    from factors.projection import Projection
-    from factors.range import Range
-    from factors.range_azimuth import RangeAzimuth
-    from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
-    from factors.scaled_range import ScaledRange
-    from factors.sequential_match import SequentialMatch
-    from factors.shifted import Shifted
-    from factors.sighting import Sighting
-    from factors.sonar import sonar_factors
-    from factors.wheels import Wheels
-    from factors.xyh import XYH
-    from factors.zpr import ZPR
+    from factors.base import Factor as Factor
+    from factors.bearing import Bearing as Bearing
+    from factors.bearing_range import BearingRange as BearingRange
+    from factors.between import Between as Between
+    from factors.between_sensors import BetweenSensors as BetweenSensors
+    from factors.bundle import BundleProjection as BundleProjection
+    from factors.check import check_jacobians as check_jacobians
+    from factors.drifting_step import DriftingStep as DriftingStep
+    from factors.dvl_leg import DvlLeg as DvlLeg
+    from factors.elevation import Elevation as Elevation, ElevationHinge as ElevationHinge
+    from factors.epipolar_arc import EpipolarArc as EpipolarArc
+    from factors.heading import Heading as Heading
+    from factors.landmark import Landmark as Landmark
+    from factors.line import Line as Line
+    from factors.noise import (
+        Covariance as Covariance,
+        Diagonal as Diagonal,
+        Information as Information,
+        Isotropic as Isotropic,
+        Noise as Noise,
+        SqrtInformation as SqrtInformation,
+    )
+    from factors.position import Position as Position
+    from factors.prior import Prior as Prior
+    from factors.projection import Projection as Projection
+    from factors.range import Range as Range
+    from factors.range_azimuth import RangeAzimuth as RangeAzimuth
+    from factors.robust import (
+        DCS as DCS,
+        Cauchy as Cauchy,
+        GemanMcClure as GemanMcClure,
+        Huber as Huber,
+        Kernel as Kernel,
+        Robust as Robust,
+        Tukey as Tukey,
+        Welsch as Welsch,
+    )
+    from factors.scaled_range import ScaledRange as ScaledRange
+    from factors.sequential_match import SequentialMatch as SequentialMatch
+    from factors.shifted import Shifted as Shifted
+    from factors.sighting import Sighting as Sighting
+    from factors.sonar import sonar_factors as sonar_factors
+    from factors.wheels import Wheels as Wheels
+    from factors.xyh import XYH as XYH
+    from factors.zpr import ZPR as ZPR
 
 _WHERE = {
     "factors.base": "Factor",
@@ -68,57 +84,10 @@ _WHERE = {
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 
+__all__ = sorted(_MODULE)
+
 if not TYPE_CHECKING:  # mypy would take it for a circle
     import nls.lazy  # refuses packages of other programs that shadow `models`, too
 
-    __getattr__ = nls.lazy.importer("factors", _MODULE)
+    __getattr__, __dir__ = nls.lazy.importer("factors", _MODULE)
     del TYPE_CHECKING
-
-__all__ = [
-    "DCS",
-    "XYH",
-    "ZPR",
-    "Bearing",
-    "BearingRange",
-    "Between",
-    "BetweenSensors",
-    "BundleProjection",
-    "Cauchy",
-    "Covariance",
-    "Diagonal",
-    "DriftingStep",
-    "DvlLeg",
-    "Elevation",
-    "ElevationHinge",
-    "EpipolarArc",
-    "Factor",
-    "GemanMcClure",
-    "Heading",
-    "Huber",
-    "Information",
-    "Isotropic",
-    "Kernel",
-    "Landmark",
-    "Line",
-    "Noise",
-    "Position",
-    "Prior",
-    "Projection",
-    "Range",
-    "RangeAzimuth",
-    "Robust",
-    "ScaledRange",
-    "SequentialMatch",
-    "Shifted",
-    "Sighting",
-    "SqrtInformation",
-    "Tukey",
-    "Welsch",
-    "Wheels",
-    "check_jacobians",
-    "sonar_factors",
-]
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)

@@ -96,9 +96,5 @@ _MODULE = {name: module for module, names in _WHERE.items() for name in names.sp
 __all__ = sorted([*_MODULE, "plot"])  # to a type checker: all that is imported under its own name
 
 if not TYPE_CHECKING:
-    __getattr__ = importer("nls", _MODULE)
+    __getattr__, __dir__ = importer("nls", _MODULE)
     del importer, TYPE_CHECKING  # no names for users
-
-
-def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])

@@ -20,18 +20,19 @@ __all__ = ["importer", "postpone", "refuse_shadows"]
 SIBLINGS = ("models", "factors", "sim")  # installed beside `nls`
 
 
-def importer(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package.
+def importer(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The ``__getattr__`` and the ``__dir__`` of a package.
 
     Parameters
     ----------
     package : its name.
-    modules : the module of every public name.
+    modules : the module of every name that is imported when it is first used.
 
     Returns
     -------
-    function
-        Of a name: a public object or a module of the package, imported now and kept. Raises AttributeError for others.
+    get : of a name: a public object or a module of the package, imported now and kept. Raises AttributeError for
+        others.
+    names : what ``dir`` shows: ``__all__`` and what Python knows of every module.
     """
 
     def get(name: str) -> Any:
@@ -54,7 +55,11 @@ def importer(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
         setattr(sys.modules[package], name, value)
         return value
 
-    return get
+    def names() -> list[str]:
+        module = vars(sys.modules[package])
+        return sorted({*module["__all__"], *(name for name in module if name.startswith("__"))})
+
+    return get, names
 
 
 def postpone(package: str, names: Sequence[str]) -> None:

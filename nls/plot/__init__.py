@@ -48,4 +48,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__ = importer("nls.plot", OF_MISSIONS)
+    __getattr__, __dir__ = importer("nls.plot", OF_MISSIONS)
