@@ -7,7 +7,7 @@ EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 # Containers often set it; then each process of a test or a notebook compiles the library again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test lint docs sdist benchmark evidence
+.PHONY: help demo test lint docs sdist rooms benchmark evidence
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -30,6 +30,9 @@ docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal, then
 
 sdist: ## what the source distribution has: packages, licences, README with its pictures, no tests
 	$(PYTHON) tools/check_sdist.py
+
+rooms: .venv/installed ## code by room, and the storeys of nls
+	.venv/bin/python tools/rooms.py
 
 benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (4 minutes)
 	.venv/bin/python benchmarks/guard.py
