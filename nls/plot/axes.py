@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-LETTERS = 13  # of a legend in an inch
-
-
 def axes_or_new(axes: Axes | None, size: tuple[float, float], **options: Any) -> Axes:
     """The axes given, or those of a new figure of this size, inch."""
     from matplotlib.figure import Figure
@@ -32,7 +29,8 @@ def figure_of(axes: Axes) -> Figure:
 
 def legend_below(axes: Axes, handles: Sequence[Artist], labels: Sequence[str]) -> None:
     """A legend under the axes, in as many rows as it needs, where it covers nothing."""
-    room = LETTERS * axes.get_position().width * figure_of(axes).get_size_inches()[0]
+    # 13 letters of a legend in an inch
+    room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
     rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))
     below = (0.5, -0.12)
     columns = -(-len(labels) // rows)

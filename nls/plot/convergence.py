@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["convergence"]
 
-DECADE, SLIGHT = 10, 1e-3  # least factor of a logarithmic axis; least part that can be read off the number itself
-
 
 def convergence(result: Result, axes: Axes | None = None) -> Figure:
     """chi2 (left axis) and max |dx| (right axis) per iteration, logarithmic; chi2 that falls by less than 10 is linear.
@@ -37,8 +35,11 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     axes = axes_or_new(axes, (5, 4))
     number = [iteration.number for iteration in result.history]
     chi2 = np.array([iteration.chi2 for iteration in result.history])
-    falls = bool((chi2 > 0).all()) and chi2.max() > DECADE * chi2.min()  # a smaller range has no ticks to be read
-    last = chi2[-1] if np.ptp(chi2) < SLIGHT * chi2.max() else 0.0
+    falls = (
+        bool((chi2 > 0).all()) and chi2.max() > 10 * chi2.min()
+    )  # a smaller range has no ticks on a logarithmic axis
+    # a smaller part cannot be read off the number itself
+    last = chi2[-1] if np.ptp(chi2) < 1e-3 * chi2.max() else 0.0
     (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0])
     axes.set_xlabel("iteration")
     axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])  # a legend would cover the curves

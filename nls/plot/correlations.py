@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["correlations"]
 
-NAMED = 40  # variables whose names fit beside the matrix
-
 
 def correlations(joint: Joint, axes: Axes | None = None) -> Figure:
     """The correlation matrix, with lines between the variables.
@@ -51,7 +49,8 @@ def correlations(joint: Joint, axes: Axes | None = None) -> Figure:
     for part in joint.parts[1:]:
         axes.axhline(part.start - 0.5, color="0.6", linewidth=0.6)
         axes.axvline(part.start - 0.5, color="0.6", linewidth=0.6)
-    if len(joint.keys) <= NAMED:
+    # the names of 40 variables fit beside the matrix
+    if len(joint.keys) <= 40:
         middle = [(part.start + part.stop - 1) / 2 for part in joint.parts]
         names = [f"{key!r}" for key in joint.keys]
         axes.set_xticks(middle, names, fontsize=8, rotation=90 if len(names) > 10 else 0)

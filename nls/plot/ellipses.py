@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["ellipses"]
 
 MOST = 120  # of one kind, where it is not said how many
-VISIBLE = 0.04  # of the width of the map: the largest ellipse is drawn at least so large
 
 
 def ellipses(
@@ -145,7 +144,8 @@ def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> f
 
 def magnification(extent: float, largest: float) -> float:
     """1, 2, 5, 10, ...: how many times as large an ellipse is drawn to be seen, by width of the map and sigma, m."""
-    scale = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
+    # the largest ellipse is drawn at least 0.04 of the width of the map wide
+    scale = 0.04 * extent / (2 * largest) if largest > 0 else 1.0
     steps = [m * 10.0**k for k in range(6) for m in (1, 2, 5)]
     return max((step for step in steps if step <= scale), default=1.0)
 

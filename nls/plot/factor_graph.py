@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["factor_graph"]
 
 MOST = 60  # variables whose names can be read
-CIRCLE, SQUARE = 25, 9  # points: diameter and side
-CLEAR = 0.36  # of a line: between the middles of a square and of a circle
-ROUNDS = 30  # of moving squares away from circles and from each other
-APART, BESIDE, MARGIN = 0.28, 0.62, 0.4  # of a line: between factors of the same variables; of one variable; the rim
+APART, MARGIN = 0.28, 0.4  # of a line: between factors of the same variables; the rim
 SQUARES = tuple(color for color in SERIES if color not in (ESTIMATE, LANDMARK))
 
 Name = tuple[str, int]  # kind and number of a variable
@@ -94,13 +91,14 @@ def factor_graph(graph: FactorGraph, values: Values | None = None, axes: Axes | 
             axes.plot(*np.stack([square, places[name]]).T, color=TRUE, linewidth=1.0, zorder=1)
     for k, (factor, points) in enumerate(squares.items()):
         style = {"color": SQUARES[k % len(SQUARES)], "linestyle": "none", "label": f"{factor}, {len(points)}"}
-        axes.plot(*np.array(points).T, "s", markersize=SQUARE, zorder=3, **style)  # type: ignore[arg-type]
+        axes.plot(*np.array(points).T, "s", markersize=9, zorder=3, **style)  # type: ignore[arg-type]
     held = {(keys.kind, number) for keys in graph.fixed for number in keys.numbers.tolist()} & set(names)
     for name in names:
         right, up = places[name].tolist()
         edge, text = ESTIMATE if name[0] == _row(names) else LANDMARK, f"{name[0]}{name[1]}"
         face = HELD if name in held else "white"
-        axes.scatter(right, up, s=CIRCLE**2, linewidth=1.8, zorder=2, facecolor=face, edgecolor=edge)
+        # diameters are 25 points, the sides of squares 9
+        axes.scatter(right, up, s=25**2, linewidth=1.8, zorder=2, facecolor=face, edgecolor=edge)
         axes.text(right, up, text, ha="center", va="center_baseline", fontsize=max(6, 13 - len(text)), zorder=4)
     if held:
         axes.scatter([], [], s=60, facecolor=HELD, edgecolor=TRUE, label="held fixed")
@@ -181,15 +179,18 @@ def _squares(
             continue
         away = np.array([0.0, middle[1] or -1.0]) if center is None else middle - center
         angle = np.arctan2(away[1], away[0]) + aside * np.pi / 5
-        out.append(middle + BESIDE * unit * np.array([np.cos(angle), np.sin(angle)]))
+        # beside its only variable, 0.62 of a line away
+        out.append(middle + 0.62 * unit * np.array([np.cos(angle), np.sin(angle)]))
     return out
 
 
 def _apart(squares: Array, circles: Array, unit: float) -> Array:
     """Squares (n, 2) moved away from circles (m, 2) and from each other, where they would cover them."""
-    for _ in range(ROUNDS):
+    # squares move away from circles and from each other
+    for _ in range(30):
         pushes = np.zeros_like(squares)
-        for others, least in ((circles, CLEAR * unit), (squares, APART * unit)):
+        # the middles of a square and a circle are 0.36 of a line apart
+        for others, least in ((circles, 0.36 * unit), (squares, APART * unit)):
             away = squares[:, None] - others
             distance = np.linalg.norm(away, axis=2)
             near = (distance < least) & ~((others is squares) & np.eye(len(squares), len(others), dtype=bool))

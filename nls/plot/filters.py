@@ -41,10 +41,7 @@ if TYPE_CHECKING:
 __all__ = ["belief", "estimator_figure", "power_laws", "several"]
 
 BELOW = "0.82"  # of a true track, wide under the estimate
-DOT = 3  # points: a particle
-LARGE = 4.0  # times as large as the least that is seen: one of several ellipses may be much larger than the others
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
-EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 ROOM = 1.1  # above the highest line
 UNITS = np.array([1.0, 1.0, 180 / np.pi])
@@ -103,7 +100,8 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
     manifold = track.manifold
     axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     axes.plot(*manifold.position(track.X).T, color=ESTIMATE, linewidth=1.0, label=track.method)
-    shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
+    # at most 30 ellipses of the vehicle, evenly spaced
+    shown = np.unique(np.linspace(0, len(track.x) - 1, min(30, len(track.x))).astype(int))
     J, _ = frames.axes(track.x, manifold, track.X[shown], None, "position")
     p, P = manifold.position(track.X[shown]), frames.turned(J, track.P[shown])
     scale = magnification(float(np.ptp(p, axis=0).max()), float(np.sqrt(np.linalg.eigvalsh(P).max())))
@@ -240,7 +238,8 @@ def belief(
     Sigma, path = frames.turned(J, P[None]), np.asarray(poses.manifold.position(poses.X))
     if scale is None:
         spread = [np.sqrt(np.linalg.eigvalsh(P_i).max()) for P_i in (Sigma, P_landmarks) if len(P_i)]
-        scale = magnification(LARGE * float(np.ptp(path, axis=0).max()), float(max(spread)))
+        # four times as large as the least that is seen: one of several ellipses may be much larger than the others
+        scale = magnification(4.0 * float(np.ptp(path, axis=0).max()), float(max(spread)))
     true, true_landmarks = poses.manifold.position(truth[pose]), truth[keys] if len(keys) else L
 
     def drawn(p: Array, q: Array) -> Array:
@@ -252,7 +251,7 @@ def belief(
         if stack is not poses:
             axes.plot(*stack.X.T, "+", color=TRUE, markersize=9)
     if isinstance(estimator, FastSLAM):
-        dots = {"linestyle": "none", "marker": ".", "markersize": DOT}
+        dots = {"linestyle": "none", "marker": ".", "markersize": 3}
         cloud = drawn(poses.manifold.position(estimator.X), true)
         axes.plot(*cloud.T, color=ESTIMATE, alpha=0.5, label="particles", **dots)  # type: ignore[arg-type]
         if estimator.map is not None:

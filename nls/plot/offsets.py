@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["offsets"]
 
 ONE_SIGMA = 1 - np.exp(-0.5)  # probability of the ellipse that cuts the axes at one sigma
-COLUMN, ROW = 190.0, 13.0  # points: height of the column of names at most, and of a row of it at most
+ROW = 13.0  # points: height of a row of the column of names at most; the column has 190 at most
 
 
 def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Keys] | None = None) -> Figure:
@@ -115,7 +115,7 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
     axes.plot(*e.T, "o", color=LANDMARK, markersize=5)
     handles: list[Artist] = [shapes]
     labels = [f"one sigma of a {'wall' if line else 'landmark'}"]
-    upwards, row = np.argsort(e[:, 1]), min(ROW, COLUMN / max(len(e), 1))
+    upwards, row = np.argsort(e[:, 1]), min(ROW, 190.0 / max(len(e), 1))
     beside, middle = OffsetFrom(axes.transAxes, (1.0, 0.5), "points"), (len(e) - 1) / 2
     leader = {"arrowstyle": "-", "color": LANDMARK, "linewidth": 0.6, "alpha": 0.6, "relpos": (0, 0.5)}
     style: dict[str, Any] = {"va": "center", "color": LANDMARK, "fontsize": min(9.0, row), "arrowprops": leader}

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["drawn", "write_picture"]
 
 
-LETTERS = 14  # in an inch of a line that marks a picture
-
-
 def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:
     """Write a figure in the format of the suffix (png, pdf, svg), replaced whole or not at all.
 
@@ -34,7 +31,8 @@ def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) 
         It cannot be written.
     """
     if doubts:
-        words = textwrap.fill(f"doubtful: {'; '.join(doubts)}", int(LETTERS * figure.get_figwidth()))
+        # 14 letters in an inch of the line that marks a picture
+        words = textwrap.fill(f"doubtful: {'; '.join(doubts)}", int(14 * figure.get_figwidth()))
         figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), words])), color=REJECTED, fontsize=9)
     write_bytes(path, drawn(path, figure))
 

@@ -25,7 +25,6 @@ __all__ = ["Animation", "animation", "image"]
 
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
-QUALITY = 75  # of a frame in WebP, of 100
 PLAYER = Path(__file__).with_name("player.html")
 
 T = TypeVar("T")
@@ -59,7 +58,7 @@ class Animation:
         if durations.size not in (1, len(images)) or not (np.isfinite(durations) & (durations > 0)).all():
             raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
         self._last = images[-1]
-        self.frames = [_encoded(image, "webp", quality=QUALITY, method=1) for image in images]
+        self.frames = [_encoded(image, "webp", quality=75, method=1) for image in images]
         codes = [b64encode(frame).decode() for frame in self.frames]
         self.html = Template(PLAYER.read_text(encoding="utf-8")).substitute(
             name=f"player-{crc32(b''.join(self.frames)):x}",

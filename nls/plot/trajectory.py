@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 __all__ = ["SHARED", "annotate", "before_after", "closures", "one_scale", "trajectory"]
 
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
-MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
+MANY = 300  # lines, from which they are fainter the more there are
 PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
-FLAT, TICKS = 0.15, 5  # of the widest side of a box in space: the least of the others; ticks of the widest
 SHARED = 3.0  # times the width of the optimum: so wide the values before may be to be drawn at one scale with it
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
@@ -130,7 +129,7 @@ def trajectory(
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
-        alpha = min(0.3 if points else 0.5, max(FAINT, MANY / len(segments)))
+        alpha = min(0.3 if points else 0.5, max(0.06, MANY / len(segments)))
         _lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
     tracks = [stack.kind for stack in stacks if stack.manifold.dim > dim]
     for stack in stacks:
@@ -194,13 +193,15 @@ def space_box(axes: Axes, points: Array, down: bool) -> None:
 
     low, high = points.min(axis=0), points.max(axis=0)
     widest = max(float((high - low).max()), LEAST)
-    half = np.maximum(0.52 * (high - low), FLAT / 2 * widest)
+    # the sides of a box in space have at least 0.15 of the widest
+    half = np.maximum(0.52 * (high - low), 0.15 / 2 * widest)
     axes.set_box_aspect(half.copy(), zoom=0.85)  # type: ignore[call-arg]  # which scales the array in place
     for name, middle, size in zip("xyz", (low + high) / 2, half, strict=True):
         sign = -1 if down and name in "yz" else 1
         axes.set(**{f"{name}lim": (middle - sign * size, middle + sign * size)})
         axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(MaxNLocator(max(2, round(TICKS * size / half.max()))))
+        # the widest side has 5 ticks
+        axis.set_major_locator(MaxNLocator(max(2, round(5 * size / half.max()))))
     axes.set_xlabel("x [m]", labelpad=PAD)
     axes.set_ylabel("y [m]", labelpad=PAD)
     axes.set_zlabel("z, down [m]" if down else "z [m]")  # type: ignore[attr-defined]

@@ -27,7 +27,6 @@ __all__ = ["elevation_map", "motions"]
 
 NOTHING, UNSEEN = "#d4d4d4", "#ffffff"
 BEST = 0.1  # of what the aperture says: the darkest shade
-ACROSS, UP = 145, 141  # points in a panel
 
 
 def motions(shift: float = 0.3, turn: float = np.radians(5.0)) -> dict[str, Array]:
@@ -88,8 +87,9 @@ def elevation_map(
     flown = motions() if flown is None else flown
     if not flown:
         raise OptionError("flown", flown, "at least one motion")
-    azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, ACROSS)
-    elevation = np.linspace(-sonar.aperture / 2, sonar.aperture / 2, UP)
+    # 145 by 141 points in a panel
+    azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, 145)
+    elevation = np.linspace(-sonar.aperture / 2, sonar.aperture / 2, 141)
     points = np.stack(np.broadcast_arrays(r, azimuth, elevation[:, None]), axis=-1)
     known = float(np.degrees(sonar.aperture / np.sqrt(12)))  # by the aperture, without any second view
     maps = {name: _after(sonar, G, points, motion_covariance) for name, G in flown.items()}

@@ -28,13 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["landmark_map", "plan", "plan_before_after", "track"]
 
-HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
-THOUSAND = 1e3  # m, from which three digits would be written as a power of ten
-WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
+HIGHEST = 7.5  # inches of the panels
 SIDE = 4.2  # inches of the widest of three panels side by side
 VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
-MANY = 250  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 SHADED: dict[str, Any] = {"s": 14, "cmap": "YlOrRd", "vmin": 0.0, "edgecolors": "0.3", "linewidths": 0.4, "zorder": 3}
 HOLLOW: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": LANDMARK, "zorder": 3}
@@ -102,7 +99,8 @@ def _along(axes: Axes, values: Values, errors: Mapping[str, Track], marginals: M
             most, words = max(LEAST, float(sigma.max())), f"the solution is expected to be {sigma[-1]:.2g} m off"
     axes.set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
     axes.legend(loc="best", fontsize=8)
-    travelled = f"{along[-1]:,.0f}" if along[-1] >= THOUSAND else f"{along[-1]:.3g}"
+    # from 1 km three digits would be written as a power of ten
+    travelled = f"{along[-1]:,.0f}" if along[-1] >= 1e3 else f"{along[-1]:.3g}"
     return f"After {travelled} m: {words}"
 
 
@@ -111,7 +109,8 @@ def _dead_reckoning(dead: Values, values: Values) -> str:
     common = x[np.intersect1d(dead.stack(x).numbers, values.stack(x).numbers)]
     p, q = (np.asarray(estimates.stack(x).manifold.position(estimates[common]))[:, :2] for estimates in (dead, values))
     apart = float(np.linalg.norm(p - q, axis=1).max(initial=0.0))
-    if apart > HIDDEN * float(np.ptp(q, axis=0).max(initial=0.0)):
+    # what is nearer to another line than 0.003 of the width of the map is under it
+    if apart > 0.003 * float(np.ptp(q, axis=0).max(initial=0.0)):
         return "dead reckoning"
     return "dead reckoning (hidden under the solution)"
 
@@ -228,7 +227,8 @@ def _plan(panels: tuple[Axes, Axes], graph: FactorGraph, values: Values) -> None
 
     path = _positions(values)
     sights, _ = closures(graph, values, {"x", *POINTS})
-    sight = {"colors": SIGHT, "alpha": min(0.5, MANY / max(len(sights), 1))}
+    # from 500 lines on, the more there are, the fainter
+    sight = {"colors": SIGHT, "alpha": min(0.5, 250 / max(len(sights), 1))}
     for ax, rows in zip(panels, VIEWS, strict=True):
         ax.add_collection(LineCollection([ends[:, rows] for ends in sights], linewidths=0.4, zorder=1, **sight))
         for kind, (name, style) in POINTS.items():
@@ -256,7 +256,7 @@ def _views(points: Array) -> tuple[Figure, tuple[Axes, Axes]]:
 
     low, high = _box(points)
     north, east, down = high - low
-    inch = min(WIDEST / east, HIGHEST / (north + down))
+    inch = min(7.5 / east, HIGHEST / (north + down))
     figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
     above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
     _chart((above, beside), low, high)

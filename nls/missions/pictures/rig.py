@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["rig_before_after"]
 
-MANY, MOST = 20, 1000  # frusta, and points with their errors; of more an evenly spaced part is drawn
-LONGER, LONGEST = (1, 2, 5, 10, 20, 50, 100), 0.2  # how many times as long errors are drawn, up to a part of the width
-DEEP = 0.08  # of the width of the scene: the frustum of a camera
+MOST = 1000  # points with their errors; of more an evenly spaced part is drawn
+LONGER = (1, 2, 5, 10, 20, 50, 100)  # how many times as long errors are drawn, up to 0.2 of the width
 
 
 def rig_before_after(
@@ -64,7 +63,7 @@ def rig_before_after(
     sizes = [np.linalg.norm(np.concatenate(moved) - np.concatenate(_places(truth)), axis=1) for moved in aligned]
     largest = float(np.quantile(np.concatenate(sizes), 0.99)) or 1.0
     wide = float(np.ptp(_places(truth)[1], axis=0).max())
-    times = max((t for t in LONGER if t * largest <= LONGEST * wide), default=1)
+    times = max((t for t in LONGER if t * largest <= 0.2 * wide), default=1)
     norm = LogNorm(largest / 20, largest)
     drawn, count = len(truth.stack("l").X[:: _step(truth, "l", MOST)]), len(truth.stack("l"))
     shown = "" if drawn == count else f" of {drawn} of {count} points"
@@ -108,8 +107,10 @@ def _map(
     from matplotlib.collections import LineCollection
 
     true = _places(truth)
-    deep = DEEP * float(np.ptp(true[1], axis=0).max())
-    frusta = _frusta(truth.stack("x").X[:: _step(truth, "x", MANY)], camera, deep)[..., [0, 2]]
+    # the frustum of a camera: 0.08 of the width of the scene
+    deep = 0.08 * float(np.ptp(true[1], axis=0).max())
+    # at most 20 frusta
+    frusta = _frusta(truth.stack("x").X[:: _step(truth, "x", 20)], camera, deep)[..., [0, 2]]
     axes.add_collection(LineCollection(list(frusta), colors=TRUE, linewidths=0.5, alpha=0.6))
     axes.plot(*true[0][:, [0, 2]].T, color=TRUE, linewidth=0.6, alpha=0.4)
     for where, at, step, width in zip(true, moved, (1, _step(truth, "l", MOST)), (2.0, 1.1), strict=True):

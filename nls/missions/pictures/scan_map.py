@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["scan_map"]
 
-LONG, SHORT = 9.0, 4.5  # inches of the map
-MOST = 200_000  # points that are drawn
-MARKS = 5e4  # square points of ink that all points of the scans have together
-FEW = 100  # closures, drawn with their full opacity
+LONG = 9.0  # inches of the map; its short side has at least half
 
 
 def scan_map(
@@ -50,11 +47,13 @@ def scan_map(
     tracks = np.concatenate([poses[:, :2], dead[:, :2]])
     low, high = np.minimum(low, tracks.min(axis=0)), np.maximum(high, tracks.max(axis=0))
     side = np.maximum(high - low, 1e-3)
-    width, height = np.clip(LONG * side / side.max(), SHORT, LONG)
+    width, height = np.clip(LONG * side / side.max(), LONG / 2, LONG)
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
     axes = figure.add_subplot()
-    size = float(np.clip(MARKS / max(len(points), 1), 0.8, 4.0))
-    drawn = points[:: max(1, -(-len(points) // MOST))]
+    # all points of the scans together have 50,000 square points of ink
+    size = float(np.clip(5e4 / max(len(points), 1), 0.8, 4.0))
+    # at most 200,000 points are drawn
+    drawn = points[:: max(1, -(-len(points) // 200_000))]
     axes.scatter(drawn[:, 0], drawn[:, 1], s=size, color=ECHO, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
     axes.plot(*dead[:, :2].T, color=BEFORE, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
@@ -85,6 +84,6 @@ def _joined(axes: Axes, poses: Array, matches: Matches, rows: Mask, color: str, 
 
     segments = np.stack([poses[end[rows], :2] for end in (matches.i, matches.j)], axis=1)
     if len(segments):
-        alpha *= min(1.0, (FEW / len(segments)) ** 0.5)  # many lines must not hide the map
+        alpha *= min(1.0, (100 / len(segments)) ** 0.5)  # many closures, over 100, must not hide the map
         lines = LineCollection(list(segments), colors=color, linewidths=0.7, alpha=alpha, label=label, zorder=1)
         axes.add_collection(lines)

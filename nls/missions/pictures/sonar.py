@@ -35,11 +35,8 @@ if TYPE_CHECKING:
 __all__ = ["arcs", "fan_image", "frustum", "polar_image"]
 
 ALONG = 33  # points an arc is drawn through
-EDGE = 25  # points an edge of the frustum is drawn through
-FACE = 0.10  # opacity of a face
 RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))  # of a face: at the ends of the fan, of the aperture
 CORNERS = ((0, 0), (0, -1), (-1, 0), (-1, -1))  # of the fan and of the aperture
-WIDEST = 5.5  # inches of a fan
 DARKEST = -40.0  # dB below the strongest echo: a hundredth of its amplitude is black
 SHADES: dict[str, Any] = {"cmap": "gray", "vmin": DARKEST, "vmax": 0.0}
 
@@ -93,7 +90,8 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
     'ahead [m]'
     """
     wide = 2 * np.sin(min(sonar.fan, np.pi) / 2)  # of the farthest range, which is the height
-    side = WIDEST / max(wide, 1.0)
+    # a fan is at most 5.5 inches wide
+    side = 5.5 / max(wide, 1.0)
     axes = axes_or_new(axes, (side * wide + 2.5, side + 0.8))
     azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
     r = np.linspace(*sonar.window, sonar.bins + 1)
@@ -226,7 +224,8 @@ def frustum(
     T = SE3.identity(1) if pose is None else SE3.stack(np.atleast_2d(np.asarray(pose, dtype=float)))
     p = np.asarray(points, dtype=float).reshape(-1, 3)
     inside = sonar.sees(SE3.act(SE3.inverse(T), p)) if len(p) else np.zeros(0, dtype=bool)
-    azimuth, elevation = (np.linspace(-a / 2, a / 2, EDGE) for a in (sonar.fan, sonar.aperture))
+    # an edge of the frustum is drawn through 25 points
+    azimuth, elevation = (np.linspace(-a / 2, a / 2, 25) for a in (sonar.fan, sonar.aperture))
     near, far = sonar.window
 
     def placed(r: npt.ArrayLike, azimuth: npt.ArrayLike, elevation: npt.ArrayLike) -> Array:
@@ -242,7 +241,7 @@ def frustum(
     axes.plot(*position[:, None], "o", color=ESTIMATE, markersize=7, label="sonar")
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="frustum")
     faces = [*sides, np.concatenate([front[:, 0], front[::-1, -1]])]
-    axes.add_collection3d(Poly3DCollection(faces, facecolors=ESTIMATE, alpha=FACE, linewidths=0))  # type: ignore[attr-defined]
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=ESTIMATE, alpha=0.10, linewidths=0))  # type: ignore[attr-defined]
     axes.add_collection3d(Line3DCollection(rims, colors=ESTIMATE, linewidths=1.0))  # type: ignore[attr-defined]
     if inside.any():
         r, az = range_azimuth(SE3.act(SE3.inverse(T), p[inside]))[0].T

@@ -18,12 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["across", "bar", "picture"]
 
 SMALL = 1000  # lines and dots; pictures of more are not even tried as SVG (sphere2500's R: 216 MB, 0.06 MB)
-LIGHT = 60_000  # bytes; an SVG of less is taken as it is
-DPI = 170
-WIDE = 7.0  # inches; wider ones have the page for themselves
 WIDTH, HEIGHT = 208, 20  # pixels of a bar
 EDGE = 8  # on both sides of the scale
-LEAST = 2.0  # the scale reaches at least so far on both sides of 1
 
 
 def picture(figure: Figure, alt: str, caption: str, size: int, inches: tuple[float, float] | None = None) -> Html:
@@ -39,12 +35,14 @@ def picture(figure: Figure, alt: str, caption: str, size: int, inches: tuple[flo
         figure.set_size_inches(*inches)
     width, height = figure.get_size_inches()
     kind, data = "svg+xml", _drawn(figure, "svg") if size <= SMALL else b""
-    if not 0 < len(data) < LIGHT:
+    # an SVG below 60 kB is taken as it is
+    if not 0 < len(data) < 60_000:
         dots = _drawn(figure, "png")
         kind, data = (kind, data) if 0 < len(data) < len(dots) else ("png", dots)
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     shown = tag("img", src=source, alt=alt, width=round(100 * width), height=round(100 * height))
-    return tag("figure", shown, tag("figcaption", caption), class_="wide" if width > WIDE else "map")
+    # pictures wider than 7 inches have the page for themselves
+    return tag("figure", shown, tag("figcaption", caption), class_="wide" if width > 7.0 else "map")
 
 
 def _drawn(figure: Figure, kind: str) -> bytes:
@@ -54,7 +52,7 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     escape_controls(figure)
     out = BytesIO()
     with rc_context({"svg.hashsalt": "leadline"}):
-        figure.savefig(out, format=kind, dpi=DPI, metadata={"Software" if kind == "png" else "Date": None})
+        figure.savefig(out, format=kind, dpi=170, metadata={"Software" if kind == "png" else "Date": None})
     return out.getvalue()
 
 
@@ -67,7 +65,8 @@ def across(low: float, high: float, ratio: float, other_ratios: Sequence[float])
     other_ratios : all numbers of the table, which has one scale.
     """
     above = [other_ratio for other_ratio in other_ratios if other_ratio > 0]
-    reach = max([float(np.log(LEAST)), *(abs(float(np.log(other_ratio))) for other_ratio in above)])
+    # the scale reaches at least from 1/2 to 2
+    reach = max([float(np.log(2.0)), *(abs(float(np.log(other_ratio))) for other_ratio in above)])
 
     def at(number: float) -> float:
         place = np.log(number) / reach if number > 0 else -1.0

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 # Findings that one should know; an optimum with them is sound.
 NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.UNVERIFIED, FindingKind.SEPARATE_PARTS}
 MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone
-ROWS, FEW = 10, 5  # of a table, and of one that shows nothing remarkable
-RARE = 0.05  # chance of a remarkable measurement
-DRAWN = 60  # ellipses
+ROWS = 10  # of a table, and of one that shows nothing remarkable
 
 
 def verdict(data: ReportData) -> Html:
@@ -139,7 +137,8 @@ def kinds(data: ReportData) -> Html | None:
 def worst(data: ReportData) -> Html | None:
     """The measurements that fit worst, and those that were rejected."""
     doubted = data.explanation.worst
-    doubted = doubted[: ROWS if doubted and doubted[0].chance < RARE else FEW]
+    # few rows where nothing is remarkable: no chance below 0.05
+    doubted = doubted[: ROWS if doubted and doubted[0].chance < 0.05 else 5]
     rows = [
         (suspect.factor, f"{suspect.normalized:.3g}", f"{suspect.sigmas:.3g}", _chance(suspect.chance))
         for suspect in sorted(doubted, key=lambda suspect: -suspect.normalized)
@@ -183,7 +182,8 @@ def covariances(data: ReportData) -> Html | None:
         inside.append(_note(f"Some variables have no covariance: {marginals.underconstrained}"))
     if marginals is not None and not data.pictures:
         most = max(len(stack) for stack in marginals.values.stacks.values())
-        figure = ellipses(marginals, scale=visible_scale(marginals), every=-(-most // DRAWN))
+        # at most 60 ellipses
+        figure = ellipses(marginals, scale=visible_scale(marginals), every=-(-most // 60))
         if figure.axes[0].has_data():
             alt = "Positions from above, with the ellipses that hold them with 95 %"
             caption = f"Where the positions are with 95 %, from above. {marginals.gauge}."
