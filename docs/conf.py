@@ -29,6 +29,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "factor_table",  # docs/_ext, to the end of the list
     "figure_alt",
+    "forked_kernels",
     "gallery",
     "line_breaks",
     "made_figure",
