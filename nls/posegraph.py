@@ -28,11 +28,10 @@ from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.sparse.components import connected, firsts
+from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
-__all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses", "stated"]
 SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
 

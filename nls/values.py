@@ -17,8 +17,6 @@ from models.manifolds.base import Manifold
 if TYPE_CHECKING:
     from factors.base import Factor, Model
 
-__all__ = ["Stack", "Values", "refuse_other"]
-
 
 class Stack:
     """All variables of one kind: their manifold, their numbers, and one (n, size) array, components first in memory."""

@@ -13,8 +13,8 @@ from scipy import sparse as sp
 from models.algebra import Array, Index
 from nls.analysis.linearization import Checked, Linearization
 from nls.linear.anchors import FreeDirections, column_lengths
+from nls.linear.factorization import SingularSystemError
 from nls.linear.null_space import BLOCKS
-from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

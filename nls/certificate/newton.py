@@ -22,9 +22,7 @@ import numpy as np
 
 from models.algebra import Array, apply, pack
 from nls.certificate.problem import Problem
-from nls.linear.singular import SingularSystemError
-
-__all__ = ["Optimum", "nearest", "newton", "rotations", "tangent"]
+from nls.linear.factorization import SingularSystemError
 
 DECREASE, LEAST = 1e-13, 1e-6  # of the cost, and at most: a step that promises less is the last one
 DIGITS = 1e-15  # of the cost: a smaller promise is rounding

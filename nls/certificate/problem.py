@@ -29,12 +29,10 @@ from models.errors import GraphError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix
 from nls.graph import FactorGraph
+from nls.linear.default import Laplacian
 from nls.linear.factorization import Factorization
-from nls.linear.laplacian import Laplacian
 from nls.posegraph import PoseGraph, pose_graphs
 from nls.values import Values
-
-__all__ = ["Problem", "certifiable"]
 
 
 class Problem:

@@ -12,16 +12,13 @@ from models.algebra import Array
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import BOUND, Spectrum, negligible, spectrum
-from nls.certificate.staircase import placed, staircase
+from nls.certificate.spectrum import BOUND, Spectrum, negligible, placed, spectrum, staircase
 from nls.graph import FactorGraph
 from nls.optimizers import Result, Stop, default_optimizer
-from nls.optimizers.thresholds import Thresholds
+from nls.optimizers.step import Thresholds
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values, refuse_other
-
-__all__ = ["Certificate", "certify"]
 
 LARGEST = "the measurements with the largest errors: without those that contradict the others a proof is possible"
 LEFT = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`

@@ -18,14 +18,12 @@ from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.linear import Factorization, LinearSolver, factorize
 from nls.linear.anchors import FreeDirections, column_lengths
+from nls.linear.factorization import SingularSystemError
 from nls.linear.null_space import BLOCKS
-from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["Undetermined", "anchored_factorization"]
 
 MOVES = 1e-8  # of the largest motion of a direction, in sigmas. Measured rounding: 4e-11, beside a chain of 3,000 poses
 

@@ -19,9 +19,8 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from models.errors import GraphError, ResourceLimitError
-from nls.linear.factorization import Factorization
+from nls.linear.factorization import Factorization, SingularSystemError
 from nls.linear.free_gauge import free_directions, gauge_columns
-from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

@@ -20,23 +20,20 @@ from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
 from nls.covariance.determined import Undetermined, anchored_factorization, used_components
-from nls.covariance.frames import axes, of_motions, turned
+from nls.covariance.frames import Joint, axes, of_motions, turned
 from nls.covariance.free import FreePart, free_part
-from nls.covariance.joint import Joint
 from nls.covariance.selected import SelectedInverse, paired
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
+from nls.linear.factorization import SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
-
-__all__ = ["Marginals"]
 
 ONE_BLOCK = 64  # columns solved for together; more marginals than that come out of the pass over all
 

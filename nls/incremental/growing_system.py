@@ -7,6 +7,7 @@ iterations due to its age have cost as much as making it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -17,19 +18,16 @@ from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.batch import BatchMark, GrowingBatch, touched
-from nls.incremental.growing import Variables
+from nls.incremental.growing import BatchMark, GrowingBatch, Variables
 from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.linear.updatable import Preconditioner
 from nls.optimizers.fit import Fit, fit
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["GrowingSystem"]
 
 HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
@@ -177,7 +175,7 @@ class GrowingSystem:
         """
         rows = [batch.touches(gone) for batch in self.batches]
         factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
-        leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
+        leaving = [Keys(kind, self.variables[kind].numbers[mask]) for kind, mask in gone.items()]
         priors = priors_left(factors, self.values, leaving)
         self.drop(rows)
         self.leave(gone)
@@ -266,7 +264,8 @@ class GrowingSystem:
         first = min(2 * self._part, 1.0)  # of a step like the last one
         for part in (*first * 0.5 ** np.arange(HALVES), 0.0):
             for kind, v in self.variables.items():
-                v.move(begin[kind], part * dx[v.columns[:, None] + np.arange(v.manifold.dim)])
+                step = dx[v.columns[:, None] + np.arange(v.manifold.dim)]
+                v.X[...] = v.manifold.retract(begin[kind], part * step)
             try:
                 self._linearize()
             except (EvaluationError, SingularGeometryError) as error:
@@ -328,3 +327,13 @@ def _sum(parts: list[Array], n: int) -> Array:
     total = sum(parts[1:], parts[0])
     total[n:] = 0.0
     return total
+
+
+def touched(v: Variables, batches: Iterable[GrowingBatch], by: dict[str, Mask] | None = None) -> Mask:
+    """Which variables (n,) of a kind are measured: by all measurements, or by those of some others."""
+    measured = np.zeros(len(v), dtype=bool)
+    for batch in batches:
+        rows = slice(None) if by is None else batch.touches(by)
+        for index in batch.rows_of(v):
+            measured[index[rows]] = True
+    return measured

@@ -32,12 +32,10 @@ from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
 from models.sensors import seen_from
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
 
 RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 

@@ -18,13 +18,11 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Array, Index
+from nls.linear.factorization import ROUNDING
 from nls.linear.null_space import null_directions, separated, single_directions
-from nls.linear.singular import ROUNDING
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["FreeDirections", "column_lengths"]
 
 
 def column_lengths(system: LinearSystem) -> Array:

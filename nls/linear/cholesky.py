@@ -25,15 +25,11 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index
-from nls.linear.base import INSTALL_SUITESPARSE
-from nls.linear.factorization import Decomposition
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.base import INSTALL_SUITESPARSE, SparseSolver
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import openmp, single_thread
-
-__all__ = ["Cholesky", "Cholmod", "openmp_capped"]
 
 LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves

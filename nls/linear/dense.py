@@ -16,18 +16,13 @@ from scipy import sparse as sp
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
-from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
-from nls.linear.factorization import Decomposition
+from nls.linear.base import Analysis, LinearSolution, LinearSolver, SparseSolver, with_damping
+from nls.linear.factorization import ROUNDING, SINGULAR, Decomposition, SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import ROUNDING, SINGULAR, SingularSystemError
 from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
-
-__all__ = ["FEW", "DenseCholesky", "DenseQR", "Lapack", "Pinv", "Small"]
-
 
 FEW = 150  # columns, up to which NumPy is as fast as CHOLMOD
 

@@ -9,11 +9,9 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.linear.base import Analysis, LinearSolution, LinearSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-__all__ = ["FreeGauge", "free_directions", "gauge_columns"]
 
 UNSEEN = 1e-6  # of a direction of length 1 in sigmas: public pose graphs have at most 1e-10
 

@@ -8,12 +8,9 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index
-from nls.linear.factorization import Decomposition
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.base import SparseSolver
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.sparse.hessian import Hessian
-
-__all__ = ["LU", "SYMMETRIC", "SuperLU", "dominant"]
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 

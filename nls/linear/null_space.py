@@ -17,11 +17,8 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index, gram
 from nls.linear.default import best_decomposition
-from nls.linear.factorization import Factorization
-from nls.linear.singular import NULL, SingularSystemError
+from nls.linear.factorization import NULL, Factorization, SingularSystemError
 from nls.system import LinearSystem
-
-__all__ = ["BLOCKS", "null_directions", "own_information", "separated", "single_directions", "weakest"]
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration

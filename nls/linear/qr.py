@@ -13,15 +13,11 @@ from scipy import sparse as sp
 from models.algebra import Array, Index
 from nls.linear.base import INSTALL_SUITESPARSE, Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.default import best_decomposition
-from nls.linear.factorization import Factorization
+from nls.linear.factorization import SINGULAR, Factorization, SingularSystemError
 from nls.linear.limits import always_fits, checked_limit, refuse_above
-from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
-
-__all__ = ["QR"]
-
 
 # sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside
 # at once end the process.

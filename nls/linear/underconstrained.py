@@ -12,13 +12,11 @@ from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.gauge import component_labels, touched_variables
 from nls.linear.base import LinearSolver
+from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
 from nls.linear.null_space import carriers_of_singles, null_directions, separated, single_directions, weakest
-from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["directions", "free_names", "underconstrained"]
 
 TRUNCATED = "nls.Schur(block_inverse=nls.linear.truncated_inverse)"  # as the cure `truncate` writes it
 FAR = 1e9  # numbers in Jacobians beyond this hide a 1 beside them

@@ -24,13 +24,10 @@ from scipy import sparse as sp
 from models.abstract import Abstract
 from models.algebra import Array
 from nls.linear.cholesky import cholmod
+from nls.linear.factorization import SingularSystemError, refuse_vanishing
 from nls.linear.lu import SYMMETRIC
-from nls.linear.singular import SingularSystemError, refuse_vanishing
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
-
-__all__ = ["Preconditioner", "Refactorized", "Updatable", "Updated", "updatable_class"]
-
 
 WIDEST = 16  # numbers of a variable that is held, at most
 RESERVE = 600  # columns for variables to come

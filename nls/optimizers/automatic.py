@@ -12,17 +12,14 @@ from __future__ import annotations
 
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
-from nls.optimizers.base import Optimizer
+from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.problem import Problem
+from nls.optimizers.result import Status
 from nls.optimizers.step import Step
-from nls.optimizers.thresholds import Status
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["Automatic"]
 
 FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED, Status.MAX_ITERATIONS)
 RISE = 1e4  # growth of chi2 over the start, twice in a row; a long drive with 20 closures rises once to 4e6 times it

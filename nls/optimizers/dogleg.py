@@ -21,11 +21,9 @@ import math
 import numpy as np
 
 from models.algebra import Array
+from nls.optimizers.problem import Undamped
 from nls.optimizers.trust_region import TrustRegion
-from nls.optimizers.undamped import Undamped
 from nls.system import LinearSystem
-
-__all__ = ["Dogleg"]
 
 
 class Dogleg(TrustRegion):

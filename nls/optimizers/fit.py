@@ -28,8 +28,6 @@ from models.algebra import Array, Mask
 from nls.sparse.pattern import measuring
 from nls.values import Values
 
-__all__ = ["SILENCED", "Fit", "Share", "fit", "shares"]
-
 TAIL = 0.025  # probability of a chi2 above the quantile
 TWICE = 2.0  # chi2 per degree of freedom
 NOISE = 0.01  # probability of a squared residual above q

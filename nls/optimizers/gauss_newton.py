@@ -20,16 +20,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nls.optimizers.base import Optimizer
+from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.problem import Problem
 from nls.optimizers.step import ROUNDING, SHORTER, Step
 from nls.optimizers.stop import ask, relative_decrease
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["GaussNewton"]
-
 
 # Change of A'A along the step since it was factorized, beyond which a step, and the last one, is not taken. It is
 # 0.0001 to 0.1 where pose graphs arrive, 0.8 to 0.95 from step to step on a plateau that falls for ever.

@@ -31,12 +31,10 @@ import numpy as np
 
 from models.algebra import Array
 from models.options import check_between
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
+from nls.optimizers.problem import FAINT, HOPELESS, Undamped
 from nls.optimizers.trust_region import TrustRegion
-from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
 from nls.system import LinearSystem
-
-__all__ = ["LevenbergMarquardt"]
 
 BAND = 0.8, 1.2  # parts of the radius between which |D dx| meets it
 CAREFUL = 1e-3  # lambda of the first step where undamped ones are known to fail

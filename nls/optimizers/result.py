@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,13 +12,23 @@ from typing import NamedTuple
 from models.advice import Advice, listed
 from models.html_table import html_table
 from nls.optimizers.fit import SILENCED, Fit, Share, fit
-from nls.optimizers.thresholds import Status
 from nls.values import Values
-
-__all__ = ["Attempt", "Callback", "Iteration", "Result"]
 
 FAR = 100.0  # chi2 per degree of freedom: sigmas ten times too small are rare, wrong measurements or starts are not
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
+
+
+class Status(Enum):
+    """Why an optimization ended; the value is the sentence shown. Only CONVERGED is success."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "the iteration limit was reached before it converged"
+    MAX_TIME = "the time limit was reached before it converged"
+    STALLED = "no further step lowers chi2 although its gradient is not small"
+    CYCLING = "chi2 goes up and down without falling"
+    DIVERGED = "chi2 or the update grew beyond bounds or is not finite"
+    STOPPED = "stopped by the callback"
+    INTERRUPTED = "interrupted by the user"
 
 
 class Iteration(NamedTuple):

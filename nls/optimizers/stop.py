@@ -14,10 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
-from nls.optimizers.thresholds import Status
-
-__all__ = ["AFTER_A_REFUSAL", "AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "NO_STEP_LEFT", "Rule", "Verdict", "ask"]
 
 CHECK = "check the Jacobians with factors.check_jacobians"
 

@@ -8,16 +8,12 @@ from abc import abstractmethod
 import numpy as np
 
 from models.algebra import Array
-from nls.optimizers.base import Optimizer
-from nls.optimizers.problem import Problem
+from nls.optimizers.base import Optimizer, Watch
+from nls.optimizers.problem import FAINT, Problem, Undamped
+from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
-from nls.optimizers.thresholds import Status
-from nls.optimizers.undamped import FAINT, Undamped
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["TrustRegion"]
 
 SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
 # Gain above which the radius grows and below which it shrinks; the radius then, times |D dx|.

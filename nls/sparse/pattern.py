@@ -15,12 +15,9 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask, components
-from nls.sparse.blocks import Blocks, Scatter
 from nls.sparse.elimination import Eliminations, Order
-from nls.sparse.hessian import Hessian
+from nls.sparse.hessian import Blocks, Hessian, Scatter
 from nls.values import Values, take
-
-__all__ = ["Batch", "Pattern", "measuring", "offsets"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,6 @@ from functools import cache, wraps
 from threading import RLock, local
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-__all__ = ["openmp", "single_thread"]
-
 BRING = ("sksparse.cholmod", "sparseqr._sparseqr", "scipy.linalg.lapack")  # modules that bring libraries with them
 OPENBLAS = ("libopenblas", "libscipy_openblas", "libblas")  # how the names of their files begin
 OTHERS = ("libmkl_rt", "libblis", "libflexiblas")

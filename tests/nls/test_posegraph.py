@@ -30,8 +30,8 @@ from models.errors import GraphError
 from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
 from nls.analysis.leave_one_out import kinds_of
-from nls.linear.laplacian import Laplacian
-from nls.linear.singular import SingularSystemError
+from nls.linear.default import Laplacian
+from nls.linear.factorization import SingularSystemError
 from nls.posegraph import Edges, PoseGraph, closures, odometry, pose_graphs
 from tests.nls.graphs import ODD, informations, moved, pose_graph, walk, x, y
 

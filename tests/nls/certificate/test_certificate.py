@@ -13,11 +13,10 @@ from models.algebra import Array
 from nls import FactorGraph, Values
 from nls.certificate.newton import Optimum, _second_order, nearest, newton, rotations, tangent
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import spectrum
-from nls.certificate.staircase import _raised, _rounded, placed, staircase
-from nls.linear import laplacian
+from nls.certificate.spectrum import _raised, _rounded, placed, spectrum, staircase
+from nls.linear import default
+from nls.linear.factorization import SingularSystemError
 from nls.linear.lu import SuperLU
-from nls.linear.singular import SingularSystemError
 from tests.nls.certificate.worlds import GROUPS, SEED, contradiction, dominated, noise_graph, problem_of, ring
 from tests.nls.graphs import informations, x
 
@@ -152,7 +151,7 @@ def test_the_bound_holds_for_random_pose_graphs() -> None:
 def test_without_cholmod_it_is_the_same(group: LieGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, M, *_ = problem_of(group)
     expected = spectrum(graph, newton(graph, M))
-    monkeypatch.setattr(laplacian, "best_decomposition", lambda n: SuperLU)
+    monkeypatch.setattr(default, "best_decomposition", lambda n: SuperLU)
     other, *_ = problem_of(group)
     found = spectrum(other, newton(other, M))
     assert found.certified

@@ -275,7 +275,7 @@ def test_an_update_whose_decision_fails_takes_nothing(monkeypatch: pytest.Monkey
     smoother.update([Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(3)], Values({x: (SE2, [[0, 0, 0]])}))
     loops = Between(x[[0, 1]], x[[2, 3]], [[2.0, 0, 0]] * 2, STEP)
     with monkeypatch.context() as patch:
-        patch.setattr("nls.incremental.decision.gnc", undecided)
+        patch.setattr("nls.incremental.leaving.gnc", undecided)
         for _ in range(2):
             with pytest.raises(GraphError, match="cannot decide"):
                 smoother.update(loops)

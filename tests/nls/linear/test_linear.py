@@ -15,9 +15,8 @@ from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear import SOLVERS, Pinv, backends, best_decomposition, default_solver
 from nls.linear.dense import FEW, Lapack
-from nls.linear.factorization import Decomposition
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.linear.lu import SuperLU
-from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph, x
 from tests.nls.solving import DECOMPOSITIONS, dense_step, factorized, make, near
 

@@ -15,9 +15,9 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from nls import PCG, FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Values
 from nls.linear import LU, LinearSolver
-from nls.linear.schur.roots import inverse_root
+from nls.linear.factorization import SingularSystemError
+from nls.linear.schur.inverses import inverse_root
 from nls.linear.schur.solver import SchurDecomposition
-from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
 from tests.nls.solving import near

@@ -12,11 +12,9 @@ from factors import Isotropic, Landmark, Prior
 from factors.bundle import CAMERA, LENS, BundleProjection
 from models import SE2, SE3, R
 from nls import PCG, Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marginals, Schur, Stop, Values
-from nls.linear.conjugate import conjugate
-from nls.linear.schur.independent import independent, twins
-from nls.linear.schur.pcg import PCGDecomposition
-from nls.linear.schur.solver import SchurDecomposition
-from nls.linear.singular import SingularSystemError, UnsolvedSystemError
+from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
+from nls.linear.schur.pcg import PCGDecomposition, conjugate
+from nls.linear.schur.solver import SchurDecomposition, independent, twins
 from nls.linear.underconstrained import underconstrained
 from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, same, seen_by_range, step, x

@@ -11,8 +11,8 @@ import nls
 from factors import Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, R
 from nls import FactorGraph, GaussNewton, Schur, Values
-from nls.linear.schur.independent import _heaviest, independent, separate
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
+from nls.linear.schur.solver import _heaviest, independent, separate
 from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 from tests.nls.solving import near

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from nls.linear.cholesky import cholmod
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.linear.updatable import Refactorized, Updatable, Updated
 
 both = pytest.mark.parametrize("kind", [Updated, Refactorized] if cholmod() else [Refactorized])

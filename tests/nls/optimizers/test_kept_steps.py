@@ -13,7 +13,7 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
 from nls.linear import default_solver
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, pose_graph, x

@@ -231,7 +231,7 @@ def test_a_real_interrupt_writes_the_best_point(tmp_path: Path) -> None:
     limits = ["--method", "dogleg", "--init", "file", "--max-iterations", "1000000000", "--update-tol", "0"]
     code = (
         "import sys, time, signal, os\n"
-        "import nls.optimizers.watch as w\n"
+        "import nls.optimizers.base as w\n"
         "from nls.cli import main\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background inherits none
         "old = w.Watch.step\n"

@@ -18,7 +18,7 @@ from models import SE2, SE3, R
 from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Status, Stop, Values
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS, automatic, stop
-from nls.optimizers.thresholds import Thresholds
+from nls.optimizers.step import Thresholds
 from tests.nls.graphs import circle, p, pose_graph, scalar
 
 ALL = pytest.mark.parametrize("name", OPTIMIZERS)

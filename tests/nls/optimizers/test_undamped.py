@@ -8,8 +8,7 @@ import pytest
 from factors import Factor
 from models import SE2, R
 from nls import Dogleg, FactorGraph, LevenbergMarquardt, Values
-from nls.optimizers.problem import Problem
-from nls.optimizers.undamped import FAINT, Undamped
+from nls.optimizers.problem import FAINT, Problem, Undamped
 from tests.nls.graphs import SAMPLES, p, pose_graph
 from tests.nls.solving import dense_step, make
 

@@ -14,7 +14,7 @@ from factors import Between, Diagonal, Factor, Huber, Isotropic, Kernel, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.sparse.singles import MANY
+from nls.graph import MANY
 
 (x,) = kinds("x")
 NOISE = Diagonal(x=0.03, y=0.03, yaw=0.01)

@@ -13,9 +13,9 @@ from models.errors import ResourceLimitError
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
-from nls.sparse import supernodes
+from nls.sparse import takahashi
 from nls.sparse.pattern import Pattern
-from nls.sparse.supernodes import Supernodes
+from nls.sparse.takahashi import Supernodes
 from tests.nls.graphs import SAMPLES, mixed, pose_graph, x
 from tests.nls.solving import DECOMPOSITIONS, factorized, near
 
@@ -57,9 +57,9 @@ def test_every_graph_against_the_dense_inverse(kind: type[Decomposition]) -> Non
 @pytest.mark.parametrize("step", [0.0, 60e-6, 1e9], ids=["nothing merged", "as it is", "all in one"])
 @every_factorization
 def test_merging_changes_nothing(kind: type[Decomposition], step: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supernodes, "STEP", step)
+    monkeypatch.setattr(takahashi, "STEP", step)
     if step == 0.0:
-        monkeypatch.setattr(supernodes, "GATHER", 0.0)
+        monkeypatch.setattr(takahashi, "GATHER", 0.0)
     for system in (dense_world(1), mixed(3).graph.linearize(mixed(3).values)):
         agrees(factorized(kind, system), system)
 
@@ -133,8 +133,8 @@ def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
     tall = np.full(3, 200, dtype=np.intp)
     star = Supernodes(tall, np.array([2, 2]), np.array([0, 1]))
     assert (len(star), star.numbers) == (3, 200**2 + 400**2)
-    monkeypatch.setattr(supernodes, "STEP", 0.0)
-    monkeypatch.setattr(supernodes, "GATHER", 0.0)
+    monkeypatch.setattr(takahashi, "STEP", 0.0)
+    monkeypatch.setattr(takahashi, "GATHER", 0.0)
     chain = Supernodes(tall, np.array([1, 2]), np.array([0, 1]))
     assert (len(chain), chain.numbers) == (3, 2 * 400**2)
 

@@ -20,14 +20,13 @@ from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.incremental.growing import Variables
+from nls.incremental.growing import Variables, part
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import odometry
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import DETERMINED, locate_points
 from nls.values import Stack, Values
 
-__all__ = ["LIMIT", "Known", "New", "Variable", "alone", "lower_start", "part", "points", "together"]
 LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on
 
 Variable = tuple[str, int]  # kind, number
@@ -86,13 +85,6 @@ class Known:
                 numbers = sorted(of_kind)
                 stacks.append(Stack(kind, space, np.stack([of_kind[n] for n in numbers]), np.array(numbers)))
         return Values.of(stacks)
-
-
-def part(factor: Factor, mask: Mask) -> Factor | None:
-    """Those measurements (n,) of a factor; None where there are none, or only its function knows them."""
-    if not mask.any() or (factor.opaque and not mask.all()):
-        return None
-    return factor if mask.all() else factor[mask]
 
 
 def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor, int]]) -> New | None:
