@@ -34,7 +34,7 @@ from nls.values import Values
 # it. From file to optimum kitti_00 takes 14 % less.
 np.empty((1 << 25) - (1 << 16), dtype=np.uint8)
 
-MANY = 32  # single measurements of one kind, from which on they are one batch
+SMALLEST_BATCH = 32  # single measurements of one kind, from which on they are one batch
 
 
 class FactorGraph:
@@ -281,7 +281,7 @@ class Singles:
         values : of their variables.
         """
         fresh = [factor for factor in factors if len(factor) == 1 and not factor.opaque]
-        if len(fresh) < MANY:
+        if len(fresh) < SMALLEST_BATCH:
             return list(factors)
         parts = {id(factor): [factor] for factor in fresh} | {id(batch): rows for batch, rows in self._made}
         groups: dict[Hashable, list[Factor]] = {}
@@ -292,7 +292,7 @@ class Singles:
         gone: set[int] = set()
         for group in groups.values():
             rows = [row for factor in group for row in parts[id(factor)]]
-            if len(group) > 1 and len(rows) >= MANY:
+            if len(group) > 1 and len(rows) >= SMALLEST_BATCH:
                 batch = _batch(group, values)
                 batches[id(group[0])] = batch
                 gone |= {id(factor) for factor in group}

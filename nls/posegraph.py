@@ -32,8 +32,6 @@ from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
-SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
-
 
 def is_relative(factor: Factor) -> bool:
     """Whether a factor is of a kind that measures relative poses, see `Factor.relative_poses`."""
@@ -377,7 +375,7 @@ def _closing(batch: Batch, place: Index) -> Mask:
 
 def _inverse_trace(blocks: Array) -> Array:
     """tr M^-1 (m,) of symmetric matrices (m, k, k); infinite where M has no inverse."""
-    regular = np.linalg.eigvalsh(blocks)[:, 0] > SINGULAR * np.trace(blocks, axis1=1, axis2=2)
+    regular = np.linalg.eigvalsh(blocks)[:, 0] > 1e-12 * np.trace(blocks, axis1=1, axis2=2)
     out = np.full(len(blocks), np.inf)
     out[regular] = np.trace(np.linalg.inv(blocks[regular]), axis1=1, axis2=2)
     return out

@@ -42,13 +42,7 @@ from nls.certificate.newton import Optimum, nearest, newton, rotations
 from nls.certificate.problem import Problem
 from nls.linear.factorization import Factorization, SingularSystemError
 
-RELATIVE = 1e-6  # of the cost: a smaller gap is none
 BOUND = 1.0  # of chi2 and of the cost, a sigma: a wider gap is one, however high the cost
-COARSE = 1e-2  # of the cost: a wider gap is one, even where rounding could be its cause
-ROUNDING = 100 * np.finfo(float).eps  # of the largest entry of Q: smallest shift
-MORE = 10.0  # times the shift, until S + mu D is positive definite
-LARGEST = 1e20  # of the largest entry of Q: a shift that leaves nothing of S but the positions
-PRECISION = 1e-6  # of the eigenvalues of its inverse
 
 
 @dataclass(frozen=True)
@@ -71,7 +65,7 @@ class Spectrum:
 
 def negligible(cost: float) -> float:
     """The widest gap below a cost that is none."""
-    return min(RELATIVE * cost, BOUND)
+    return min(1e-6 * cost, BOUND)
 
 
 def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
@@ -88,21 +82,23 @@ def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
     S[problem.held, d, d] += problem.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
     D = np.diag([1.0] * d + [0.0])
     size = float(problem.on_diagonal.max())
-    smallest = mu = max(negligible(optimum.cost) / (2 * n * d), ROUNDING * size)
+    # 100 eps of the largest entry of Q: the smallest shift that rounding does not hide
+    smallest = mu = max(negligible(optimum.cost) / (2 * n * d), 100 * np.finfo(float).eps * size)
     while True:
         try:
             state = problem.factorized(S + mu * D, problem.off)
             break
         except SingularSystemError as error:
-            if mu > LARGEST * size:
+            if mu > 1e20 * size:  # nothing of S is left but the positions
                 raise EvaluationError(
                     "certify: the weights of positions differ by more than the digits of numbers hold, so that "
                     "rounding leaves some of them free; check sigmas and units"
                 ) from error
-            mu *= MORE
+            mu *= 10.0
     lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
     gap = optimum.cost - lowest
-    certified = gap <= min(2 * n * d * smallest, max(COARSE * optimum.cost, problem.rounding(optimum.M)), BOUND)
+    # a gap wider than 1e-2 of the cost is one, even where rounding could be its cause
+    certified = gap <= min(2 * n * d * smallest, max(1e-2 * optimum.cost, problem.rounding(optimum.M)), BOUND)
     theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 
@@ -120,12 +116,8 @@ def _largest_of_inverse(state: Factorization, turns: Mask, count: int) -> tuple[
 
     inverse = LinearOperator((len(inside), len(inside)), matvec=lambda v: whole(v)[inside], dtype=float)
     start = np.random.default_rng(0).normal(size=len(inside))
-    theta, vectors = eigsh(inverse, k=count, which="LA", v0=start, tol=PRECISION)
+    theta, vectors = eigsh(inverse, k=count, which="LA", v0=start, tol=1e-6)
     return theta[::-1], whole(vectors[:, -1]) / theta[-1]
-
-
-ROWS = 4  # that are added at most
-SHORTEST = 1e-5  # an added row whose longest entry is shorter changes the cost by rounding alone
 
 
 def staircase(problem: Problem, optimum: Optimum, known: Spectrum) -> tuple[Optimum | None, float]:
@@ -134,7 +126,7 @@ def staircase(problem: Problem, optimum: Optimum, known: Spectrum) -> tuple[Opti
     All optima on the way are rounded. Where the last one needs all its rows, an earlier one can be nearer to poses.
     """
     lifted, poses, lowest = optimum, None, known.lowest
-    for _ in range(ROWS):
+    for _ in range(4):  # rows are added at most
         if (M := _raised(problem, lifted, known.v)) is None:
             break
         lifted = newton(problem, M)
@@ -158,7 +150,7 @@ def placed(M: Array, like: Array, held: int) -> Array:
 def _raised(problem: Problem, optimum: Optimum, v: Array) -> Array | None:
     """M with one row more, of lower cost; None where no length of it lowers the cost."""
     length, v = 1.0, v / np.abs(v[:, :-1]).max()
-    while length > SHORTEST:
+    while length > 1e-5:  # a shorter row changes the cost by rounding alone
         M = nearest(np.dstack([optimum.M, length * v]))
         if problem.cost(M) < optimum.cost:
             return M

@@ -25,8 +25,6 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-MOVES = 1e-8  # of the largest motion of a direction, in sigmas. Measured rounding: 4e-11, beside a chain of 3,000 poses
-
 
 @dataclass(frozen=True)
 class Undetermined:
@@ -126,7 +124,8 @@ def _cleaned(free: FreeDirections) -> sp.csr_array:
     U = abs(sp.diags_array(free.norms) @ N)
     U = sp.csr_array(U @ sp.diags_array(1 / U.max(axis=0).toarray().reshape(-1)))
     N = sp.csr_array(N)
-    N.data[U.data <= MOVES] = 0.0
+    # 1e-8 of the largest motion, in sigmas; rounding beside a chain of 3,000 poses is 4e-11
+    N.data[U.data <= 1e-8] = 0.0
     N.eliminate_zeros()
     return N
 

@@ -136,9 +136,6 @@ class Joint:
         return self.matrix[i, j].copy()
 
 
-CORNERS = 48  # the last is the first
-
-
 def outlines(Sigma: Array, probability: float = 0.95) -> Array:
     """Outlines (n, 48, 2) around the origin of covariances (n, 2, 2), closed, in the unit of their roots.
 
@@ -152,7 +149,7 @@ def outlines(Sigma: Array, probability: float = 0.95) -> Array:
     >>> (largest / np.sqrt(2 * np.log(2))).round(2)
     array([[2., 1.]])
     """
-    a = np.linspace(0, 2 * np.pi, CORNERS)
+    a = np.linspace(0, 2 * np.pi, 48)  # the last corner is the first
     a[-1] = 0.0
     U, s, _ = np.linalg.svd(Sigma)  # of a covariance: its eigenvectors and eigenvalues
     axes = np.sqrt(-2 * np.log1p(-probability)) * U * np.sqrt(s)[:, None, :]

@@ -30,13 +30,7 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
-SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
-ROUGHLY = 0.1  # of the fall of a step, where another one follows anyway
 OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
-AGED = 20  # iterations beyond the first of every solution, after which the preconditioner is made anew
-ITERATIONS = 60
-HALVES = 8  # of a step, at most
-ENOUGH = 0.01  # of the fall that a step promises; less is no reason for another one
 
 
 Mark = tuple[dict[str, Any], dict[str, tuple[Array, Numbers, Index]], list[BatchMark], tuple[int, int]]
@@ -87,7 +81,8 @@ class GrowingSystem:
         """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
         if not self.robust:
             return HONEST * fall
-        rate = min(fall / last, SLOWEST) if last > 0 else SLOW
+        # the rate of reweighting is not known in a first pass
+        rate = min(fall / last, 0.95) if last > 0 else 0.9
         return fall * max(HONEST, 1 / (1 - rate))
 
     def model(self, factor: Factor) -> Model:
@@ -233,7 +228,7 @@ class GrowingSystem:
         rz, d, fall = float(r @ z), z, 0.0
         if OLD * rz <= enough:
             return dx, OLD * max(rz, 0.0)
-        for iteration in range(ITERATIONS):
+        for iteration in range(60):
             q = _sum([At @ (A @ d) for A, At in rows], F.n)
             alpha = rz / float(d @ q)
             dx += alpha * d
@@ -243,7 +238,8 @@ class GrowingSystem:
             before, rz = rz, float(r @ z)
             self.iterations += 1
             self._age += iteration > 0
-            if OLD * rz <= enough - fall or (fall > enough and rz <= ROUGHLY * fall):
+            # where more than enough has fallen another step follows anyway: a tenth may be left
+            if OLD * rz <= enough - fall or (fall > enough and rz <= 0.1 * fall):
                 break
             d = z + (rz / before) * d
         return dx, fall + OLD * rz
@@ -262,7 +258,7 @@ class GrowingSystem:
         """
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
         first = min(2 * self._part, 1.0)  # of a step like the last one
-        for part in (*first * 0.5 ** np.arange(HALVES), 0.0):
+        for part in (*first * 0.5 ** np.arange(8), 0.0):
             for kind, v in self.variables.items():
                 step = dx[v.columns[:, None] + np.arange(v.manifold.dim)]
                 v.X[...] = v.manifold.retract(begin[kind], part * step)
@@ -272,7 +268,7 @@ class GrowingSystem:
                 if error.is_fault:
                     raise
             else:
-                if chi2 - self.chi2 > ENOUGH * fall:
+                if chi2 - self.chi2 > 0.01 * fall:  # less is no reason for another step
                     self._part = part
                     return True
         return False
@@ -284,7 +280,7 @@ class GrowingSystem:
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
-        if self._preconditioner is None or self._age > AGED:
+        if self._preconditioner is None or self._age > 20:  # iterations beyond the first of every solution
             self._preconditioner = self._factorized()
         else:
             F = self._preconditioner

@@ -52,7 +52,6 @@ from nls.sparse.threads import single_thread
 from nls.values import Values
 
 SETTLED = 0.8  # of the tolerance: a smaller gap is no reason for another step
-PASSES = 30
 
 
 class Incremental:
@@ -230,7 +229,7 @@ class Incremental:
     def settle(self) -> None:
         """Move to the optimum, within the tolerance."""
         last = 0.0
-        for share in (1.0, *(SETTLED,) * PASSES):
+        for share in (1.0, *(SETTLED,) * 30):  # passes at most
             self.passes += 1
             dx, fall = self._system.step(self._allowed(SETTLED) / HONEST)
             self.gap = self._system.bound(fall, last)

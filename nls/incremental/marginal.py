@@ -37,8 +37,6 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
-
 
 class _Chart(NamedTuple):
     """Variables of one space: the slot of the pose that sees them, if any, theirs, Y0 (k, size), A T (k, m, dim)."""
@@ -226,7 +224,7 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
         dense: Array = whole[rows][:, [*columns, -1]]
         triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
-        if len(pivots) < e or (pivots <= RANK * lengths).any():
+        if len(pivots) < e or (pivots <= 1e-12 * lengths).any():  # rounding of 0
             free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
             raise UnderconstrainedError(
                 f"{', '.join(map(repr, free))} cannot leave the window: the measurements so far do not determine all "

@@ -139,9 +139,6 @@ def with_damping(A: sp.csr_array, b: Array, damping: Array | None) -> tuple[sp.c
     return sp.csr_array(sp.vstack([A, rows])), np.concatenate([b, np.zeros(len(damping))])
 
 
-FADED = 0.5  # of a diagonal entry of A'A: an unknown less is known about wants a step that the old one is too stiff for
-
-
 class NormalAnalysis(Analysis):
     """The structure of A'A, and the factorization of the latest linearization.
 
@@ -191,7 +188,8 @@ class NormalAnalysis(Analysis):
 
     def again(self, system: LinearSystem) -> LinearSolution | None:
         started = perf_counter()
-        if (np.square(system.column_norms) < FADED * self.factorization.diagonal).any():
+        # an unknown that less than half is known about wants a step that the old H is too stiff for
+        if (np.square(system.column_norms) < 0.5 * self.factorization.diagonal).any():
             return None
         dx = self.factorization.solve(system.gradient)
         return LinearSolution(dx, {"solve": perf_counter() - started})

@@ -8,7 +8,7 @@ from models.algebra import Array, Index
 from models.errors import OptionError
 from nls.linear.base import LinearSolver, SparseSolver
 from nls.linear.cholesky import Cholesky
-from nls.linear.dense import FEW, Small
+from nls.linear.dense import DENSE_COLUMNS, Small
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import LU
 from nls.sparse.elimination import Eliminations
@@ -21,7 +21,7 @@ def default_solver(n: int | None = None) -> SparseSolver:
 
     It is CHOLMOD, or SuperLU without SuiteSparse. Few columns need neither.
     """
-    if n is not None and n <= FEW:
+    if n is not None and n <= DENSE_COLUMNS:
         return Small()
     return Cholesky() if Cholesky.missing() is None else LU()
 
@@ -88,9 +88,6 @@ def factorized_by(linear_solver: LinearSolver | None, default: SparseSolver, sys
     return default.factorization(system) if own is None else own
 
 
-LARGEST = 3  # columns of a node in a start, at most
-
-
 class Laplacian:
     """Symmetric matrices of blocks (k, k) at V nodes and at P pairs of them; all sizes k have one elimination order.
 
@@ -102,7 +99,7 @@ class Laplacian:
     """
 
     def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
-        self._decomposition = best_decomposition(LARGEST * V)
+        self._decomposition = best_decomposition(3 * V)  # at most 3 columns a node in a start
         self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
         self._factorizations: dict[int, Factorization] = {}
 

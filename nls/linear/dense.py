@@ -24,7 +24,7 @@ from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 
-FEW = 150  # columns, up to which NumPy is as fast as CHOLMOD
+DENSE_COLUMNS = 150  # columns, up to which NumPy is as fast as CHOLMOD
 
 
 class _Dense(LinearSolver):

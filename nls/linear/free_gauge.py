@@ -13,8 +13,6 @@ from nls.linear.factorization import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 
-UNSEEN = 1e-6  # of a direction of length 1 in sigmas: public pose graphs have at most 1e-10
-
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
     """Columns of `free` that `held` leaves out, the gauge, and all others."""
@@ -34,7 +32,7 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
     lengths = np.sqrt(A.copy().power(2).sum(axis=0))  # of A itself it would sort indices that all linearizations share
     U = N / np.linalg.norm(lengths[:, None] * N, axis=0)  # of length 1 in sigmas, whatever the units
-    if np.abs(A @ U).max(initial=0.0) > UNSEEN:
+    if np.abs(A @ U).max(initial=0.0) > 1e-6:  # sigmas; public pose graphs have at most 1e-10
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 

@@ -21,10 +21,7 @@ from nls.linear.factorization import NULL, Factorization, SingularSystemError
 from nls.system import LinearSystem
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
-ROUNDS = 8  # of inverse iteration
 MAX_DIRECTIONS, BLOCKS = 12, 8  # null directions looked for in one block; blocks; more are counted as "at least"
-NOTHING = 1e-4  # of a direction of length 1: rounding, when all else of it belongs to single variables
-MAYBE = 1e-12  # eigenvalue of a block whose columns have length 1: squares keep half of the digits, so only a candidate
 
 
 def null_directions(system: LinearSystem, singles: sp.csc_array) -> tuple[Array, bool]:
@@ -72,7 +69,7 @@ def weakest(system: LinearSystem, singles: sp.csc_array | None = None) -> tuple[
     else:
         inverse = _shifted(system, np.square(scale))
         V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
-        for _ in range(ROUNDS):
+        for _ in range(8):  # rounds of inverse iteration
             V = scale[:, None] * inverse.solve(scale[:, None] * (V - S @ (S.T @ V)))
             V = np.linalg.qr(V - S @ (S.T @ V))[0]
         _, s, Wt = np.linalg.svd(system.A @ (V / scale[:, None]), full_matrices=False)
@@ -118,7 +115,7 @@ def single_directions(system: LinearSystem) -> sp.csc_array:
         columns = pattern.starts[variables][:, None] + np.arange(d)  # (v, d)
         scale = norms[columns]
         w, V = np.linalg.eigh(own_information(system, variables, d) / (scale[:, :, None] * scale[:, None, :]))
-        v, k = np.nonzero(w <= MAYBE)
+        v, k = np.nonzero(w <= 1e-12)  # squares keep half of the digits, so only a candidate
         rows.append(columns[v].ravel())
         numbers.append(V[v, :, k].ravel())
         count.append(np.full(len(v), d))
@@ -168,6 +165,6 @@ def separated(N: Array, singles: sp.csc_array, scale: Array) -> Array:
     U = N * scale[:, None]
     U = U / np.linalg.norm(U, axis=0)
     U, s, _ = np.linalg.svd(U - singles @ (singles.T @ U), full_matrices=False)
-    Q = U[:, s > NOTHING]
+    Q = U[:, s > 1e-4]  # less is rounding: all else belongs to single variables
     pivots = qr(Q.T, mode="r", pivoting=True)[1][: Q.shape[1]]
     return np.asarray(Q @ np.linalg.inv(Q[pivots]) / scale[:, None])

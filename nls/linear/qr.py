@@ -23,8 +23,6 @@ from nls.system import LinearSystem
 # at once end the process.
 ONE_AT_A_TIME = Lock()
 
-FIXED = 0  # SPQR: the columns stay in their order
-
 
 @cache
 def spqr() -> Any | None:
@@ -92,7 +90,8 @@ class OrthogonalFactor(Factorization):
         hessian = system.pattern.hessian(decomposition.order)
         super().__init__(hessian, decomposition(hessian))
         p, lengths = hessian.permutation, system.column_norms
-        _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], FIXED)
+        # SPQR's order 0: the columns stay as they are
+        _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], 0)
         self._R = sp.csr_array(sp.diags_array(np.sign(R.diagonal())) @ R @ sp.diags_array(lengths[p]))
         self._L = sp.csr_array(self._R.T)
 

@@ -29,10 +29,8 @@ from nls.linear.lu import SYMMETRIC
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
-WIDEST = 16  # numbers of a variable that is held, at most
 RESERVE = 600  # columns for variables to come
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
-SMALL = 1e-6  # on the diagonal of a column in reserve, of the mean of the others
 
 
 class Updatable(Abstract):
@@ -144,8 +142,8 @@ class Preconditioner:
 
     def __init__(self, hessian: Hessian, S: Array) -> None:
         self.used, self.rows, self.n = hessian.n, 0, hessian.n + RESERVE
-        self.width = self.n + WIDEST
-        small = SMALL * float(hessian.diagonal(S).mean())
+        self.width = self.n + 16  # numbers of a variable that is held, at most
+        small = 1e-6 * float(hessian.diagonal(S).mean())  # in reserve
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
         data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])

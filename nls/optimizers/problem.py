@@ -148,11 +148,6 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
 
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
-LARGEST = 1e-8  # that a system which follows keeps
-# A'A squares the condition of A: a direction that A sees with 1e-8 of a column is lost in it. Up to so many unknowns
-# the weakest directions of A are looked at, those it sees by more than so much of a column, and followed where they
-# promise a relative decrease of chi2 above this. A bundle has dozens of them, and little to gain.
-SMALL, UNSEEN, GAIN = 300, 1e-10, 0.02
 HOPELESS = 1e16  # lambda at which no step is left to try
 
 
@@ -200,16 +195,19 @@ class Undamped:
             return dx
         except SingularSystemError:
             dx, self.free = self._faint(system, D), system
-        if len(dx) > SMALL or self.problem.solver.held_system(system) is not system:
+        # A'A squares the condition of A: a direction that A sees with 1e-8 of a column is lost in it. Of up to 300
+        # unknowns the weakest directions of A are looked at, and followed where they promise a relative decrease of
+        # chi2 above 0.02. A bundle has dozens of them, and little to gain.
+        if len(dx) > 300 or self.problem.solver.held_system(system) is not system:
             return dx
         s, N = weakest(system)
         if not (s <= NULL).any():
             self.free = None
-        N = N[:, s > UNSEEN]
+        N = N[:, s > 1e-10]
         A_N, residual = system.A @ N, system.b - system.times(dx)
         lengths = np.linalg.norm(A_N, axis=0)
         farther = np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, residual)[0])
-        return farther if system.promised(farther) - system.promised(dx) > GAIN * system.chi2 else dx
+        return farther if system.promised(farther) - system.promised(dx) > 0.02 * system.chi2 else dx
 
     def _faint(self, system: LinearSystem, D: Array) -> Array:
         self.damping = max(self.damping / 10, self._least)
@@ -218,6 +216,6 @@ class Undamped:
                 return self.problem.solve(system, self.damping * D**2)
             except SingularSystemError:
                 self.damping *= 100
-                self._least = min(self.damping, LARGEST)
+                self._least = min(self.damping, 1e-8)  # a larger one no system that follows keeps
                 if self.damping > HOPELESS:
                     raise

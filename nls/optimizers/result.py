@@ -14,7 +14,6 @@ from models.html_table import html_table
 from nls.optimizers.fit import SILENCED, Fit, Share, fit
 from nls.values import Values
 
-FAR = 100.0  # chi2 per degree of freedom: sigmas ten times too small are rare, wrong measurements or starts are not
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
 
 
@@ -203,7 +202,8 @@ class Result:
         if not self.doubt:
             return ()
         explain = Advice("explain", ("nls explain",))
-        return (explain, Advice("start")) if self.chi2_final > FAR * max(self.dof, 1) else (explain,)
+        # sigmas ten times too small are rare, wrong measurements or starts are not
+        return (explain, Advice("start")) if self.chi2_final > 100.0 * max(self.dof, 1) else (explain,)
 
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"

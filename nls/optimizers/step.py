@@ -18,9 +18,6 @@ from nls.optimizers.result import Attempt, Iteration, Status
 from nls.system import LinearSystem
 from nls.values import Values
 
-MOST_STEPS = 100  # of a method; pose graphs that converge take up to 15, a slow public one of 50 poses 145
-MOST_STEPS_IN_ALL = 1000  # of the default, where no limit is given
-
 
 class Thresholds(NamedTuple):
     """The thresholds in force; 0 for a rule that is off. These are the ones of a `Stop` to which none is given."""
@@ -84,7 +81,7 @@ class Stop:
     @property
     def patient(self) -> Stop:
         """As it is; with the limit of all steps of the default where none is given."""
-        return self if self.max_iterations is not None else replace(self, max_iterations=MOST_STEPS_IN_ALL)
+        return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
 
     @property
     def in_force(self) -> Thresholds:
@@ -118,7 +115,8 @@ class Record:
 
     def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
         self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
-        self.limit = MOST_STEPS if settings.max_iterations is None else settings.max_iterations
+        # pose graphs that converge take up to 15, a slow public one of 50 poses 145
+        self.limit = 100 if settings.max_iterations is None else settings.max_iterations
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest = values, chi2
@@ -173,12 +171,11 @@ class Record:
 
 
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
-SHORT = 0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
-FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
-MISSED = 10  # a step that promised so many times the fall it brought has not converged, it has missed
-UNDAMPED = 10  # times chi2_rtol: the fall that the undamped step may still promise when a damped one brings less
+SHORT_OF_ESTIMATE = (
+    0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
+)
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
-EPS = 1e-15  # relative rounding of an error: of the numbers whose difference it is
+ROUNDING_OF_ERROR = 1e-15  # relative rounding of an error: of the numbers whose difference it is
 
 
 class Step:
@@ -244,7 +241,8 @@ class Step:
     @cached_property
     def missed(self) -> bool:
         """Whether an undamped step promised a much larger fall than it brought."""
-        much = self.undamped is None and self.promised > MISSED * max(self.fall, self.little)
+        # a step that promised 10 times the fall it brought has not converged, it has missed
+        much = self.undamped is None and self.promised > 10 * max(self.fall, self.little)
         return much and not self.invisible
 
     @cached_property
@@ -272,8 +270,8 @@ class Step:
         """
         system = self.system
         b, x = math.sqrt(system.chi2), np.abs(self._coordinates)
-        error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
-        return change <= max((2 * b + error) * error, (EPS * system.pattern.largest_measurement) ** 2)
+        error = ROUNDING_OF_ERROR * max(b, float((system.column_norms * x).max(initial=0.0)))
+        return change <= max((2 * b + error) * error, (ROUNDING_OF_ERROR * system.pattern.largest_measurement) ** 2)
 
     @cached_property
     def short(self) -> bool:
@@ -298,14 +296,16 @@ class Step:
         if self.free:
             return self.agreed
         update = float(np.abs(self._full).max(initial=0.0))
-        return (self.undamped is None or update <= FARTHER * self.tol.update_tol) and self._short(self._full)
+        # an undamped step of a damped method may lead 10 times as far
+        return (self.undamped is None or update <= 10 * self.tol.update_tol) and self._short(self._full)
 
     @property
     def agreed(self) -> bool:
         """Whether the undamped step promises no fall worth it and leads nowhere else."""
         if self.undamped is not None:
             promised = float(self._full @ self.system.gradient)
-            if promised > UNDAMPED * self.tol.chi2_rtol * self.system.chi2 and not self.rounds(promised):
+            # the undamped step may promise 10 times the fall that counts as none
+            if promised > 10 * self.tol.chi2_rtol * self.system.chi2 and not self.rounds(promised):
                 return False
         return self.free or self._short(self._full)
 
@@ -321,4 +321,7 @@ class Step:
     def _short(self, dx: Array) -> bool:
         D = self.watch.scale(self.system)
         length, start = np.linalg.norm(D * dx), D * self.system.pattern.restrict(self.watch.start)
-        return bool(length <= SHORT * np.linalg.norm(start) or length <= SHORT * np.linalg.norm(D * self._coordinates))
+        return bool(
+            length <= SHORT_OF_ESTIMATE * np.linalg.norm(start)
+            or length <= SHORT_OF_ESTIMATE * np.linalg.norm(D * self._coordinates)
+        )

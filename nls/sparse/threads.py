@@ -25,7 +25,6 @@ OTHERS = ("libmkl_rt", "libblis", "libflexiblas")
 AFFIXES = ("{}", "scipy_{}", "{}64_", "scipy_{}64_", "{}_64", "scipy_{}_64")  # builds of OpenBLAS name their functions
 P = ParamSpec("P")
 T = TypeVar("T")
-NONE, OWN = 0, 1  # the threads of an OpenBLAS; 2 are those of OpenMP
 
 
 class Knob(NamedTuple):
@@ -55,7 +54,8 @@ def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
         _knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in _opened(paths, "libgomp")
     ]
     openblas = [lib for lib in _opened(paths, *OPENBLAS) if _function(lib, "get_parallel")]  # not the reference BLAS
-    strange = any(_function(lib, "get_parallel")() not in (NONE, OWN) for lib in openblas)
+    # an OpenBLAS without threads says 0, one with its own 1; 2 are those of OpenMP
+    strange = any(_function(lib, "get_parallel")() not in (0, 1) for lib in openblas)
     if strange or not paths or _opened(paths, *OTHERS):
         return knobs + _blas_knobs()
     knobs += [_knob(_function(lib, "get_num_threads"), _function(lib, "set_num_threads"), 1) for lib in openblas]

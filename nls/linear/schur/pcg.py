@@ -120,7 +120,6 @@ def conjugate(
 
 
 GROWN = 1e4  # times r'M^-1 r at the start, and then times what it was when A was asked last: a free direction, perhaps
-EXACT = 1e-6  # a larger tolerance is an inexact solver
 
 
 class PCGDecomposition(SchurDecomposition):
@@ -297,7 +296,7 @@ class PCG(LinearSolver):
     def __init__(self, tol: float = 1e-10, max_steps: int = 2000) -> None:
         self.tol = check_between("tol", tol, 0, 1, "a number above 0 and below 1")
         self.max_steps = check_whole("max_steps", max_steps, 1, "a whole number above 0")
-        self.exact = self.tol <= EXACT
+        self.exact = self.tol <= 1e-6  # a larger tolerance is an inexact solver
 
     def analyze(self, pattern: Pattern) -> PCGAnalysis:
         blocks = pattern.blocks

@@ -14,7 +14,7 @@ from factors import Between, Diagonal, Factor, Huber, Isotropic, Kernel, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.graph import MANY
+from nls.graph import SMALLEST_BATCH
 
 (x,) = kinds("x")
 NOISE = Diagonal(x=0.03, y=0.03, yaw=0.01)
@@ -44,7 +44,7 @@ def test_one_by_one_is_the_same_as_in_batches(world: sim.World) -> None:
 
 
 def test_few_stay_alone(world: sim.World) -> None:
-    odometry = by_ones(world.graph.factors[0])[: MANY - 1]
+    odometry = by_ones(world.graph.factors[0])[: SMALLEST_BATCH - 1]
     graph = FactorGraph(odometry)
     graph.chi2(world.start)
     assert graph.factors == odometry
@@ -59,7 +59,7 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
         if k % 10 == 9:
             graph.chi2(world.start)
     assert graph.chi2(world.start) == pytest.approx(world.graph.chi2(world.start), rel=1e-12)
-    assert len(graph.factors) < 2 + MANY
+    assert len(graph.factors) < 2 + SMALLEST_BATCH
     rest = list(range(len(steps)))
     for k in (0, 3, len(steps) - 1, 41):
         graph.remove(steps[k])
@@ -74,10 +74,10 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
 
 
 def test_a_factor_that_is_given_twice_counts_twice() -> None:
-    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(MANY)]
-    values = Values({x: (SE2, np.zeros((MANY, 3)))})
-    expected = sum(k * k for k in range(MANY))
-    for factors, chi2 in (([priors[3]] * MANY, 9 * MANY), ([priors[5], *priors], expected + 25)):
+    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(SMALLEST_BATCH)]
+    values = Values({x: (SE2, np.zeros((SMALLEST_BATCH, 3)))})
+    expected = sum(k * k for k in range(SMALLEST_BATCH))
+    for factors, chi2 in (([priors[3]] * SMALLEST_BATCH, 9 * SMALLEST_BATCH), ([priors[5], *priors], expected + 25)):
         graph = FactorGraph(factors)
         assert graph.chi2(values) == chi2
         assert len(graph) == len(factors)
@@ -97,21 +97,23 @@ def test_kernels_that_differ_in_any_number_stay_apart() -> None:
         def weight(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
             return np.full(len(s), self.part)
 
-    parts = [0.25 if k % 2 else 0.75 for k in range(2 * MANY)]
+    parts = [0.25 if k % 2 else 0.75 for k in range(2 * SMALLEST_BATCH)]
     factors = [Prior(x[k], [1, 0, 0], Isotropic(1.0)).robust(Scaled(1.0, part)) for k, part in enumerate(parts)]
     graph = FactorGraph(factors)
-    assert graph.chi2(Values({x: (SE2, np.zeros((2 * MANY, 3)))})) == sum(parts)
-    assert [len(factor) for factor in graph.factors] == [MANY, MANY]
+    assert graph.chi2(Values({x: (SE2, np.zeros((2 * SMALLEST_BATCH, 3)))})) == sum(parts)
+    assert [len(factor) for factor in graph.factors] == [SMALLEST_BATCH, SMALLEST_BATCH]
 
 
 def test_functions_stay_alone() -> None:
     """Only the function knows its data."""
     factors = [
         Factor.from_function(lambda X, k=k: X[:, :1] - k, x[k], 1)  # type: ignore[misc]
-        for k in range(2 * MANY)
+        for k in range(2 * SMALLEST_BATCH)
     ]
     graph = FactorGraph(factors)
-    assert graph.chi2(Values({x: (SE2, np.zeros((2 * MANY, 3)))})) == sum(k * k for k in range(2 * MANY))
+    assert graph.chi2(Values({x: (SE2, np.zeros((2 * SMALLEST_BATCH, 3)))})) == sum(
+        k * k for k in range(2 * SMALLEST_BATCH)
+    )
     assert graph.factors == factors
 
 
