@@ -42,12 +42,7 @@ class Watch(Record):
     """
 
     def __init__(
-        self,
-        settings: Stop,
-        callback: Callback | None,
-        values: Values,
-        system: LinearSystem,
-        seconds: dict[str, float],
+        self, settings: Stop, callback: Callback | None, values: Values, system: LinearSystem, seconds: dict[str, float]
     ) -> None:
         super().__init__(settings, values, system.chi2, seconds)
         self.callback, self.after_a_step = callback, stop.AFTER_A_STEP
