@@ -17,8 +17,6 @@ over the special Euclidean group", IJRR 38(2-3), 2019.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from factors.between import Between
@@ -65,6 +63,7 @@ class Problem:
         TW = self.T * self.W[:, None]
         self.on_diagonal = graph.sums(TW @ self.T.mT, self.W[:, None] * np.eye(d + 1))
         self.off = -TW
+        self._laplacian = Laplacian(graph.i, graph.j, graph.n)
 
     def matrices(self, X: Array) -> Array:
         """M (n, d + 1, d) of poses (n, size)."""
@@ -105,10 +104,6 @@ class Problem:
     def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
         """`Laplacian.factorized` with blocks (n, k, k), and (m, k, k) of the edges."""
         return self._laplacian.factorized(on_diagonal, off)
-
-    @cached_property
-    def _laplacian(self) -> Laplacian:
-        return Laplacian(self.graph.i, self.graph.j, self.n)
 
 
 def certifiable(graph: FactorGraph, values: Values) -> Problem:

@@ -375,7 +375,14 @@ class Marginals:
             raise GraphError(f"Marginals: {keys!r:.60} names no variable; expected x[0], x[[1, 2]], or all(x) for all")
         stack = self.values.stack(keys.kind)
         variables = stack.index(keys)
-        self._measured(keys, self._pattern.offsets[keys.kind] + variables)
+        unmeasured = self._status[self._pattern.offsets[keys.kind] + variables] == "unmeasured"
+        if unmeasured.any():
+            named = list(keys[unmeasured])
+            raise UnderconstrainedError(
+                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
+                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
+                named,
+            )
         J, names = axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
         if self._undetermined is not None:
             columns = self._column[self._columns(keys)]
@@ -384,13 +391,3 @@ class Marginals:
             if refusal is not None:
                 raise refusal
         return J, names
-
-    def _measured(self, keys: Keys, variables: Index) -> None:
-        unmeasured = self._status[variables] == "unmeasured"
-        if unmeasured.any():
-            named = list(keys[unmeasured])
-            raise UnderconstrainedError(
-                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
-                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
-                named,
-            )

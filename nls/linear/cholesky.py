@@ -52,13 +52,6 @@ def _order(graph: sp.csc_matrix, method: str) -> Index:
     return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
 
 
-def _symbolic(H: sp.csc_matrix) -> Any:
-    """CHOLMOD's symbolic factorization."""
-    module = cholmod()
-    assert module is not None
-    return module.analyze(H, mode="auto", ordering_method="natural")
-
-
 class Cholmod(Decomposition):
     """P H P' = L L' or L D L' of a `Hessian` by CHOLMOD."""
 
@@ -87,7 +80,9 @@ class Cholmod(Decomposition):
         ones: Array = np.ones(len(hessian.indices), dtype=dtype)
         self._H = sp.csc_matrix((ones, hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n))
         self._H.has_sorted_indices = True
-        self._chol = hessian.analyzed(_symbolic, self._H).copy()
+        if dtype not in hessian.analyses:
+            hessian.analyses[dtype] = module.analyze(self._H, mode="auto", ordering_method="natural")
+        self._chol = hessian.analyses[dtype].copy()
 
     def __getstate__(self) -> tuple[Hessian, Array, bool]:
         return self._hessian, self._H.data, self._factorized

@@ -40,12 +40,8 @@ class _Dense(LinearSolver):
     def __init__(self, memory_limit: float | None = None) -> None:
         self.memory_limit = checked_limit(memory_limit)
 
-    def needed(self, m: int, n: int) -> float:
-        """Bytes a solve of an (m, n) system takes."""
-        return 8.0 * self.copies * m * n
-
     def analyze(self, pattern: Pattern) -> DenseAnalysis:
-        needed = self.needed(pattern.m, pattern.n)
+        needed = 8.0 * self.copies * pattern.m * pattern.n
         if needed > self.memory_limit:
             raise ResourceLimitError(
                 f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, "

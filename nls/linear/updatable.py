@@ -14,14 +14,12 @@ Cholesky factorization", SIAM J. Matrix Anal. Appl. 26(3), 2005.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse as sp
 
-from models.abstract import Abstract
 from models.algebra import Array
 from nls.linear.cholesky import cholmod
 from nls.linear.factorization import SingularSystemError, refuse_vanishing
@@ -33,8 +31,14 @@ RESERVE = 600  # columns for variables to come
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
 
 
-class Updatable(Abstract):
-    """H x = g for a matrix that rows are added to: H + C C'.
+class Updated:
+    """H = L D L' by CHOLMOD; new rows change the columns of L above their variables: H <- H + C C'.
+
+    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
+    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
+
+    Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
+    35(4), 2009.
 
     Parameters
     ----------
@@ -44,30 +48,6 @@ class Updatable(Abstract):
     ------
     SingularSystemError
         H is not positive definite.
-    """
-
-    name: str
-
-    @abstractmethod
-    def __init__(self, H: sp.csc_matrix) -> None: ...
-
-    @abstractmethod
-    def add(self, C: sp.csc_matrix) -> None:
-        """H <- H + C C', C (n, k)."""
-
-    @abstractmethod
-    def solve(self, g: Array) -> Array:
-        """H^-1 g (n,)."""
-
-
-class Updated(Updatable):
-    """H = L D L' by CHOLMOD; new rows change the columns of L above their variables.
-
-    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
-    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
-
-    Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
-    35(4), 2009.
     """
 
     name = "rank updates (CHOLMOD)"
@@ -83,14 +63,16 @@ class Updated(Updatable):
         refuse_vanishing(self._chol.D(), H.diagonal())  # the natural order: that of H
 
     def add(self, C: sp.csc_matrix) -> None:
+        """H <- H + C C', C (n, k)."""
         self._chol.update_inplace(C)
 
     def solve(self, g: Array) -> Array:
+        """H^-1 g (n,)."""
         return np.asarray(self._chol.solve_A(g))
 
 
-class Refactorized(Updatable):
-    """H = L U by SciPy's SuperLU, made anew for new rows."""
+class Refactorized:
+    """H = L U by SciPy's SuperLU, made anew for new rows; otherwise as `Updated`."""
 
     name = "a new factorization for new rows (SuperLU)"
 
@@ -115,7 +97,7 @@ class Refactorized(Updatable):
         return np.asarray(self._lu.solve(g))
 
 
-def updatable_class() -> type[Updatable]:
+def updatable_class() -> type[Updated] | type[Refactorized]:
     """The best one installed."""
     return Refactorized if cholmod() is None else Updated
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, cached_property
 from itertools import combinations
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy import sparse as sp
@@ -24,8 +24,6 @@ from scipy import sparse as sp
 from models.algebra import Array, Index, Mask, gram, product
 from models.errors import ResourceLimitError
 from nls.sparse.elimination import Elimination
-
-T = TypeVar("T")
 
 
 @cache
@@ -52,11 +50,12 @@ class Hessian:
     permutation : (n,) column k here is column permutation[k] of the given order.
     indptr, indices : of the lower triangle, compressed by column.
     source : where in S each of its numbers is.
+    analyses : CHOLMOD's symbolic factorizations of this structure, by the type of the numbers.
     """
 
     def __init__(self, elimination: Elimination, dims: Index, diagonal: Index, off: Index) -> None:
         self.elimination, self.dims = elimination, dims
-        self._analyses: dict[tuple[Callable[[sp.csc_matrix], Any], np.dtype[Any]], Any] = {}
+        self.analyses: dict[type, Any] = {}
         e, V = elimination, len(dims)
         widths = dims[e.variables]
         starts = widths.cumsum() - widths
@@ -102,15 +101,7 @@ class Hessian:
         self._add = [np.concatenate(arrays) for arrays in zip(*repeats, strict=True)] or None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_analyses": {}}  # of programs whose objects do not leave the process
-
-    def analyzed(self, analyze: Callable[[sp.csc_matrix], T], H: sp.csc_matrix) -> T:
-        """The analysis of a matrix of this structure by a program: made at the first of its type, then kept."""
-        key = analyze, H.dtype
-        if key not in self._analyses:
-            self._analyses[key] = analyze(H)
-        analysis: T = self._analyses[key]
-        return analysis
+        return {**vars(self), "analyses": {}}  # of programs whose objects do not leave the process
 
     @cached_property
     def _on_diagonal(self) -> Index:
