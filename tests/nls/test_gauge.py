@@ -184,16 +184,6 @@ def test_variables_without_measurement_are_held_with_a_warning() -> None:
         sample.graph.optimize(values, gauge="none")
 
 
-def test_the_held_variable_does_not_change_the_shape(group: LieGroup) -> None:
-    sample = pose_graph(group, anchored=False)
-    one = sample.graph.optimize(sample.values, TIGHT)
-    sample.graph.fix(x[6])
-    other = sample.graph.optimize(sample.values, TIGHT)
-    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
-    A, B = (group.between(r.values[x][:1], r.values[x]) for r in (one, other))
-    assert distance(group, A, B) < 1e-8
-
-
 def test_free_factorizes_once_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
     factorize = Factorization.factorize

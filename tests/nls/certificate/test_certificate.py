@@ -72,18 +72,6 @@ def test_newtons_model_is_right_to_second_order(group: LieGroup, rows: int) -> N
     assert tangent(M).shape[3] == M.shape[2] + group.dim - group.point_dim + rows * group.point_dim
 
 
-def test_the_nearest_matrix_of_the_plane_is_that_of_the_singular_vectors() -> None:
-    """Also of mirrored ones, and of one that is nearly singular."""
-    Y = np.random.default_rng(3).normal(size=(50, 2, 2))
-    Y[0] = [[1.0, 2.0], [0.5, 1.0 + 1e-6]]
-    U, _, Vt = np.linalg.svd(Y)
-    M = nearest(np.concatenate([Y, np.ones((50, 1, 2))], axis=1))
-    assert 10 < (np.linalg.det(Y) < 0).sum() < 40
-    np.testing.assert_allclose(M[:, :2], U @ Vt, atol=1e-9)
-    np.testing.assert_allclose(M[:, :2] @ M[:, :2].mT, np.broadcast_to(np.eye(2), (50, 2, 2)), atol=1e-14)
-    assert (M[:, 2] == 1).all()
-
-
 @pytest.mark.parametrize("group", GROUPS, ids=repr)
 def test_newton_converges_in_a_few_steps(group: LieGroup) -> None:
     graph, M, *_ = problem_of(group)

@@ -82,32 +82,6 @@ def test_a_measurement_that_waits_can_be_taken_back() -> None:
     assert not smoother.pending
 
 
-@pytest.mark.parametrize(
-    ("wrong", "error"),
-    [
-        ("Between(x0, x1)", GraphError),
-        (Between(x[1], x[2], [1.0, 0, 0], Isotropic(1e-320)), NoiseModelError),
-        (Between(x[1], x[2], [1.0, 0], STEP), GraphError),
-        (Between(x[0], x[1], [1e308, 0, 0], STEP), EvaluationError),
-        (Prior(l[1], [0.0, 0, 0], STEP), GraphError),
-    ],
-    ids=["text", "noise", "size", "beyond numbers", "space"],
-)
-def test_after_a_refused_update_all_is_as_before(wrong: Factor, error: type[Exception]) -> None:
-    smoother = Incremental()
-    known = Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), [[1.0, 1.0]])})
-    smoother.update([Between(x[0], x[1], [1.0, 0, 0], STEP), Prior(l[0], [1.0, 1.0], STEP)], known)
-    before, chi2 = smoother.values, smoother.chi2
-    with pytest.raises(error):
-        smoother.update([Between(x[0], x[1], [1.1, 0, 0], STEP), wrong])
-    assert smoother.values.stack("x").X.shape == before.stack("x").X.shape
-    assert smoother.chi2 == chi2
-    assert len(smoother.graph) == 2
-    assert not smoother.waiting
-    smoother.update(Between(x[0], x[1], [1.1, 0, 0], STEP))
-    is_optimal(smoother)
-
-
 def beacons(landmark: bool = True) -> tuple[Incremental, list[Factor]]:
     """Four poses in a row, and a landmark by three ranges."""
     smoother = Incremental(1e-9)

@@ -11,7 +11,7 @@ import nls
 from factors import Isotropic, Landmark, Prior
 from factors.bundle import CAMERA, LENS, BundleProjection
 from models import SE2, SE3, R
-from nls import PCG, Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marginals, Schur, Stop, Values
+from nls import PCG, Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marginals, Schur, Values
 from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
 from nls.linear.schur.pcg import PCGDecomposition, conjugate
 from nls.linear.schur.solver import SchurDecomposition, independent, twins
@@ -148,15 +148,6 @@ def test_a_gauge_met_head_on_is_seen() -> None:
             step(PCG(), sample.graph.linearize(sample.values))
 
 
-def test_levenberg_marquardt_says_what_is_free() -> None:
-    sample = bundle(seed=4)
-    graph = FactorGraph([sample.graph.factors[0]])
-    one, two = (graph.optimize(sample.values, linear_solver=s) for s in (Schur(), PCG()))
-    assert two.converged
-    assert two.chi2_final == pytest.approx(one.chi2_final, rel=1e-7)
-    assert len(two.underconstrained) == len(one.underconstrained) == 1
-
-
 def test_too_few_views_are_refused() -> None:
     """Of a landmark; and of a pose: landmarks seen once, by nothing else, leave rounding of its block of S."""
     for views in ((0,), (0, 0)):
@@ -182,14 +173,6 @@ def test_too_few_steps_are_no_step() -> None:
         sample.graph.optimize(sample.values, GaussNewton(), PCG(max_steps=3))
     said = underconstrained(system, sample.values, UnsolvedSystemError("did not reach tol"))
     assert (str(said), said.values) == ("did not reach tol", sample.values)
-
-
-def test_levenberg_marquardt_damps_more_where_steps_do_not_arrive() -> None:
-    """With strong damping S is nearly M, and a few steps do."""
-    sample = bundle()
-    damped = LevenbergMarquardt(Stop(max_iterations=1), damping=1e-6)
-    result = sample.graph.optimize(sample.values, damped, PCG(1e-6, max_steps=12))
-    assert result.history[1].damping > 1e-4
 
 
 def test_numbers_that_are_not_finite_are_no_step() -> None:

@@ -61,25 +61,6 @@ def test_units_of_length_change_nothing(name: str, scale: float) -> None:
             np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-@EVERY
-@pytest.mark.parametrize("columns", [(1, 1, 1), (1e-6, 1, 1e6), (1e6, 1, 1e-6), (1e-13, 1, 1)])
-@pytest.mark.parametrize("rows", [(1, 1, 1, 1, 1), (1e-3, 1, 1e3, 1, 1)])
-def test_every_solver_arrives_whatever_the_units_of_each_unknown(
-    name: str, columns: tuple[float, ...], rows: tuple[float, ...]
-) -> None:
-    rng = np.random.default_rng(1)
-    A, z, D = rng.normal(size=(5, 3)), rng.normal(size=5), np.array(columns)
-    W = np.array(rows)[:, None]
-    factor = Factor.from_function(
-        lambda X: X @ (W * A * D).T - W[:, 0] * z, p[0], 5, jacobians=lambda X: [np.tile(W * A * D, (len(X), 1, 1))]
-    )
-    result = FactorGraph([factor]).optimize(Values({p: (R(3), [0, 0, 0])}), linear_solver=SOLVERS[name]())
-    expected = np.linalg.lstsq(W * A, W[:, 0] * z)[0]
-    assert result.converged
-    np.testing.assert_allclose(result.values[p[0]] * D, expected, rtol=1e-6)
-    assert (result.dof, result.underconstrained) == (2, ())
-
-
 def with_much_free(scale: float, parts: int) -> tuple[FactorGraph, Values, int]:
     """The plane and copies of it, twenty points of one range each, two that nothing measures; and the rank of A."""
     graph, values = plane(scale, anchored=False)

@@ -318,31 +318,6 @@ def test_unknowns_without_measurement_are_refused(name: str) -> None:
         graph.optimize(start, OPTIMIZERS[name]())
 
 
-def test_a_free_scale() -> None:
-    """Ratios of distances alone: the scale is free, as in a reconstruction from one camera; the shape is found."""
-    truth = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
-    i, j = np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3])
-    size = np.linalg.norm(truth[j] - truth[i], axis=1)
-
-    def ratios(X0: Array, X1: Array, X2: Array, X3: Array) -> Array:
-        X = np.stack([X0, X1, X2, X3], axis=1)
-        d = np.linalg.norm(X[:, j] - X[:, i], axis=2)
-        return np.log(d / d[:, :1]) - np.log(size / size[0]) + 0.01 * np.array([0, 1, -1, 1, 2, -1])
-
-    graph = FactorGraph([Factor.from_function(ratios, [p[k] for k in range(4)], 6)])
-    off = np.array([[0.1, 0.2], [-0.2, 0.1], [0.3, -0.1], [0.0, -0.3]])
-    start = Values({p: (R(2), truth + off)})
-    with pytest.raises(UnderconstrainedError, match="leave 4 directions free"):
-        graph.optimize(start)
-    graph.add(Prior(p[0], truth[0], Isotropic(0.1)))
-    graph.add(Prior(p[1], truth[1], Isotropic(0.1), components=["y"]))
-    graph.add(Prior(p[1], truth[1], Isotropic(0.2), components=["y"]))  # once more: dof 0, and still no scale
-    result = graph.optimize(start, LevenbergMarquardt())
-    assert result.converged
-    assert len(result.underconstrained) == 1
-    assert all(f"p{k}" in result.underconstrained[0] for k in (1, 2, 3))
-
-
 def test_options_that_are_not_possible() -> None:
     for option in ("update_tol", "chi2_rtol", "gradient_tol", "max_iterations", "max_seconds"):
         for value in (-1, float("nan"), "1e-3"):

@@ -5,19 +5,16 @@ from __future__ import annotations
 import pickle
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-import nls
 import sim
-from factors import Between, Diagonal, Factor, Huber, Isotropic, Kernel, Prior
+from factors import Factor, Huber, Isotropic, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from nls.graph import SMALLEST_BATCH
 
 (x,) = kinds("x")
-NOISE = Diagonal(x=0.03, y=0.03, yaw=0.01)
 
 
 def by_ones(factor: Factor) -> list[Factor]:
@@ -85,25 +82,6 @@ def test_a_factor_that_is_given_twice_counts_twice() -> None:
         assert graph.chi2(values) == chi2 - factors[0].chi2(values)[0]
 
 
-def test_kernels_that_differ_in_any_number_stay_apart() -> None:
-    class Scaled(Kernel):
-        def __init__(self, c: float, part: float) -> None:
-            super().__init__(c)
-            self.part = part
-
-        def rho(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            return self.part * s
-
-        def weight(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            return np.full(len(s), self.part)
-
-    parts = [0.25 if k % 2 else 0.75 for k in range(2 * SMALLEST_BATCH)]
-    factors = [Prior(x[k], [1, 0, 0], Isotropic(1.0)).robust(Scaled(1.0, part)) for k, part in enumerate(parts)]
-    graph = FactorGraph(factors)
-    assert graph.chi2(Values({x: (SE2, np.zeros((2 * SMALLEST_BATCH, 3)))})) == sum(parts)
-    assert [len(factor) for factor in graph.factors] == [SMALLEST_BATCH, SMALLEST_BATCH]
-
-
 def test_functions_stay_alone() -> None:
     """Only the function knows its data."""
     factors = [
@@ -124,10 +102,3 @@ def test_a_pickled_graph_still_knows_its_parts(world: sim.World) -> None:
     again, handle = pickle.loads(pickle.dumps((graph, steps[5])))
     again.remove(handle)
     assert len(again) == len(graph) - 1
-
-
-def test_the_explanation_names_single_measurements(world: sim.World) -> None:
-    graph = FactorGraph([step for factor in world.graph.factors for step in by_ones(factor)])
-    graph.add(Between(x[3], x[20], [5.0, 5.0, 1.0], NOISE))
-    result = graph.optimize(world.start)
-    assert "Between(x3, x20)" in nls.explain(graph, result.values).report()

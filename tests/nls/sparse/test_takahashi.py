@@ -65,14 +65,6 @@ def test_merging_changes_nothing(kind: type[Decomposition], step: float, monkeyp
 
 
 @every_factorization
-def test_space_against_the_dense_inverse(kind: type[Decomposition]) -> None:
-    world = sim.sphere(np.random.default_rng(2), rings=6, per_ring=10)
-    world.graph.fix(x[0])
-    system = world.graph.linearize(world.truth)
-    agrees(factorized(kind, system), system)
-
-
-@every_factorization
 def test_a_long_loop(kind: type[Decomposition]) -> None:
     """Variances on a ring of resistances, by hand: 1/s = 1/k + 1/(n - k) between places k apart."""
     n = 3000
@@ -94,38 +86,6 @@ def test_numbers_that_happen_to_be_zero(kind: type[Decomposition]) -> None:
     graph.add(Between(x[[0, 3, 9]], x[[20, 17, 28]], SE2.between(X[[0, 3, 9]], X[[20, 17, 28]]), Isotropic(0.1)))
     system = graph.linearize(Values({x: (SE2, X)}))
     agrees(factorized(kind, system), system)
-
-
-def test_supernodes_cover_the_factor() -> None:
-    """Every column once, children before parents, and the rows below a supernode lie in the front of its parent."""
-    V = 60
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        widths = rng.integers(1, 5, V)
-        a, b = rng.integers(0, V, (2, 90))
-        a, b = a[a != b], b[a != b]
-        row, column, n = np.maximum(a, b), np.minimum(a, b), int(widths.sum())
-        nodes = Supernodes(widths, row, column)
-        assert np.array_equal(np.sort(nodes.columns), np.arange(n))
-        assert nodes.width.sum() == n
-        joined = np.eye(V, dtype=bool)
-        joined[row, column] = True
-        filled = np.repeat(np.repeat(joined, widths, axis=0), widths, axis=1)  # the factor's pattern, by elimination
-        for k in range(n):
-            below = np.flatnonzero(filled[k + 1 :, k]) + k + 1
-            filled[np.ix_(below, below)] = True
-        for k in range(len(nodes)):
-            rows, w, parent = nodes.rows(k), nodes.width[k], nodes.parent[k]
-            assert np.array_equal(nodes.columns[nodes.first[k] : nodes.first[k + 1]], rows[:w])
-            assert (nodes.node[rows[:w]] == k).all()
-            assert np.array_equal(nodes.local[rows[:w]], np.arange(w))
-            assert all(np.isin(np.flatnonzero(np.tril(filled)[:, c]), rows).all() for c in rows[:w])
-            if parent < 0:
-                assert len(rows) == w
-            else:
-                assert parent > k
-                assert np.array_equal(nodes.rows(parent)[nodes.below(k)], rows[w:])
-        assert np.array_equal(nodes.children, [(nodes.parent == k).sum() for k in range(len(nodes))])
 
 
 def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
