@@ -9,13 +9,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from factors import Isotropic, Prior
-from models import SE2, SE3, LieGroup
-from nls import FactorGraph, Marginals
+from models import SE2
+from nls import Marginals
 from nls.linear import SOLVERS
-from tests.nls.graphs import distance, mixed, pose_graph, x
+from tests.nls.graphs import mixed, x
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,7 +25,7 @@ import nls, sim
 from models import SE2, SE3
 from nls.linear import SOLVERS
 from tests.nls.graphs import mixed, pose_graph, x
-world = sim.grid3d(np.random.default_rng(1), n_poses=150)
+world = sim.grid3d(np.random.default_rng(1), n_poses=60)
 problems = [(s.graph, s.values) for s in (pose_graph(SE2, n=40), pose_graph(SE3, n=40), mixed(0))]
 problems += [(world.graph, world.start)]
 
@@ -68,19 +67,6 @@ def test_the_same_bits_in_every_process() -> None:
     first = digests("0", "1")
     assert len(first) >= 3 + 4
     assert digests("4711", "2") == first
-
-
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-def test_the_order_of_factors_changes_rounding_only(group: LieGroup) -> None:
-    """chi2 and A'A are sums over factors: another order of the factors agrees to rounding, not to the bit."""
-    sample = pose_graph(group, n=20, seed=3)
-    first = sample.graph.optimize(sample.values)
-    for seed in range(3):
-        order = np.random.default_rng(seed).permutation(len(sample.graph.factors))
-        again = FactorGraph([sample.graph.factors[k] for k in order]).optimize(sample.values)
-        assert distance(group, first.values[x], again.values[x]) < 1e-9
-        assert again.chi2_final == pytest.approx(first.chi2_final, rel=1e-11)
-        assert (again.status, again.iterations) == (first.status, first.iterations)
 
 
 def test_a_graph_that_was_solved_before_gives_the_same_bits() -> None:

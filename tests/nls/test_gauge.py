@@ -11,8 +11,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
 from nls.analysis.inspection import inspect
 from nls.gauge import calibrations, choose_gauge, placeless_kinds
-from nls.linear import LU, SOLVERS
-from nls.linear.factorization import Factorization
+from nls.linear import SOLVERS
 from nls.linear.free_gauge import FreeGauge
 from nls.missions.scans import dead_reckoning
 from nls.sparse.pattern import Pattern
@@ -182,22 +181,6 @@ def test_variables_without_measurement_are_held_with_a_warning() -> None:
     assert result.dof == sample.graph.optimize(sample.values).dof
     with pytest.raises(UnderconstrainedError, match="14 unknowns are without any measurement"):
         sample.graph.optimize(values, gauge="none")
-
-
-def test_free_factorizes_once_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-    factorize = Factorization.factorize
-
-    def counted(state: Factorization, S: Array) -> Factorization:
-        calls.append(state)
-        return factorize(state, S)
-
-    monkeypatch.setattr(Factorization, "factorize", counted)
-    graph, values = two_components(SE3)
-    graph.optimize(values, ONE_STEP, LU(), gauge="first")
-    needed = len(calls)
-    graph.optimize(values, ONE_STEP, LU(), gauge="free")
-    assert len(calls) == 2 * needed
 
 
 @pytest.mark.filterwarnings("ignore:.*no measurement touches them")

@@ -291,19 +291,6 @@ def test_an_odometer_that_says_its_poses_is_one_of_ours(kind: str) -> None:
     assert finding.measurements == ((0, 139),)
 
 
-def test_the_surest_of_parallel_steps_carries_the_track() -> None:
-    """Wheels beside scan matching, whichever comes first; wheels without a weight across say no covariance."""
-    i, j, z = square(RNG(6))
-    scans = Between(x[i], x[j], z, Isotropic(0.01))
-    k = np.arange(120)
-    slipping = wheel_travel(SE2.identity(120), SE2.compose(z[k], SE2.exp(0.3 * RNG(1).normal(size=(120, 3)))), 0.5)[0]
-    values = Values({x: (SE2, np.zeros((121, 3)))})
-    for across, order in ((0.0, 1), (3.0, -1)):
-        wheels = Wheels(x[k], x[k + 1], slipping, SqrtInformation(np.diag([3.0, 3.0, across])), 0.5)
-        robust = nls.gnc(FactorGraph([scans, wheels][::order]), values)
-        assert [r.factor for r in robust.rejected] == ["Between(x95, x107)"]
-
-
 def test_sequential_matches_are_neither_odometry_nor_closures() -> None:
     """They are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
     i, j, z = square(RNG(6))

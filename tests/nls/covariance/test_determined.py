@@ -13,7 +13,6 @@ from models import SE2, SE3, R
 from models.algebra import Array, Mask
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Keys, Marginals, Values
-from nls.covariance import marginals as module
 from tests.nls.graphs import Sample, between, l, pose_graph, x
 from tests.nls.solving import make
 
@@ -145,17 +144,6 @@ def test_the_free_gauge_beside_something_free_is_the_pseudo_inverse() -> None:
     close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
     with pytest.raises(UnderconstrainedError, match="l0: x, y"):
         marginals.covariance(l[0])
-
-
-def test_many_variables_of_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    sample = landmark_with_one_range()
-    pinv, _ = projected(sample.graph, sample.values)
-    monkeypatch.setattr(module, "ONE_BLOCK", 4)
-    marginals = Marginals(sample.graph, sample.values)
-    close(marginals.covariance(x[[3, 5]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (9, 15)]))
-    assert "_diagonal" in vars(marginals)
-    with pytest.raises(UnderconstrainedError, match="l0: x, y"):
-        marginals.covariance(l[[0, 1]])
 
 
 def test_fixed_untouched_and_free_variables_side_by_side() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 
 import numpy as np
@@ -156,21 +155,6 @@ def test_gauges(case: str) -> None:
         Marginals(sample.graph, sample.values, gauge="none")
 
 
-def test_the_same_diagnosis_as_the_optimizer() -> None:
-    sample = mixed(0)
-    sample.graph.add(Between(x[[40, 7]], x[[7, 8]], [[1.0, 0, 0]] * 2, Isotropic(1.0)))
-    sample.graph.add(Factor.from_function(lambda X, L: (L - X[:, :2])[:, :1], [x[40], l[200]], 1))
-    stacks = {name: (s.manifold, s.X, s.numbers) for name, s in sample.values.stacks.items()}
-    points, L, numbers = stacks["l"]
-    values = Values({**stacks, "l": (points, np.vstack([L, [[3.0, 1.0]]]), np.append(numbers, 200))})
-    error = Marginals(sample.graph, values).underconstrained
-    assert error is not None
-    assert error.keys == (l[200],)
-    assert "l200: y" in str(error)
-    with pytest.raises(UnderconstrainedError, match="l200: y"):
-        sample.graph.optimize(values)
-
-
 def test_what_no_measurement_touches_has_no_covariance() -> None:
     sample = pose_graph(SE2)
     values = Values({x: (SE2, np.vstack([sample.values[x], np.zeros((2, 3))]), [*range(8), 90, 91])})
@@ -249,11 +233,3 @@ def test_wrong_uses() -> None:
     lying = FactorGraph([Factor.from_function(lambda X: X - 1.0, x[0], 2, relative=True)])
     with pytest.raises(GraphError, match="says relative=True and is not"):
         Marginals(lying, Values({x: (R(2), [0.0, 0.0])}), gauge="free")
-
-
-def test_without_suitesparse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
-    sample = pose_graph(SE2)
-    with pytest.raises(nls.MissingSolverError, match=r"linear solver 'cholesky': .*pip install"):
-        Marginals(sample.graph, sample.values, nls.Cholesky())
-    close(Marginals(sample.graph, sample.values).joint(x[0:8], "body").matrix, dense(sample)[0])

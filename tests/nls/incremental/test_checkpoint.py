@@ -89,7 +89,7 @@ def test_it_goes_on_as_if_it_had_never_stopped(name: str, tmp_path: Path) -> Non
     updates, path = world(), tmp_path / "state"
     whole = Incremental(**options)
     for k, update in enumerate(updates):
-        if k % 9 == 4:
+        if k % 18 == 4:
             whole.save(path)
             again = Incremental.load(path)
             same(again, whole)
@@ -97,7 +97,7 @@ def test_it_goes_on_as_if_it_had_never_stopped(name: str, tmp_path: Path) -> Non
             path.with_name(f"{k}").write_bytes(smoother_bytes(again))
         whole.update(update, START if k == 0 else None)
     ends = [Incremental.load(end) for end in sorted(tmp_path.glob("[0-9]*"))]
-    assert len(ends) == len(range(4, len(updates), 9))
+    assert len(ends) == len(range(4, len(updates), 18))
     for end in ends:
         same(end, whole)
 

@@ -167,16 +167,15 @@ def around(x: Kind, l: Kind, seed: int, turn: float, n: int = 40) -> tuple[list[
 @pytest.mark.parametrize("lag", [1, 5])
 @pytest.mark.parametrize("turn", [0.0, 0.2], ids=["standing", "circling"])
 def test_bearings_and_ranges_never_sharpen_the_heading(turn: float, lag: int) -> None:
-    for seed in range(3):
-        factors, truth = around(x, l, seed, turn)
-        best = FactorGraph(factors).optimize(truth).values
-        sigma = Marginals(FactorGraph(factors), best).covariance(x[40], frame="body")[2, 2] ** 0.5
-        smoother, first = Incremental(1e-6, lag=lag), Values({x: (SE2, truth[x[:1]])})
-        for step in steps(factors):
-            smoother.update(step.factors, first)
-        assert abs(smoother[x[40]][2] - best[x[40]][2]) < 0.01
-        assert smoother.covariance(x[40], frame="body")[2, 2] ** 0.5 == pytest.approx(sigma, rel=0.02)
-        assert sigma > 0.099
+    factors, truth = around(x, l, 0, turn)
+    best = FactorGraph(factors).optimize(truth).values
+    sigma = Marginals(FactorGraph(factors), best).covariance(x[40], frame="body")[2, 2] ** 0.5
+    smoother, first = Incremental(1e-6, lag=lag), Values({x: (SE2, truth[x[:1]])})
+    for step in steps(factors):
+        smoother.update(step.factors, first)
+    assert abs(smoother[x[40]][2] - best[x[40]][2]) < 0.01
+    assert smoother.covariance(x[40], frame="body")[2, 2] ** 0.5 == pytest.approx(sigma, rel=0.02)
+    assert sigma > 0.099
 
 
 def test_the_gap_of_a_window_bounds_how_far_chi2_is_above_its_minimum() -> None:

@@ -128,15 +128,6 @@ def test_labels_name_every_row_and_column() -> None:
         assert label == f"{key!r}: {component}"
 
 
-def test_held_variables_leave_the_other_columns_alone() -> None:
-    free, held = mixed(6), mixed(6, held=True)
-    A, B = free.graph.linearize(free.values), held.graph.linearize(held.values)
-    kept = [k for k, name in enumerate(A.cols) if name in set(B.cols)]
-    assert len(kept) == B.A.shape[1] == A.A.shape[1] - 2 * 3 - 2
-    assert np.array_equal(A.A.toarray()[:, kept], B.A.toarray())
-    assert np.array_equal(A.b, B.b)
-
-
 def test_everything_held_leaves_no_columns_and_what_is_not_measured_zeros() -> None:
     sample = pose_graph(SE2)
     sample.graph.fix(x[0:8])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -93,12 +91,3 @@ def test_functions_stay_alone() -> None:
         k * k for k in range(2 * SMALLEST_BATCH)
     )
     assert graph.factors == factors
-
-
-def test_a_pickled_graph_still_knows_its_parts(world: sim.World) -> None:
-    steps = by_ones(world.graph.factors[0])
-    graph = FactorGraph(steps)
-    graph.chi2(world.start)
-    again, handle = pickle.loads(pickle.dumps((graph, steps[5])))
-    again.remove(handle)
-    assert len(again) == len(graph) - 1
