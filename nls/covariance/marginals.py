@@ -19,9 +19,8 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
-from nls.covariance.determined import Undetermined, anchored_factorization, used_components
 from nls.covariance.frames import Joint, axes, of_motions, turned
-from nls.covariance.free import FreePart, free_part
+from nls.covariance.free import FreePart, Undetermined, anchored_factorization, free_part, used_components
 from nls.covariance.selected import SelectedInverse, paired
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
