@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 class Stack:
     """All variables of one kind: their manifold, their numbers, and one (n, size) array, components first in memory."""
 
-    __slots__ = ("X", "_order", "_sorted", "kind", "manifold", "numbers")
-
     def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: Numbers) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
         self.X = np.asfortranarray(X)
@@ -37,14 +36,10 @@ class Stack:
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Stack, (self.kind, self.manifold, self.X, self.numbers)
-
     def moved(self, X: Array) -> Stack:
         """The same variables at other places."""
-        stack = object.__new__(Stack)
-        stack.kind, stack.manifold, stack.numbers = self.kind, self.manifold, self.numbers
-        stack._order, stack._sorted, stack.X = self._order, self._sorted, np.asfortranarray(X)
+        stack = copy(self)
+        stack.X = np.asfortranarray(X)
         return stack
 
     def only(self, rows: slice | Mask) -> Stack:

@@ -1,4 +1,4 @@
-"""One relative pose on its way through the library, from the line of its file to the step: seventeen files, top down.
+"""One relative pose on its way through the library, from the line of its file to the step: sixteen files, top down.
 
 The calls are recorded while a file of one edge is read and optimized, so the picture shows the code as it is.
 """

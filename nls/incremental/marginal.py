@@ -265,10 +265,8 @@ def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Fac
     touching: list[Factor] = []
     untouched: list[Factor] = []
     for factor in factors:
-        touches = np.zeros(len(factor), dtype=bool)
-        for keys in factor.keys:
-            for gone in leaving:
-                touches |= (keys.kind == gone.kind) & np.isin(keys.numbers, gone.numbers)
+        pairs = ((keys, gone) for keys in factor.keys for gone in leaving if keys.kind == gone.kind)
+        touches = np.any([np.zeros(len(factor)), *(np.isin(k.numbers, gone.numbers) for k, gone in pairs)], axis=0)
         for subset, mask in ((touching, touches), (untouched, ~touches)):
             if mask.any():
                 subset.append(factor if mask.all() else factor[np.flatnonzero(mask)])

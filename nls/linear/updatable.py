@@ -23,7 +23,7 @@ from scipy import sparse as sp
 from models.algebra import Array
 from nls.linear.cholesky import cholmod
 from nls.linear.factorization import SingularSystemError, refuse_vanishing
-from nls.linear.lu import SYMMETRIC
+from nls.linear.lu import factored
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
@@ -81,12 +81,7 @@ class Refactorized:
         self._factorize()
 
     def _factorize(self) -> None:
-        from scipy.sparse.linalg import splu
-
-        try:
-            self._lu = splu(self._H, permc_spec="NATURAL", **SYMMETRIC)
-        except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
-            raise SingularSystemError(str(error)) from error
+        self._lu = factored(self._H)
         refuse_vanishing(self._lu.U.diagonal()[self._lu.perm_c], self._H.diagonal())
 
     def add(self, C: sp.csc_matrix) -> None:
