@@ -273,7 +273,7 @@ class Singles:
         self._made: list[tuple[Factor, list[Factor]]] = []  # a batch, and its rows as they were given
 
     def joined(self, factors: Sequence[Factor], values: Values) -> list[Factor]:
-        """The same measurements: those of one each in batches, a batch in the place of its first.
+        """Measurements of a graph, single ones in batches, a batch in the place of its first.
 
         Parameters
         ----------

@@ -39,7 +39,7 @@ def is_relative(factor: Factor) -> bool:
 
 
 def says_poses(factor: Factor) -> bool:
-    """Whether it does so by itself: no third variable, such as the place of a sensor, takes part."""
+    """Whether a factor measures relative poses by itself, without a third variable, such as the place of a sensor."""
     return is_relative(factor) and len(factor.keys) == 2
 
 
@@ -102,12 +102,12 @@ class Edges:
         return Edges(self.group, self.i[which], self.j[which], self.z[which], self.C[which])
 
     def joined(self, other: Edges) -> Edges:
-        """These edges and others."""
+        """Edges of both."""
         i, j = np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j])
         return Edges(self.group, i, j, np.concatenate([self.z, other.z]), np.concatenate([self.C, other.C]))
 
     def forward(self) -> Edges:
-        """The same edges, each from its earlier to its later pose: z^-1 with Ad(z) C Ad(z)' where they change."""
+        """The edges, each from its earlier to its later pose: z^-1 with Ad(z) C Ad(z)' where they change."""
         back, z, C = self.i > self.j, self.z.copy(), self.C.copy()
         z[back] = self.group.inverse(self.z[back])
         C[back] = congruence(self.group.adjoint(self.z[back]), self.C[back])

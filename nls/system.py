@@ -85,7 +85,7 @@ class LinearSystem:
 
     @cached_property
     def balanced(self) -> LinearSystem:
-        """The same free directions with the weights taken out: every row of A and b over its weight.
+        """A system of the same free directions with the weights taken out: every row of A and b over its weight.
 
         A row with a number larger than its weight, see `row_sizes`, is divided by that number. A row of smaller ones
         stays small: a Jacobian of rounding errors, or a measurement a robust kernel has rejected, measures nothing.

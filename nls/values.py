@@ -37,7 +37,7 @@ class Stack:
         return len(self.numbers)
 
     def moved(self, X: Array) -> Stack:
-        """The same variables at other places."""
+        """The variables at other places."""
         stack = copy(self)
         stack.X = np.asfortranarray(X)
         return stack
@@ -144,7 +144,7 @@ class Values:
         self.stacks[name] = Stack(name, manifold, stack, named)
 
     def extended(self, keys: Keys, X: Array) -> Values:
-        """These values, and new variables of a kind there is already, at X (n, size) in its stored form."""
+        """The values, and new variables of a kind there is already, at X (n, size) in its stored form."""
         stacks, old = dict(self.stacks), self.stacks[keys.kind]
         X, numbers = np.concatenate([old.X, X]), np.concatenate([old.numbers, keys.numbers])
         stacks[keys.kind] = Stack(old.kind, old.manifold, X, numbers)
@@ -221,7 +221,7 @@ class Values:
         return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})
 
     def replaced(self, X: Mapping[Any, Array]) -> Values:
-        """The same variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
+        """The variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-r"""What has a covariance where something is free: determined variables, and all with the shortest step as the gauge.
+r"""Covariances where something is free: of determined variables, and of all with the shortest step as the gauge.
 
 With N (n, k) a basis of the free directions, A N = 0, a variable is determined when its rows of N are zero. Priors on
 k unknowns hold the free directions; the covariance of a determined variable does not depend on them.

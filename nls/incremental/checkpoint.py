@@ -205,7 +205,7 @@ class _Reader:
             self._made.append(self._object(entry["is"], entry["of"], entry.get("type")))
 
     def of(self, plain: Plain) -> Any:
-        """What `_Writer.of` wrote."""
+        """The thing that `_Writer.of` wrote."""
         if not isinstance(plain, Mapping):
             return plain
         ((kind, value),) = plain.items()

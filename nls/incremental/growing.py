@@ -218,7 +218,7 @@ class GrowingBatch:
         self._sparse = None
 
     def mark(self) -> BatchMark:
-        """What is there: rows of A and b are not copied, and follow later linearizations."""
+        """Measurements that are there: rows of A and b are not copied, and follow later linearizations."""
         return self.given, len(self.given), self._linearized, [own.rows for own in self._parts()]
 
     def back_to(self, mark: BatchMark) -> None:
@@ -335,7 +335,7 @@ class GrowingBatch:
 
 
 def part(factor: Factor, mask: Mask) -> Factor | None:
-    """Those measurements (n,) of a factor; None where there are none, or only its function knows them."""
+    """Some measurements (n,) of a factor; None where there are none, or only its function knows them."""
     if not mask.any() or (factor.opaque and not mask.all()):
         return None
     return factor if mask.all() else factor[mask]
@@ -357,7 +357,7 @@ def _own(factor: Factor) -> dict[Place, Array]:
 
 
 def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
-    """The same factor of other measurements, with their keys and their own arrays."""
+    """A factor with other measurements, their keys and their own arrays."""
     whole = copy(factor)
     whole.keys = keys
     for name in factor.per_measurement:

@@ -222,7 +222,7 @@ class Incremental:
         return self._system.chi2
 
     def _allowed(self, part: float) -> float:
-        """So much of the tolerance."""
+        """A part of the tolerance."""
         return part * self.tol * max(self.chi2, 1.0)
 
     @single_thread()

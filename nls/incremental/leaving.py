@@ -1,4 +1,4 @@
-"""What leaves a growing estimate: loop closures that are not believed, and variables that are older than the lag."""
+"""Loop closures and variables that leave a growing estimate: not believed any more, or older than the lag."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Decision:
         self._new = 0
 
     def mark(self) -> tuple[list[tuple[Factor, Factor]], int]:
-        """What was rejected, and how many closures came since."""
+        """Rejected measurements, and how many closures came since."""
         return self.rejected, self._new
 
     def back_to(self, mark: tuple[list[tuple[Factor, Factor]], int]) -> None:

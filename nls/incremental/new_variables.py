@@ -138,7 +138,7 @@ def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, f
 
 
 def points(known: Known, kind: str, space: Manifold, measurements: dict[int, list[Factor]]) -> list[New]:
-    """Those points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
+    """Points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
     starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
     if missing := [number for number in measurements if number not in starts]:
         graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])

@@ -185,7 +185,7 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
 
 
 def directions(count: int, more: bool = False) -> str:
-    """So many free directions, in words; and whether there may be more."""
+    """The number of free directions in words; and whether there may be more."""
     return "1 direction" if count == 1 else f"{'at least ' if more else ''}{count} directions"
 
 
@@ -266,7 +266,7 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
 
 
 def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, list[Advice]]:
-    """What moves, in words, and what helps: an anchor for whole components, another view for single variables."""
+    """The moving variables in words, and cures: an anchor for whole components, another view for single variables."""
     label = component_labels(pattern)
     free = np.flatnonzero(~pattern.held)
     texts = dict(zip(moving.tolist(), (text for _, text in named), strict=True))

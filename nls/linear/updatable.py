@@ -129,7 +129,7 @@ class Preconditioner:
         self._begin()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What the factorization was made of: equal steps make it equal to the bit."""
+        """All that the factorization was made of: equal steps make it equal to the bit."""
         return {name: value for name, value in vars(self).items() if name != "_factor"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

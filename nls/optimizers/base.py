@@ -51,7 +51,7 @@ class Watch(Record):
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
-        """Whether it is over at the current point, without the step dx."""
+        """Whether the run is over at the current point, without the step dx."""
         step = Step(self, values, system, dx)
         self.history[-1] = self.history[-1]._replace(gradient=step.slope)
         return self._ask(stop.BEFORE_A_STEP, step)
@@ -126,7 +126,7 @@ class Watch(Record):
         self._ask(stop.NO_STEP_LEFT, Step(self, values, system, np.zeros(0), fall=fall, words=led))
 
     def doubt(self, system: LinearSystem, solver: str) -> None:
-        """It has converged by the steps of a solver that is not exact: ask again at the best point."""
+        """Ask again at the best point, after a solver that is not exact has converged."""
         self._ask(stop.AT_THE_END, Step(self, self.best, system, np.zeros(0), words=solver))
 
     def _ask(self, rules: Sequence[stop.Rule], step: Step) -> bool:

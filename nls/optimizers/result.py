@@ -184,7 +184,7 @@ class Result:
 
     @property
     def _silenced(self) -> list[str]:
-        """What a kernel may hide, in words."""
+        """Measurements that a kernel may hide, in words."""
         many = [share for share in self.shares if share.ignored > SILENCED * share.total]
         out = [f"the kernel ignored {share}, not a few wrong ones" for share in many]
         if any(share.ignored for share in self.shares) and self.believed[1] <= 0:

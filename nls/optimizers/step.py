@@ -1,4 +1,4 @@
-"""What the stop rules (`nls.optimizers.stop`) are asked about: thresholds, the record of a run, and a step."""
+"""Thresholds, the record of a run, and a step: the subjects of the stop rules (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Stop:
 
     @property
     def in_force(self) -> Thresholds:
-        """Those given, the others off; all three where none is given."""
+        """Thresholds that are given, the others off; all three where none is given."""
         tolerances = self.update_tol, self.chi2_rtol, self.gradient_tol
         if tolerances == (None, None, None):
             return Thresholds()
@@ -93,7 +93,7 @@ class Stop:
 
 
 class Record:
-    """What happened so far.
+    """The run so far.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Record:
         self._begin()
 
     def end(self, status: Status, reason: str, rule: str = "") -> None:
-        """It is over."""
+        """End the run."""
         self.status, self.reason, self.rule = status, reason, rule
 
     def scaled(self, system: LinearSystem) -> Array:
@@ -158,7 +158,7 @@ class Record:
         return self._longest
 
     def scale(self, system: LinearSystem) -> Array:
-        """The same, and 1 where none has reacted."""
+        """Lengths of the columns of A as in `scaled`, and 1 where no measurement has reacted."""
         longest = self.scaled(system)
         return np.where(longest > 0, longest, 1.0)
 
@@ -225,7 +225,7 @@ class Step:
 
     @property
     def longer(self) -> bool:
-        """Whether it is not; False for the first one, too."""
+        """Whether max|dx| is not below that of the step before; False for the first one, too."""
         return self.update >= SHORTER * self.old.update
 
     @property

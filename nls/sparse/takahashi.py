@@ -183,7 +183,7 @@ def _seconds(w: int, h: int) -> float:
 
 
 def supernodes(hessian: Hessian, p: Index) -> Supernodes:
-    """Those of L with H[p][:, p] = L L', the columns of H in the order in which they were given."""
+    """Supernodes of L with H[p][:, p] = L L', the columns of H in the order in which they were given."""
     dims, V = hessian.dims, len(hessian.dims)
     owner = np.repeat(np.arange(V), dims)[p]
     eliminated = owner[first_of_equals(owner)]  # every variable once

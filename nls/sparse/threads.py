@@ -48,7 +48,7 @@ def openmp() -> bool:
 
 @cache
 def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
-    """What there is to turn, looked for once per set of bindings."""
+    """Numbers of libraries to turn, looked for once per set of bindings."""
     paths = _mapped()
     knobs = [
         _knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in _opened(paths, "libgomp")

@@ -132,7 +132,7 @@ def twins(pattern: Pattern, blocks: Blocks, gone: Mask) -> Index:
 
 
 def together(order: Index, group: Index) -> Index:
-    """The same variables in an order in which each group is together, where its first member was.
+    """Variables in an order in which each group is together, where its first member was.
 
     Examples
     --------

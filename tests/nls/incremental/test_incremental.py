@@ -69,18 +69,6 @@ def test_a_loop_is_at_its_optimum_after_every_step(group: type) -> None:
     assert len(smoother.graph) == len(world.graph)
 
 
-def test_landmarks_join_when_they_are_determined() -> None:
-    world = sim.subsea(np.random.default_rng(1), laps=1)
-    smoother, waited = Incremental(1e-9), set()
-    for k, step in enumerate(steps(world.graph.factors)):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
-        waited |= {repr(keys) for keys in smoother.waiting}
-        if k % 20 == 0:
-            is_optimal(smoother)
-    assert waited == set() or all(name.startswith("l") for name in waited)
-    same(smoother, smoother.graph.optimize(smoother.values), 1e-3)
-
-
 def test_a_range_alone_waits_for_the_third() -> None:
     beacon = np.array([3.0, 4.0])
     poses = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0.5], [2, 3, 1.0]])

@@ -213,18 +213,6 @@ def test_what_fails_is_named_and_all_goes_on_as_if_it_had_not_come(
     is_optimal(smoother)
 
 
-def test_the_advice_to_take_out_what_was_given_before_works() -> None:
-    smoother = Incremental()
-    own = Factor.from_function(far, l[0], dim=1, noise=STEP)
-    smoother.update([Prior(l[0], [0.0, 0.0], STEP), own], Values({l: (R(2), [[0.1, 0.1]])}))
-    came = Prior(l[0], [9.0, 0.0], Isotropic(1e-4))
-    with pytest.raises(EvaluationError, match="take out what was given before"):
-        smoother.update(came)
-    smoother.remove(own)
-    smoother.update(came)
-    np.testing.assert_allclose(smoother[l[0]], [9, 0], atol=1e-3)
-
-
 def test_a_window_is_as_before_after_a_refused_update() -> None:
     smoothers = [Incremental(lag=3), Incremental(lag=3)]
     for one in smoothers:

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from factors import Factor
-from models import R
-from models.algebra import Array
 from models.errors import UnderconstrainedError
-from nls import FactorGraph, Status, Stop, Values
+from nls import Stop
 from nls.optimizers import OPTIMIZERS
-from tests.combinations import for_all
-from tests.nls.optimizers.nist import REGRESSIONS, p
+from tests.nls.optimizers.nist import REGRESSIONS
 
 DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
 TIGHT = {
@@ -56,42 +49,3 @@ def test_gauss_newton_knows_where_it_has_arrived() -> None:
         assert result.converged == (arrived or other), (problem.name, start, stop)
         arrivals += result.converged
     assert arrivals >= 6
-
-
-# ---- plateaus: chi2 falls for ever while an unknown goes to infinity
-
-PLATEAUS: dict[str, Callable[[Array], Array]] = {
-    "exponential": lambda x: np.exp(-x),
-    "fast": lambda x: np.exp(-(x**2)),
-    "bell": lambda x: np.exp(-((x - 1) ** 2) / 2),
-    "rational": lambda x: 1 / (1 + x**2),
-    "slow": lambda x: 1 / np.sqrt(1 + x**2),
-    "angle": lambda x: np.arctan(x) - 2,
-}
-
-
-@pytest.mark.parametrize("name", OPTIMIZERS)
-@for_all(
-    plateau=PLATEAUS, threshold=[("default", 1.0), ("none", 1.0), ("gradient", 1.0), ("fall", 1e-9), ("update", 1e9)]
-)
-def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, float]) -> None:
-    """Beside residuals that stay: with any threshold, in any unit of x."""
-    stop, scale = threshold
-    f, short = PLATEAUS[plateau], replace(TIGHT[stop], max_iterations=200)
-    residual = Factor.from_function(
-        lambda X: np.concatenate([f(X / scale), X / X, 0.5 * X / X], axis=1),
-        p[0],
-        3,
-        jacobians=lambda X: [
-            np.stack([f(X / scale + 1e-30j).imag / (1e-30 * scale), np.zeros_like(X), np.zeros_like(X)], axis=1)
-        ],
-    )
-    try:
-        result = FactorGraph([residual]).optimize(Values({p: (R(1), 2.0 * scale)}), OPTIMIZERS[name](short))
-    except UnderconstrainedError:
-        return
-    assert not result.converged, result.reason
-    assert result.status in (Status.DIVERGED, Status.MAX_ITERATIONS, Status.STALLED)
-
-
-# ---- numbers of any size

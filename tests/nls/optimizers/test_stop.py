@@ -1,4 +1,4 @@
-"""Every stop rule by its inequality, on both sides of it; and that a threshold which is given is the one that stops."""
+"""The threshold that is given is the one that stops; the default goes on, damped, where Gauss-Newton fails or is slow."""
 
 from __future__ import annotations
 

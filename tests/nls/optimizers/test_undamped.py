@@ -1,4 +1,4 @@
-"""The undamped step of the damped methods, the promise of a linear system, and the damping of a singular one."""
+"""The undamped step of the damped methods."""
 
 from __future__ import annotations
 
@@ -6,31 +6,11 @@ import numpy as np
 import pytest
 
 from factors import Factor
-from models import SE2, R
+from models import R
 from nls import Dogleg, FactorGraph, LevenbergMarquardt, Values
 from nls.optimizers.problem import Problem, Undamped
-from tests.nls.graphs import p, pose_graph
-from tests.nls.solving import dense_step, make
-
-
-def test_the_undamped_step_is_solved_once() -> None:
-    sample = pose_graph(SE2)
-    system = sample.graph.linearize(sample.values)
-
-    class Counting(type(make("dense-qr"))):  # type: ignore[misc]
-        solves = 0
-
-        def least_squares(self, *args: object) -> object:
-            type(self).solves += 1
-            return super().least_squares(*args)
-
-    undamped, D = Undamped(Problem(system.pattern, Counting())), system.column_norms
-    for strict in (False, True):  # the faintest damping changes nothing, and each is solved once
-        dx = [undamped.step(system, D, strict) for _ in range(2)]
-        assert dx[0] is dx[1]
-        assert dx[0] == pytest.approx(dense_step(system))
-    assert undamped.free is None
-    assert Counting.solves == 2
+from tests.nls.graphs import p
+from tests.nls.solving import make
 
 
 @pytest.mark.parametrize(("angle", "free", "keeps"), [(1e-8, False, True), (1e-9, True, True), (0.0, True, False)])
