@@ -1,4 +1,4 @@
-"""The threshold that is given is the one that stops; the default goes on, damped, where Gauss-Newton fails or is slow."""
+"""The threshold that is given is the one that stops; the default goes on, damped, where Gauss-Newton fails."""
 
 from __future__ import annotations
 
