@@ -137,9 +137,9 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     import nls
     import nls.graph
     from nls.linear import default_solver
+    from nls.linear.base import NormalAnalysis, SparseSolver
     from nls.linear.factorization import Factorization
-    from nls.linear.normal import NormalAnalysis, SparseSolver
-    from nls.sparse.blocks import Blocks
+    from nls.sparse.hessian import Blocks
     from nls.sparse.pattern import Pattern
     from nls.system import LinearSystem
     from nls.values import Values

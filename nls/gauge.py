@@ -25,20 +25,9 @@ from factors.prior import Prior
 from models.algebra import Index, Mask
 from models.errors import GraphWarning, OptionError
 from models.listing import some
-from nls.sparse.components import connected, firsts
+from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern, offsets
 from nls.values import Stack, Values
-
-__all__ = [
-    "GAUGES",
-    "Gauge",
-    "by_number",
-    "choose_gauge",
-    "component_labels",
-    "fixed_of",
-    "fixed_variables",
-    "touched_variables",
-]
 
 OURS = ("models", "factors", "nls", "sim")  # a warning is about the line that called them
 GAUGES = ("first", "prior", "free", "none")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from factors.base import Factor
+from factors.joined import batch_of, bound_batch, joined_noise, sort_of
 from factors.keys import Keys
 from factors.robust import Kernel
 from models.algebra import Mask
@@ -22,16 +23,18 @@ from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimi
 from nls.optimizers.fit import shares
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
-from nls.sparse.memory import keep_freed_memory
 from nls.sparse.pattern import Pattern
-from nls.sparse.singles import Singles
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["FactorGraph"]
+# glibc asks the system for the memory of an array above 128 KB, and gives it back with the array; the system clears
+# every page it gives. It keeps arrays up to the size of the largest that was freed, at most 32 MB (mallopt(3), "dynamic
+# mmap threshold"). So one of that size is asked for and freed before the first large array, and nothing is written to
+# it. From file to optimum kitti_00 takes 14 % less.
+np.empty((1 << 25) - (1 << 16), dtype=np.uint8)
 
-keep_freed_memory()  # before the first large array
+SMALLEST_BATCH = 32  # single measurements of one kind, from which on they are one batch
 
 
 class FactorGraph:
@@ -261,3 +264,62 @@ def _values(values: object) -> Values:
     if not isinstance(values, Values):
         raise GraphError(f"expected Values such as Values({{x: (SE2, X0)}}), got {values!r:.80}")
     return values
+
+
+class Singles:
+    """Which batches were made of single measurements, and of which."""
+
+    def __init__(self) -> None:
+        self._made: list[tuple[Factor, list[Factor]]] = []  # a batch, and its rows as they were given
+
+    def joined(self, factors: Sequence[Factor], values: Values) -> list[Factor]:
+        """Measurements of a graph, single ones in batches, a batch in the place of its first.
+
+        Parameters
+        ----------
+        factors : of a graph, some of them batches that were made here before.
+        values : of their variables.
+        """
+        fresh = [factor for factor in factors if len(factor) == 1 and not factor.opaque]
+        if len(fresh) < SMALLEST_BATCH:
+            return list(factors)
+        parts = {id(factor): [factor] for factor in fresh} | {id(batch): rows for batch, rows in self._made}
+        groups: dict[Hashable, list[Factor]] = {}
+        for factor in factors:
+            if id(factor) in parts:
+                groups.setdefault(sort_of(factor), []).append(factor)
+        batches: dict[int, Factor] = {}  # by the identity of its first
+        gone: set[int] = set()
+        for group in groups.values():
+            rows = [row for factor in group for row in parts[id(factor)]]
+            if len(group) > 1 and len(rows) >= SMALLEST_BATCH:
+                batch = _batch(group, values)
+                batches[id(group[0])] = batch
+                gone |= {id(factor) for factor in group}
+                self._made.append((batch, rows))
+        self._made = [made for made in self._made if id(made[0]) not in gone]
+        rest = [batches.pop(id(factor), None) if id(factor) in gone else factor for factor in factors]
+        return [factor for factor in rest if factor is not None]
+
+    def without(self, factors: Sequence[Factor], factor: Factor) -> list[Factor] | None:
+        """The factors without one that was given alone; None where it is in none of their batches."""
+        for k, (batch, rows) in enumerate(self._made):
+            if not any(f is batch for f in factors):
+                continue
+            place = next((k for k, row in enumerate(rows) if row is factor), None)
+            if place is not None:
+                rest = batch[np.arange(len(batch)) != place]
+                rows = rows[:place] + rows[place + 1 :]
+                self._made[k : k + 1] = [(rest, rows)] if rows else []
+                return [rest if f is batch else f for f in factors if f is not batch or rows]
+        return None
+
+
+def _batch(group: Sequence[Factor], values: Values) -> Factor:
+    """Factors of one sort as one; bound one by one only where their noises differ in type."""
+    noise = joined_noise([factor.noise for factor in group], [len(factor) for factor in group])
+    sizes = {factor.z.size // len(factor) for factor in group}
+    if noise is None or len(sizes) > 1:
+        spaces = [values.stack(keys.kind).manifold for keys in group[0].keys]  # of one sort: of all of them
+        return bound_batch([factor.bind(*spaces) for factor in group])
+    return batch_of(group, [factor.z.reshape(len(factor), -1) for factor in group], noise)

@@ -28,12 +28,9 @@ from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.sparse.components import connected, firsts
+from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
-
-__all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses", "stated"]
-SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
 
 def is_relative(factor: Factor) -> bool:
@@ -42,7 +39,7 @@ def is_relative(factor: Factor) -> bool:
 
 
 def says_poses(factor: Factor) -> bool:
-    """Whether it does so by itself: no third variable, such as the place of a sensor, takes part."""
+    """Whether a factor measures relative poses by itself, without a third variable, such as the place of a sensor."""
     return is_relative(factor) and len(factor.keys) == 2
 
 
@@ -105,12 +102,12 @@ class Edges:
         return Edges(self.group, self.i[which], self.j[which], self.z[which], self.C[which])
 
     def joined(self, other: Edges) -> Edges:
-        """These edges and others."""
+        """Edges of both."""
         i, j = np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j])
         return Edges(self.group, i, j, np.concatenate([self.z, other.z]), np.concatenate([self.C, other.C]))
 
     def forward(self) -> Edges:
-        """The same edges, each from its earlier to its later pose: z^-1 with Ad(z) C Ad(z)' where they change."""
+        """The edges, each from its earlier to its later pose: z^-1 with Ad(z) C Ad(z)' where they change."""
         back, z, C = self.i > self.j, self.z.copy(), self.C.copy()
         z[back] = self.group.inverse(self.z[back])
         C[back] = congruence(self.group.adjoint(self.z[back]), self.C[back])
@@ -378,7 +375,7 @@ def _closing(batch: Batch, place: Index) -> Mask:
 
 def _inverse_trace(blocks: Array) -> Array:
     """tr M^-1 (m,) of symmetric matrices (m, k, k); infinite where M has no inverse."""
-    regular = np.linalg.eigvalsh(blocks)[:, 0] > SINGULAR * np.trace(blocks, axis1=1, axis2=2)
+    regular = np.linalg.eigvalsh(blocks)[:, 0] > 1e-12 * np.trace(blocks, axis1=1, axis2=2)
     out = np.full(len(blocks), np.inf)
     out[regular] = np.trace(np.linalg.inv(blocks[regular]), axis1=1, axis2=2)
     return out

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from time import perf_counter
 
-__all__ = ["announce", "collected", "listened", "stage"]
-
 _SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
 _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", default=None)
 

@@ -15,8 +15,6 @@ from models.errors import EvaluationError
 from nls.sparse.pattern import Pattern
 from nls.values import Values
 
-__all__ = ["LinearSystem"]
-
 
 class LinearSystem:
     """Every whitened Jacobian block and error of one linearization point.
@@ -87,7 +85,7 @@ class LinearSystem:
 
     @cached_property
     def balanced(self) -> LinearSystem:
-        """The same free directions with the weights taken out: every row of A and b over its weight.
+        """A system of the same free directions with the weights taken out: every row of A and b over its weight.
 
         A row with a number larger than its weight, see `row_sizes`, is divided by that number. A row of smaller ones
         stays small: a Jacobian of rounding errors, or a measurement a robust kernel has rejected, measures nothing.
@@ -121,7 +119,7 @@ class LinearSystem:
 
     @cached_property
     def H_blocks(self) -> Array:
-        """The blocks of A'A, flat, as `nls.sparse.blocks` lays them out; infinite where squares overflow."""
+        """The blocks of A'A, flat, as `nls.sparse.hessian` lays them out; infinite where squares overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.pattern.blocks.fill(self.blocks)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -17,13 +18,9 @@ from models.manifolds.base import Manifold
 if TYPE_CHECKING:
     from factors.base import Factor, Model
 
-__all__ = ["Stack", "Values", "refuse_other"]
-
 
 class Stack:
     """All variables of one kind: their manifold, their numbers, and one (n, size) array, components first in memory."""
-
-    __slots__ = ("X", "_order", "_sorted", "kind", "manifold", "numbers")
 
     def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: Numbers) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
@@ -39,14 +36,10 @@ class Stack:
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Stack, (self.kind, self.manifold, self.X, self.numbers)
-
     def moved(self, X: Array) -> Stack:
-        """The same variables at other places."""
-        stack = object.__new__(Stack)
-        stack.kind, stack.manifold, stack.numbers = self.kind, self.manifold, self.numbers
-        stack._order, stack._sorted, stack.X = self._order, self._sorted, np.asfortranarray(X)
+        """The variables at other places."""
+        stack = copy(self)
+        stack.X = np.asfortranarray(X)
         return stack
 
     def only(self, rows: slice | Mask) -> Stack:
@@ -151,7 +144,7 @@ class Values:
         self.stacks[name] = Stack(name, manifold, stack, named)
 
     def extended(self, keys: Keys, X: Array) -> Values:
-        """These values, and new variables of a kind there is already, at X (n, size) in its stored form."""
+        """The values, and new variables of a kind there is already, at X (n, size) in its stored form."""
         stacks, old = dict(self.stacks), self.stacks[keys.kind]
         X, numbers = np.concatenate([old.X, X]), np.concatenate([old.numbers, keys.numbers])
         stacks[keys.kind] = Stack(old.kind, old.manifold, X, numbers)
@@ -228,7 +221,7 @@ class Values:
         return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})
 
     def replaced(self, X: Mapping[Any, Array]) -> Values:
-        """The same variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
+        """The variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
 
         Raises
         ------

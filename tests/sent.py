@@ -19,7 +19,7 @@ from nls import filters
 from nls.analysis import Unverified, helpful_motions, landmark_information, observability
 from nls.covariance import Marginals
 from nls.linear.dense import Small
-from nls.linear.singular import SingularSystemError, UnsolvedSystemError
+from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
 from nls.metrics import ate
 from nls.robust import kernels
 from tests.sim.scenes import thinned

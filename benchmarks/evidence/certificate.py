@@ -35,8 +35,7 @@ from models.algebra import Array
 from nls import Certificate, FactorGraph, Values
 from nls.certificate.newton import newton
 from nls.certificate.problem import certifiable
-from nls.certificate.spectrum import spectrum
-from nls.certificate.staircase import staircase
+from nls.certificate.spectrum import spectrum, staircase
 
 PUBLISHED = {  # and the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, where it is there
     "pose-graphs-3d/sphere2500.g2o.gz": "1687",

@@ -1,4 +1,4 @@
-"""One relative pose on its way through the library, from the line of its file to the step: seventeen files, top down.
+"""One relative pose on its way through the library, from the line of its file to the step: sixteen files, top down.
 
 The calls are recorded while a file of one edge is read and optimized, so the picture shows the code as it is.
 """
@@ -45,7 +45,7 @@ def walk(numbers: dict[str, str]) -> list[tuple[str, str, str]]:
         ("factors/conventions.py", "innovation", f"z - h in the tangent space: {numbers['xi']}"),
         ("factors/noise.py", "whiten", f"A = {numbers['A']} on x1, b = {numbers['b']}"),
         ("nls/optimizers/gauss_newton.py", "GaussNewton.iterate", "the system A dx = b"),
-        ("nls/sparse/blocks.py", "Blocks.fill", f"A'A: the block {numbers['H']} of x1"),
+        ("nls/sparse/hessian.py", "Blocks.fill", f"A'A: the block {numbers['H']} of x1"),
         ("nls/linear/factorization.py", "Factorization.factorize", "A'A = L L', no pivot vanishes"),
         ("nls/linear/cholesky.py", "Cholmod.solve", f"dx = {numbers['dx']}"),
         ("nls/values.py", "Values.retract", f"x1 = {numbers['x1']}"),

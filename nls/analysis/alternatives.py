@@ -30,7 +30,7 @@ from models.errors import (
 )
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import initialize
 from nls.values import Values

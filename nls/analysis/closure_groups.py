@@ -26,7 +26,7 @@ from nls.analysis.chi_squared import chi2_log_tail
 from nls.analysis.leave_one_out import UNCHECKED, left_out
 from nls.analysis.linearization import Checked, Together, stacked
 from nls.posegraph import closures, odometry, places
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 from nls.sparse.pattern import Pattern, measuring
 from nls.values import Values
 

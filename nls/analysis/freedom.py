@@ -1,6 +1,6 @@
 r"""Directions that the measurements leave free, and every measurement against all others with these held.
 
-The directions and the anchors that hold them come from `nls.linear.anchors`.
+The directions and the anchors that hold them come from `nls.linear.null_space`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.analysis.linearization import Checked, Linearization
-from nls.linear.anchors import FreeDirections, column_lengths
-from nls.linear.null_space import BLOCKS
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
+from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

@@ -33,9 +33,9 @@ from models.sensors import cartesian, point_in_frame, spherical
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.linear.default import default_solver
+from nls.linear.factorization import SINGULAR, SingularSystemError
 from nls.linear.limits import default_limit
 from nls.linear.null_space import own_information
-from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem

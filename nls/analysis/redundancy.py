@@ -52,7 +52,7 @@ from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import factorize
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.metrics import displacements
 from nls.sparse.pattern import Pattern

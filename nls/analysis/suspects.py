@@ -21,7 +21,7 @@ from nls.analysis.closure_groups import GroupTests
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.posegraph import odometry
 from nls.sparse.pattern import Pattern

@@ -28,8 +28,7 @@ from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear.default import default_solver
-from nls.linear.factorization import Factorization
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import Factorization, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

@@ -22,15 +22,11 @@ import numpy as np
 
 from models.algebra import Array, apply, pack
 from nls.certificate.problem import Problem
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 
-__all__ = ["Optimum", "nearest", "newton", "rotations", "tangent"]
-
-DECREASE, LEAST = 1e-13, 1e-6  # of the cost, and at most: a step that promises less is the last one
-DIGITS = 1e-15  # of the cost: a smaller promise is rounding
+DECREASE = 1e-13  # of the cost: a step that promises less is the last one
 STEPS = 300
-FAIR, GOOD, MORE = 0.1, 0.75, 10.0  # parts of the promised decrease, and how the shift changes
-SMALL = 1e-5  # of the largest weight of a rotation: a shift below is none
+SHIFTED = 10.0  # times the shift, where a step fails; and by how much a good one lowers it
 
 
 @dataclass(frozen=True)
@@ -86,28 +82,29 @@ def rotations(M: Array) -> Array:
 
 def newton(problem: Problem, M: Array) -> Optimum:
     """A local minimum, from M (n, d + 1, r); the held pose stays."""
-    cost, shift, smallest = problem.cost(M), 0.0, SMALL * float(problem.W[:, 0].max())
+    cost, shift, smallest = problem.cost(M), 0.0, 1e-5 * float(problem.W[:, 0].max())  # shifts from there on
     E, g, H, off = _second_order(problem, M)
     D = _turns(M)
     for step in range(STEPS):
         try:
             state = problem.factorized(H + shift * np.diag(D), off)
         except SingularSystemError:
-            shift = max(MORE * shift, smallest)
+            shift = max(SHIFTED * shift, smallest)
             continue
         delta = -state.solve(g.reshape(-1)).reshape(g.shape)
         trial = nearest(M + apply(E, delta[:, None]))
         trial_cost = problem.cost(trial)
         promised = -float(np.sum(g * delta)) + shift * float(np.sum(D * np.square(delta)))
-        if promised <= max(min(DECREASE * cost, LEAST), DIGITS * cost) + problem.rounding(M):
+        # 1e-15 of the cost is rounding, and more than 1e-6 is always worth a step
+        if promised <= max(min(DECREASE * cost, 1e-6), 1e-15 * cost) + problem.rounding(M):
             rounds = trial_cost <= (1 + DECREASE) * cost + problem.rounding(M)  # the gradient falls, the cost cannot
             return Optimum(trial, trial_cost, True, step) if rounds else Optimum(M, cost, True, step)
         ratio = (cost - trial_cost) / promised
-        if ratio < FAIR:
-            shift = max(MORE * shift, smallest)
+        if ratio < 0.1:  # of the promised decrease
+            shift = max(SHIFTED * shift, smallest)
             continue
-        if ratio > GOOD:
-            shift = shift / MORE if shift > smallest else 0.0
+        if ratio > 0.75:
+            shift = shift / SHIFTED if shift > smallest else 0.0
         M, cost = trial, trial_cost
         E, g, H, off = _second_order(problem, M)
     return Optimum(M, cost, False, STEPS)

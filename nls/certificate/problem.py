@@ -17,8 +17,6 @@ over the special Euclidean group", IJRR 38(2-3), 2019.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from factors.between import Between
@@ -29,12 +27,10 @@ from models.errors import GraphError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix
 from nls.graph import FactorGraph
+from nls.linear.default import Laplacian
 from nls.linear.factorization import Factorization
-from nls.linear.laplacian import Laplacian
 from nls.posegraph import PoseGraph, pose_graphs
 from nls.values import Values
-
-__all__ = ["Problem", "certifiable"]
 
 
 class Problem:
@@ -67,6 +63,7 @@ class Problem:
         TW = self.T * self.W[:, None]
         self.on_diagonal = graph.sums(TW @ self.T.mT, self.W[:, None] * np.eye(d + 1))
         self.off = -TW
+        self._laplacian = Laplacian(graph.i, graph.j, graph.n)
 
     def matrices(self, X: Array) -> Array:
         """M (n, d + 1, d) of poses (n, size)."""
@@ -107,10 +104,6 @@ class Problem:
     def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
         """`Laplacian.factorized` with blocks (n, k, k), and (m, k, k) of the edges."""
         return self._laplacian.factorized(on_diagonal, off)
-
-    @cached_property
-    def _laplacian(self) -> Laplacian:
-        return Laplacian(self.graph.i, self.graph.j, self.n)
 
 
 def certifiable(graph: FactorGraph, values: Values) -> Problem:

@@ -12,20 +12,16 @@ from models.algebra import Array
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import BOUND, Spectrum, negligible, spectrum
-from nls.certificate.staircase import placed, staircase
+from nls.certificate.spectrum import BOUND, Spectrum, negligible, placed, spectrum, staircase
 from nls.graph import FactorGraph
 from nls.optimizers import Result, Stop, default_optimizer
-from nls.optimizers.thresholds import Thresholds
+from nls.optimizers.step import Thresholds
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values, refuse_other
 
-__all__ = ["Certificate", "certify"]
-
-LARGEST = "the measurements with the largest errors: without those that contradict the others a proof is possible"
-LEFT = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
-FALL = BOUND / LEFT  # of chi2: a step that brings less is the last one, however high chi2 is
+WORST = "the measurements with the largest errors: without those that contradict the others a proof is possible"
+LEFT_BY_STOP = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
 
 
 @dataclass(frozen=True)
@@ -93,7 +89,7 @@ class Certificate:
         """The way on where a lower chi2 was found; what to look at where only the proof is missing."""
         if self.better is not None:
             return (Advice("start at better"),)
-        return () if self.proved else (Advice("inspect", (LARGEST,)),)
+        return () if self.proved else (Advice("inspect", (WORST,)),)
 
     @property
     def sentence(self) -> str:
@@ -224,7 +220,7 @@ def _same(problem: Problem, graph: FactorGraph, values: Values, end: Result, sto
     if _agree(problem, graph, values, end):
         return True
     given, rtol = graph.chi2(values), max(Thresholds().chi2_rtol, stop.in_force.chi2_rtol)
-    is_loose = abs(given - end.chi2_final) <= LEFT * rtol * given
+    is_loose = abs(given - end.chi2_final) <= LEFT_BY_STOP * rtol * given
     return is_loose and _agree(problem, graph, _optimized(graph, values).values, end)
 
 
@@ -232,17 +228,18 @@ def _agree(problem: Problem, graph: FactorGraph, values: Values, end: Result) ->
     """Whether values have the chi2 at which an optimization ended."""
     given, tol = graph.chi2(values), Thresholds()
     gap = abs(given - end.chi2_final)
-    if gap > BOUND or gap <= LEFT * tol.chi2_rtol * given:
+    if gap > BOUND or gap <= LEFT_BY_STOP * tol.chi2_rtol * given:
         return gap <= BOUND
     M, M_end = (problem.matrices(problem.graph.stack(at)) for at in (values, end.values))
     apart = np.max(_apart(M, placed(M_end, M, problem.held)))
-    return bool(apart <= tol.update_tol and gap <= LEFT * tol.chi2_rtol * len(problem.W))  # exact measurements
+    return bool(apart <= tol.update_tol and gap <= LEFT_BY_STOP * tol.chi2_rtol * len(problem.W))  # exact measurements
 
 
 def _optimized(graph: FactorGraph, values: Values) -> Result:
     """The optimum of chi2 from values."""
     tol, chi2 = Thresholds(), graph.chi2(values)
-    stop = Stop(*tol._replace(chi2_rtol=min(tol.chi2_rtol, FALL / max(chi2, BOUND))))
+    # a step that brings less of chi2 than 0.1 is the last one, however high chi2 is
+    stop = Stop(*tol._replace(chi2_rtol=min(tol.chi2_rtol, BOUND / LEFT_BY_STOP / max(chi2, BOUND))))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
         return graph.optimize(values, default_optimizer(graph.factors, stop))

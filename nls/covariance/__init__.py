@@ -1,6 +1,6 @@
 """Covariances of the estimate: of single variables, of sets of them, and of all at once."""
 
-from nls.covariance.joint import Joint
+from nls.covariance.frames import Joint
 from nls.covariance.marginals import Marginals
 
 __all__ = ["Joint", "Marginals"]

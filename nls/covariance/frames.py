@@ -8,16 +8,21 @@ r"""In which coordinates a covariance is given: Sigma_shown = J Sigma J', Sigma 
 | view "euler" | d(roll, pitch, yaw, x, y, z) / d delta | angles about the axes of the Euler angles; world position |
 
 The matrices are the manifold's own: `Manifold.world_axes` and `Manifold.euler_axes`.
+
+`Joint` puts names on the rows of one covariance of several variables; `outlines` draws those of positions as ellipses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
 from factors.keys import Keys
 from models.algebra import Array, congruence
-from models.errors import OptionError, SingularGeometryError
+from models.errors import GraphError, OptionError, SingularGeometryError
 from models.manifolds.base import LieGroup, Manifold
-
-__all__ = ["axes", "of_motions", "turned"]
 
 EULER = ("roll", "pitch", "yaw", "x", "y", "z")
 
@@ -86,3 +91,66 @@ def _euler(keys: Keys, manifold: Manifold, X: Array) -> Array:
                     keys=[keys[[k]]],
                 ) from error
         raise
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Joint covariance of several variables.
+
+    Parameters
+    ----------
+    matrix : (k, k), symmetric.
+    names : of its rows and columns, ``"x3: yaw"``.
+    keys : the variables, in order.
+    parts : the rows of each variable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls import Marginals, kinds
+    >>> (x,) = kinds("x")
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    >>> joint = Marginals(world.graph, world.truth).joint(x[[3, 23]], frame="world")
+    >>> joint.matrix.shape, joint.names[2], joint.block(x[3], x[23]).shape
+    ((6, 6), 'x3: yaw', (3, 3))
+    """
+
+    matrix: Array
+    names: tuple[str, ...]
+    keys: tuple[Keys, ...]
+    parts: Sequence[slice]
+
+    def block(self, row: Keys, column: Keys) -> Array:
+        """Covariance between two of the variables, a copy.
+
+        Raises
+        ------
+        GraphError
+            One of them is not in the set.
+        """
+        for key in (row, column):
+            if key not in self.keys:
+                raise GraphError(f"{key!r} is not in this joint covariance of {len(self.keys)} variables", [key])
+        i, j = (self.parts[self.keys.index(key)] for key in (row, column))
+        return self.matrix[i, j].copy()
+
+
+def outlines(Sigma: Array, probability: float = 0.95) -> Array:
+    """Outlines (n, 48, 2) around the origin of covariances (n, 2, 2), closed, in the unit of their roots.
+
+    {r U sqrt(s) (cos a, sin a)'},   Sigma = U diag(s) U',   r^2 = -2 ln(1 - p)
+
+    r^2 is the quantile p of a chi-square variable with two degrees of freedom, in closed form: 5.99 for 95 %.
+
+    Examples
+    --------
+    >>> largest = outlines(np.array([[[4.0, 0.0], [0.0, 1.0]]]), 0.5).max(axis=1)
+    >>> (largest / np.sqrt(2 * np.log(2))).round(2)
+    array([[2., 1.]])
+    """
+    a = np.linspace(0, 2 * np.pi, 48)  # the last corner is the first
+    a[-1] = 0.0
+    U, s, _ = np.linalg.svd(Sigma)  # of a covariance: its eigenvectors and eigenvalues
+    axes = np.sqrt(-2 * np.log1p(-probability)) * U * np.sqrt(s)[:, None, :]
+    return np.asarray((axes @ np.stack([np.cos(a), np.sin(a)])).mT)

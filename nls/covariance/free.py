@@ -1,4 +1,9 @@
-r"""The covariance of a free gauge: the pseudo-inverse of A'A, from the covariance with one variable held.
+r"""Covariances where something is free: of determined variables, and of all with the shortest step as the gauge.
+
+With N (n, k) a basis of the free directions, A N = 0, a variable is determined when its rows of N are zero. Priors on
+k unknowns hold the free directions; the covariance of a determined variable does not depend on them.
+
+**The free gauge** has the pseudo-inverse of A'A, from the covariance with one variable held:
 
     Sigma = P Sigma_held P',   P = I - Q Q',   Q an orthonormal basis of the gauge, (N, k)
           = Sigma_held - Q B' - B Q' + Q (Q'B) Q',   B = Sigma_held Q
@@ -17,14 +22,127 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse as sp
 
-from models.algebra import Array, Index
-from models.errors import GraphError, ResourceLimitError
-from nls.linear.factorization import Factorization
+from factors.keys import Keys
+from models.algebra import Array, Index, Mask
+from models.errors import GraphError, ResourceLimitError, UnderconstrainedError
+from models.listing import some
+from nls.linear import LinearSolver, factorize
+from nls.linear.factorization import Factorization, SingularSystemError
 from nls.linear.free_gauge import free_directions, gauge_columns
-from nls.linear.singular import SingularSystemError
+from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths
+from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """The free directions at the linearization point.
+
+    Parameters
+    ----------
+    N : (n, k) the directions, a row per column of A; exactly zero where a direction does not move the unknown.
+    error : names all that is free, with cures.
+    """
+
+    N: sp.csr_array
+    error: UnderconstrainedError
+
+    @property
+    def moved(self) -> Mask:
+        """(n,) which unknowns a free direction moves."""
+        return np.asarray(np.diff(self.N.indptr) > 0)
+
+    def refusal(self, keys: Keys, columns: Index, used: Mask, names: tuple[str, ...]) -> UnderconstrainedError | None:
+        """The error where a variable that is asked for is not determined, else None.
+
+        Parameters
+        ----------
+        keys : (q,) variables.
+        columns : (q, d) of A; -1 where held.
+        used : (q, d) the components that are asked for.
+        names : (d,) of the components.
+        """
+        free = used & (columns >= 0) & self.moved[columns]
+        members = np.flatnonzero(free.any(axis=1))
+        if not len(members):
+            return None
+        texts = [f"{keys[[k]]!r}: {', '.join(names[c] for c in np.flatnonzero(free[k]))}" for k in members]
+        rows = np.unique(columns[free])
+        k = len(np.unique(self.N[rows].indices))
+        several = len(members) > 1
+        moves = f"{'1 free direction moves' if k == 1 else f'{k} free directions move'} {'them' if several else 'it'}"
+        return UnderconstrainedError(
+            f"{some(texts, 6, '; ', ' variables')}: not determined. {moves}, so {'they have' if several else 'it has'} "
+            "no covariance. Ask for the other variables by number, or add what is missing",
+            list(keys[members]),
+            k,
+            texts,
+            advice=self.error.advice,
+        )
+
+
+def anchored_factorization(
+    pattern: Pattern, values: Values, linear_solver: LinearSolver | None
+) -> tuple[Pattern, Factorization, Undetermined]:
+    """Factorization of a singular A'A with its free directions held.
+
+    Parameters
+    ----------
+    pattern : the graph with the gauge held; its A'A is singular.
+    values : the linearization point.
+    linear_solver : as for `factorize`.
+
+    Returns
+    -------
+    pattern : with the priors that hold the free directions.
+    factorization : of A'A of that pattern.
+    undetermined : the free directions.
+
+    Raises
+    ------
+    UnderconstrainedError
+        No variable is determined, or more directions are free than are looked for; names them.
+    EvaluationError
+        Squares of weights or Jacobians overflow.
+    """
+    system = LinearSystem.at(pattern, values)
+    keeps_A = linear_solver if linear_solver is not None and linear_solver.name == "qr" else None
+    error = underconstrained(system, solver=keeps_A)
+    free = FreeDirections(column_lengths(system))
+    for _ in range(BLOCKS):
+        anchored = free.held(pattern, values)
+        system = LinearSystem.at(anchored, values)
+        try:
+            factorization = factorize(system, linear_solver)
+        except SingularSystemError:
+            if not free.collect(system):
+                raise error from None
+            continue
+        undetermined = Undetermined(_cleaned(free), error)
+        owner, _ = pattern.column_owner()
+        if len(np.unique(owner[undetermined.moved])) == int((~pattern.held).sum()):
+            raise error
+        return anchored, factorization, undetermined
+    raise error
+
+
+def _cleaned(free: FreeDirections) -> sp.csr_array:
+    """All directions (n, k), with zeros for what they hardly move: motions are compared in sigmas."""
+    N = sp.csc_array(sp.hstack([free.singles, sp.csc_array(free.combinations)]))
+    U = abs(sp.diags_array(free.norms) @ N)
+    U = sp.csr_array(U @ sp.diags_array(1 / U.max(axis=0).toarray().reshape(-1)))
+    N = sp.csr_array(N)
+    # 1e-8 of the largest motion, in sigmas; rounding beside a chain of 3,000 poses is 4e-11
+    N.data[U.data <= 1e-8] = 0.0
+    N.eliminate_zeros()
+    return N
+
+
+def used_components(J: Array | None, shape: tuple[int, int]) -> Mask:
+    """(n, d) which components of the tangent space a view J (n, k, d) is made of; all where J is None."""
+    return np.ones(shape, dtype=bool) if J is None else (J != 0).any(axis=1)
 
 
 @dataclass(frozen=True)

@@ -19,24 +19,20 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
-from nls.covariance.determined import Undetermined, anchored_factorization, used_components
-from nls.covariance.frames import axes, of_motions, turned
-from nls.covariance.free import FreePart, free_part
-from nls.covariance.joint import Joint
+from nls.covariance.frames import Joint, axes, of_motions, turned
+from nls.covariance.free import FreePart, Undetermined, anchored_factorization, free_part, used_components
 from nls.covariance.selected import SelectedInverse, paired
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
+from nls.linear.factorization import SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
-
-__all__ = ["Marginals"]
 
 ONE_BLOCK = 64  # columns solved for together; more marginals than that come out of the pass over all
 
@@ -378,7 +374,14 @@ class Marginals:
             raise GraphError(f"Marginals: {keys!r:.60} names no variable; expected x[0], x[[1, 2]], or all(x) for all")
         stack = self.values.stack(keys.kind)
         variables = stack.index(keys)
-        self._measured(keys, self._pattern.offsets[keys.kind] + variables)
+        unmeasured = self._status[self._pattern.offsets[keys.kind] + variables] == "unmeasured"
+        if unmeasured.any():
+            named = list(keys[unmeasured])
+            raise UnderconstrainedError(
+                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
+                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
+                named,
+            )
         J, names = axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
         if self._undetermined is not None:
             columns = self._column[self._columns(keys)]
@@ -387,13 +390,3 @@ class Marginals:
             if refusal is not None:
                 raise refusal
         return J, names
-
-    def _measured(self, keys: Keys, variables: Index) -> None:
-        unmeasured = self._status[variables] == "unmeasured"
-        if unmeasured.any():
-            named = list(keys[unmeasured])
-            raise UnderconstrainedError(
-                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
-                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
-                named,
-            )

@@ -16,8 +16,6 @@ from models import Manifold, R
 from models.algebra import Array, Index, Mask
 from nls.linear.factorization import Factorization
 
-__all__ = ["Pair", "SelectedInverse", "paired"]
-
 
 class SelectedInverse:
     """Blocks of H^-1 of single variables, and of pairs that share a block of H.

@@ -19,7 +19,7 @@ from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
 from nls.analysis.swapped_landmarks import swapped_landmarks
 from nls.explanation.findings import Finding, FindingKind
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

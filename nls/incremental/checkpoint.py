@@ -23,21 +23,17 @@ from factors.keys import Keys
 from factors.robust import Kernel
 from models import Manifold
 from models.errors import GraphError, GraphFileError, LeadlineError
-from nls.incremental.arrivals import Arrivals
-from nls.incremental.batch import GrowingBatch
-from nls.incremental.beginnings import Known
-from nls.incremental.decision import Decision
-from nls.incremental.growing import Growing, Variables
+from nls.incremental.growing import Growing, GrowingBatch, Variables
 from nls.incremental.growing_system import GrowingSystem
-from nls.incremental.window import Window
+from nls.incremental.leaving import Decision, Window
+from nls.incremental.new_variables import Known
+from nls.incremental.pending import Arrivals
 from nls.io.files import GZIP, ZIP, read_bytes, unreadable
 from nls.io.native.archive import KINDS, archived, arrays_of
 from nls.io.native.native import name_of_space, space_named
 from nls.io.native.structure import MISMATCHES, decoded, encoded
 from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.linear.updatable import Preconditioner
-
-__all__ = ["read_smoother", "smoother_bytes"]
 
 FORMAT, VERSION = "leadline smoother", 1
 STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
@@ -209,7 +205,7 @@ class _Reader:
             self._made.append(self._object(entry["is"], entry["of"], entry.get("type")))
 
     def of(self, plain: Plain) -> Any:
-        """What `_Writer.of` wrote."""
+        """The thing that `_Writer.of` wrote."""
         if not isinstance(plain, Mapping):
             return plain
         ((kind, value),) = plain.items()

@@ -1,19 +1,27 @@
-"""Arrays and estimates that grow: rows are appended, room doubles, what is there is a view."""
+"""Arrays and estimates that grow: rows are appended, room doubles, what is there is a view.
+
+Measurements of one sort are one batch that grows: they are linearized together, however they arrived.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import copy
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse as sp
 
+from factors.base import Factor, Model
+from factors.declared import factors_within, refuse_undeclared
+from factors.joined import alike
 from factors.keys import Keys
+from factors.robust import Kernel
 from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
-from nls.values import Stack
-
-__all__ = ["Growing", "Variables"]
+from nls.values import Stack, take
 
 
 class Growing:
@@ -123,10 +131,6 @@ class Variables:
     def _find(self) -> None:
         self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
 
-    def keys(self, rows: Mask) -> Keys:
-        """Some of them (n,)."""
-        return Keys(self.kind, self.numbers[rows])
-
     def known(self, keys: Keys) -> Mask:
         """Which variables (k,) are there."""
         return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
@@ -144,10 +148,246 @@ class Variables:
         except KeyError as error:
             raise GraphError(f"{self.kind}{error.args[0]} is not in the estimate", [keys]) from None
 
-    def move(self, X: Array, dx: Array) -> None:
-        """Put all at X (n, size), moved by tangent steps (n, d)."""
-        self.X[...] = self.manifold.retract(X, dx)
-
     def stack(self, rows: slice | Mask = slice(None)) -> Stack:
         """A copy of the estimate, or of some of it (n,)."""
         return Stack(self.kind, self.manifold, self.X[rows].copy(order="F"), self.numbers[rows].copy())
+
+
+SLIGHTLY = 1e-6  # part of s, for the slope of a weight
+FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
+
+BatchMark = tuple[list[tuple[Factor, Factor]], int, int, list[npt.NDArray[Any]]]
+Place = tuple[str | int, ...]  # attribute, place in a tuple; before them the attribute of a factor within
+
+
+class GrowingBatch:
+    """A batch of measurements that grows, and its rows of A and b.
+
+    Parameters
+    ----------
+    model : the first of them.
+    variables : of every slot.
+
+    Attributes
+    ----------
+    given : factors as they were given, and the part of each that is here, in the order of the rows.
+    """
+
+    def __init__(self, model: Model, variables: list[Variables]) -> None:
+        self.given: list[tuple[Factor, Factor]] = []
+        self.variables, self._first, self.kernel = variables, model, model.factor.kernel
+        factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
+        self._own = {place: Growing(own[:0]) for place, own in _own(factor).items()}
+        self._numbers = [Growing(np.zeros(0, dtype=np.int64)) for _ in variables]
+        self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
+        self._z, self._W = Growing(model.z[:0], "F"), Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
+        self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
+        self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
+        self._linearized = 0
+        self._sparse: tuple[sp.csr_array, sp.csc_array] | None = None
+
+    def __len__(self) -> int:
+        return len(self._z)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_sparse": None}
+
+    @property
+    def factor(self) -> Factor:
+        """The first measurements, as they were given."""
+        return self._first.factor
+
+    def takes(self, model: Model) -> bool:
+        """Whether measurements are of this sort."""
+        return model.W.ndim == self._first.W.ndim and alike(self._first, model)
+
+    def append(self, model: Model, given: Factor) -> None:
+        """Add measurements whose variables are there, of a factor that was given."""
+        n = len(model.z)
+        self.given.append((given, model.factor))
+        for slot, keys in enumerate(model.factor.keys):
+            self._numbers[slot].append(keys.numbers, n)
+            self._index[slot].append(self.variables[slot].index(keys), n)
+        self._z.append(model.z, n)
+        self._W.append(model.W, n)
+        for place, own in _own(model.factor).items():
+            self._own[place].append(own, n)
+        self._cost.append(np.zeros(1), n)
+        for rows in (self._A, self._columns, self._b):
+            rows.grow(n)
+        self._sparse = None
+
+    def mark(self) -> BatchMark:
+        """Measurements that are there: rows of A and b are not copied, and follow later linearizations."""
+        return self.given, len(self.given), self._linearized, [own.rows for own in self._parts()]
+
+    def back_to(self, mark: BatchMark) -> None:
+        """Be as at a mark; the variables are."""
+        self.given, count, self._linearized, parts = mark
+        del self.given[count:]
+        for own, rows in zip(self._parts(), parts, strict=True):
+            own.put(rows)
+        self.place()
+        self.linearize(slice(0, self._linearized))
+
+    def touches(self, of: dict[str, Mask]) -> Mask:
+        """Which measurements (n,) are about some of the variables, by kind; of an opaque factor all or none."""
+        touched = np.zeros(len(self), dtype=bool)
+        for v, index in zip(self.variables, self._index, strict=True):
+            if v.kind in of:
+                touched |= of[v.kind][index.rows]
+        return np.full(len(self), touched.any()) if self.factor.opaque else touched
+
+    def rows_of(self, variables: Variables) -> Iterator[Index]:
+        """The variable (n,) of every measurement, for every slot of a kind."""
+        return (index.rows for v, index in zip(self.variables, self._index, strict=True) if v is variables)
+
+    def drop(self, rows: Mask) -> None:
+        """Forget some measurements (n,)."""
+        gone = np.split(rows, np.cumsum([len(factor) for _, factor in self.given]))
+        rest = [(given, part(factor, ~of)) for (given, factor), of in zip(self.given, gone, strict=False)]
+        self.given = [(given, kept) for given, kept in rest if kept is not None]
+        self._linearized -= int(np.count_nonzero(rows[: self._linearized]))
+        self._sparse = None
+        for own in self._parts():
+            own.drop(rows)
+
+    def renumber(self, rows: dict[str, Index]) -> None:
+        """The variables of some kinds have new rows."""
+        for v, index in zip(self.variables, self._index, strict=True):
+            if v.kind in rows:
+                index.put(rows[v.kind][index.rows])
+
+    def _parts(self) -> Iterator[Growing]:
+        """Everything that has a row a measurement."""
+        yield from (*self._numbers, *self._index, *self._own.values())
+        yield from (self._z, self._W, self._A, self._columns, self._b, self._cost)
+
+    def catch_up(self) -> float:
+        """Linearize what has come since the last time; its cost."""
+        rows = slice(self._linearized, len(self))
+        if len(self) > self._linearized:
+            self.place(rows)
+            self.linearize(rows)
+            self._linearized = len(self)
+        return self.cost(rows)
+
+    def model(self, rows: slice | Mask = slice(None)) -> Model:
+        """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
+        kinds = zip(self._first.factor.keys, self._numbers, strict=True)
+        keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
+        factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
+        model = self._first._replace(factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
+        factor._model = model
+        return model
+
+    def linearize(self, rows: slice = slice(None)) -> None:
+        """Rows of A and b at the present values."""
+        X = [take(v.X, index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
+        A, b = self.model(rows).linearize(*X)
+        if self.kernel is None:
+            cost = np.square(b).sum(axis=1)
+        else:
+            A, b, cost = _weighted(self.kernel, A, b)
+        at = 0
+        for block in A:
+            self._A.rows[rows, :, at : at + block.shape[2]] = block
+            at += block.shape[2]
+        self._b.rows[rows], self._cost.rows[rows] = b, cost
+
+    def cost(self, rows: slice = slice(None)) -> float:
+        """Of the measurements, at their linearization."""
+        return float(self._cost.rows[rows].sum())
+
+    def place(self, rows: slice = slice(None)) -> None:
+        """Take the columns of A anew from those of the variables."""
+        at, self._sparse = 0, None
+        for v, index in zip(self.variables, self._index, strict=True):
+            d, first = v.manifold.dim, v.columns[index.rows[rows]]
+            self._columns.rows[rows, :, at : at + d] = (first[:, None] + np.arange(d))[:, None]
+            at += d
+
+    @property
+    def b(self) -> Array:
+        """(n m,) errors."""
+        return np.asarray(self._b.rows.reshape(-1))
+
+    def A(self, width: int) -> tuple[sp.csr_array, sp.csc_array]:
+        """(n m, width) rows of A, and A'; they follow what is linearized later."""
+        if self._sparse is None:
+            n, m, D = self._A.rows.shape
+            indptr = np.arange(0, n * m * D + 1, D, dtype=np.int32)
+            data, columns = self._A.rows.reshape(-1), self._columns.rows.reshape(-1)
+            A = sp.csr_array((data, columns, indptr), shape=(n * m, width))
+            At = A.T
+            A.data = At.data = data  # SciPy copies what is less than half of the array it is a view of
+            self._sparse = A, At
+        return self._sparse
+
+    def new_rows(self, begin: int) -> tuple[Array, npt.NDArray[np.int32]]:
+        """Rows of A and their columns (k, D) of the measurements from one on."""
+        D = self._A.rows.shape[2]
+        return self._A.rows[begin:].reshape(-1, D), self._columns.rows[begin:].reshape(-1, D)
+
+    def blocks(self) -> tuple[Array, ...]:
+        """A (n, m, d) of every slot."""
+        return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
+
+
+def part(factor: Factor, mask: Mask) -> Factor | None:
+    """Some measurements (n,) of a factor; None where there are none, or only its function knows them."""
+    if not mask.any() or (factor.opaque and not mask.all()):
+        return None
+    return factor if mask.all() else factor[mask]
+
+
+def _own(factor: Factor) -> dict[Place, Array]:
+    """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
+    refuse_undeclared(factor)
+    n, arrays = len(factor), dict[Place, Array]()
+    for name in factor.per_measurement:
+        value = getattr(factor, name)
+        held = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, tuple) else None
+        items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
+        stacks = {place: item for place, item in items.items() if isinstance(item, np.ndarray) and item.ndim}
+        arrays.update({place: stack if len(stack) in (1, n) else stack[None] for place, stack in stacks.items()})
+    for name, within in factors_within(factor).items():
+        arrays.update({(name, *place): own for place, own in _own(within).items()})
+    return arrays
+
+
+def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
+    """A factor with other measurements, their keys and their own arrays."""
+    whole = copy(factor)
+    whole.keys = keys
+    for name in factor.per_measurement:
+        value = getattr(factor, name)
+        if isinstance(value, tuple):
+            setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
+        elif isinstance(value, dict):
+            setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
+        elif (name,) in own:
+            setattr(whole, name, own[name,])
+    for name, within in factors_within(factor).items():
+        inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}
+        setattr(whole, name, _holding(within, keys[: len(within.keys)], inner))
+    return whole
+
+
+def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:
+    r"""A, b and costs (n,) with A'b half the downhill gradient of the cost, and A'A nearly half of its curvature.
+
+    Weights alone overrate the curvature along the residual u = b / |b|, as they fall while it grows:
+
+        A <- sqrt(w) (I - (1 - q) u u') A,   b <- sqrt(w) b / q,   q^2 = 1 + 2 s w'(s) / w(s), at least `FLATTEST`
+
+    Source: B. Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 4.3.
+    """
+    s = np.square(b).sum(axis=1)
+    w = kernel.weight(s)
+    further = kernel.weight(s * (1 + SLIGHTLY))
+    q = np.sqrt(np.maximum(1 + 2 * (further / np.where(w > 0, w, 1.0) - 1) / SLIGHTLY, FLATTEST))
+    u, root = b / np.sqrt(np.where(s > 0, s, 1.0))[:, None], np.sqrt(w)
+    flat = ((1 - q)[:, None] * u)[:, :, None]
+    bent = [root[:, None, None] * (A_k - flat * np.einsum("nm,nmd->nd", u, A_k)[:, None]) for A_k in A]
+    return tuple(bent), b * (root / q)[:, None], kernel.rho(s)

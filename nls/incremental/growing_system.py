@@ -7,6 +7,7 @@ iterations due to its age have cost as much as making it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,10 @@ from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.batch import BatchMark, GrowingBatch, touched
-from nls.incremental.growing import Variables
+from nls.incremental.growing import BatchMark, GrowingBatch, Variables
 from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.linear.updatable import Preconditioner
 from nls.optimizers.fit import Fit, fit
@@ -29,16 +29,8 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["GrowingSystem"]
-
 HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
-SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
-ROUGHLY = 0.1  # of the fall of a step, where another one follows anyway
 OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
-AGED = 20  # iterations beyond the first of every solution, after which the preconditioner is made anew
-ITERATIONS = 60
-HALVES = 8  # of a step, at most
-ENOUGH = 0.01  # of the fall that a step promises; less is no reason for another one
 
 
 Mark = tuple[dict[str, Any], dict[str, tuple[Array, Numbers, Index]], list[BatchMark], tuple[int, int]]
@@ -89,7 +81,8 @@ class GrowingSystem:
         """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
         if not self.robust:
             return HONEST * fall
-        rate = min(fall / last, SLOWEST) if last > 0 else SLOW
+        # the rate of reweighting is not known in a first pass
+        rate = min(fall / last, 0.95) if last > 0 else 0.9
         return fall * max(HONEST, 1 / (1 - rate))
 
     def model(self, factor: Factor) -> Model:
@@ -177,7 +170,7 @@ class GrowingSystem:
         """
         rows = [batch.touches(gone) for batch in self.batches]
         factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
-        leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
+        leaving = [Keys(kind, self.variables[kind].numbers[mask]) for kind, mask in gone.items()]
         priors = priors_left(factors, self.values, leaving)
         self.drop(rows)
         self.leave(gone)
@@ -235,7 +228,7 @@ class GrowingSystem:
         rz, d, fall = float(r @ z), z, 0.0
         if OLD * rz <= enough:
             return dx, OLD * max(rz, 0.0)
-        for iteration in range(ITERATIONS):
+        for iteration in range(60):
             q = _sum([At @ (A @ d) for A, At in rows], F.n)
             alpha = rz / float(d @ q)
             dx += alpha * d
@@ -245,7 +238,8 @@ class GrowingSystem:
             before, rz = rz, float(r @ z)
             self.iterations += 1
             self._age += iteration > 0
-            if OLD * rz <= enough - fall or (fall > enough and rz <= ROUGHLY * fall):
+            # where more than enough has fallen another step follows anyway: a tenth may be left
+            if OLD * rz <= enough - fall or (fall > enough and rz <= 0.1 * fall):
                 break
             d = z + (rz / before) * d
         return dx, fall + OLD * rz
@@ -264,16 +258,17 @@ class GrowingSystem:
         """
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
         first = min(2 * self._part, 1.0)  # of a step like the last one
-        for part in (*first * 0.5 ** np.arange(HALVES), 0.0):
+        for part in (*first * 0.5 ** np.arange(8), 0.0):
             for kind, v in self.variables.items():
-                v.move(begin[kind], part * dx[v.columns[:, None] + np.arange(v.manifold.dim)])
+                step = dx[v.columns[:, None] + np.arange(v.manifold.dim)]
+                v.X[...] = v.manifold.retract(begin[kind], part * step)
             try:
                 self._linearize()
             except (EvaluationError, SingularGeometryError) as error:
                 if error.is_fault:
                     raise
             else:
-                if chi2 - self.chi2 > ENOUGH * fall:
+                if chi2 - self.chi2 > 0.01 * fall:  # less is no reason for another step
                     self._part = part
                     return True
         return False
@@ -285,7 +280,7 @@ class GrowingSystem:
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
-        if self._preconditioner is None or self._age > AGED:
+        if self._preconditioner is None or self._age > 20:  # iterations beyond the first of every solution
             self._preconditioner = self._factorized()
         else:
             F = self._preconditioner
@@ -328,3 +323,13 @@ def _sum(parts: list[Array], n: int) -> Array:
     total = sum(parts[1:], parts[0])
     total[n:] = 0.0
     return total
+
+
+def touched(v: Variables, batches: Iterable[GrowingBatch], by: dict[str, Mask] | None = None) -> Mask:
+    """Which variables (n,) of a kind are measured: by all measurements, or by those of some others."""
+    measured = np.zeros(len(v), dtype=bool)
+    for batch in batches:
+        rows = slice(None) if by is None else batch.touches(by)
+        for index in batch.rows_of(v):
+            measured[index[rows]] = True
+    return measured

@@ -40,21 +40,18 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals, blame, factors_of, refuse_others
-from nls.incremental.beginnings import LIMIT, New, lower_start, part
-from nls.incremental.decision import Decision
+from nls.incremental.growing import part
 from nls.incremental.growing_system import HONEST, GrowingSystem
-from nls.incremental.window import Window
+from nls.incremental.leaving import Decision, Window
+from nls.incremental.new_variables import LIMIT, New, lower_start
+from nls.incremental.pending import Arrivals, blame, factors_of, refuse_others
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt
 from nls.robust import Robustified
 from nls.sparse.threads import single_thread
 from nls.values import Values
 
-__all__ = ["Incremental"]
-
 SETTLED = 0.8  # of the tolerance: a smaller gap is no reason for another step
-PASSES = 30
 
 
 class Incremental:
@@ -225,14 +222,14 @@ class Incremental:
         return self._system.chi2
 
     def _allowed(self, part: float) -> float:
-        """So much of the tolerance."""
+        """A part of the tolerance."""
         return part * self.tol * max(self.chi2, 1.0)
 
     @single_thread()
     def settle(self) -> None:
         """Move to the optimum, within the tolerance."""
         last = 0.0
-        for share in (1.0, *(SETTLED,) * PASSES):
+        for share in (1.0, *(SETTLED,) * 30):  # passes at most
             self.passes += 1
             dx, fall = self._system.step(self._allowed(SETTLED) / HONEST)
             self.gap = self._system.bound(fall, last)

@@ -32,14 +32,10 @@ from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, UnderconstrainedError
 from models.sensors import seen_from
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["MarginalPrior", "marginalized", "numbers_of", "priors_left", "without"]
-
-RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 
 
 class _Chart(NamedTuple):
@@ -228,7 +224,7 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
         dense: Array = whole[rows][:, [*columns, -1]]
         triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
-        if len(pivots) < e or (pivots <= RANK * lengths).any():
+        if len(pivots) < e or (pivots <= 1e-12 * lengths).any():  # rounding of 0
             free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
             raise UnderconstrainedError(
                 f"{', '.join(map(repr, free))} cannot leave the window: the measurements so far do not determine all "
@@ -269,10 +265,8 @@ def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Fac
     touching: list[Factor] = []
     untouched: list[Factor] = []
     for factor in factors:
-        touches = np.zeros(len(factor), dtype=bool)
-        for keys in factor.keys:
-            for gone in leaving:
-                touches |= (keys.kind == gone.kind) & np.isin(keys.numbers, gone.numbers)
+        pairs = ((keys, gone) for keys in factor.keys for gone in leaving if keys.kind == gone.kind)
+        touches = np.any([np.zeros(len(factor)), *(np.isin(k.numbers, gone.numbers) for k, gone in pairs)], axis=0)
         for subset, mask in ((touching, touches), (untouched, ~touches)):
             if mask.any():
                 subset.append(factor if mask.all() else factor[np.flatnonzero(mask)])

@@ -12,8 +12,6 @@ from factors.keys import Keys
 from models.algebra import Index
 from models.errors import GraphError
 
-__all__ = ["Arrived", "steps"]
-
 
 @dataclass(frozen=True)
 class Arrived:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from nls.linear.base import Analysis, LinearSolution, LinearSolver
+from nls.linear.base import Analysis, LinearSolution, LinearSolver, NormalEquations
 from nls.linear.cholesky import Cholesky, openmp_capped
 from nls.linear.default import best_decomposition, default_solver, factorize
 from nls.linear.dense import DenseCholesky, DenseQR, Pinv
 from nls.linear.factorization import Factorization
 from nls.linear.lu import LU
-from nls.linear.normal import NormalEquations
 from nls.linear.qr import QR
 from nls.linear.schur import PCG, Schur, truncated_inverse
 

@@ -25,15 +25,11 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index
-from nls.linear.base import INSTALL_SUITESPARSE
-from nls.linear.factorization import Decomposition
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.base import INSTALL_SUITESPARSE, SparseSolver
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import openmp, single_thread
-
-__all__ = ["Cholesky", "Cholmod", "openmp_capped"]
 
 LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
@@ -54,13 +50,6 @@ def _order(graph: sp.csc_matrix, method: str) -> Index:
     module = cholmod()
     assert module is not None
     return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
-
-
-def _symbolic(H: sp.csc_matrix) -> Any:
-    """CHOLMOD's symbolic factorization."""
-    module = cholmod()
-    assert module is not None
-    return module.analyze(H, mode="auto", ordering_method="natural")
 
 
 class Cholmod(Decomposition):
@@ -91,7 +80,9 @@ class Cholmod(Decomposition):
         ones: Array = np.ones(len(hessian.indices), dtype=dtype)
         self._H = sp.csc_matrix((ones, hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n))
         self._H.has_sorted_indices = True
-        self._chol = hessian.analyzed(_symbolic, self._H).copy()
+        if dtype not in hessian.analyses:
+            hessian.analyses[dtype] = module.analyze(self._H, mode="auto", ordering_method="natural")
+        self._chol = hessian.analyses[dtype].copy()
 
     def __getstate__(self) -> tuple[Hessian, Array, bool]:
         return self._hessian, self._H.data, self._factorized

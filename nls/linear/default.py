@@ -1,17 +1,19 @@
-"""The linear solver taken where none is named."""
+"""The linear solver taken where none is named, and what it factorizes: A'A, and matrices of blocks on a graph."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from models.algebra import Array, Index
 from models.errors import OptionError
-from nls.linear.base import LinearSolver
+from nls.linear.base import LinearSolver, SparseSolver
 from nls.linear.cholesky import Cholesky
-from nls.linear.dense import FEW, Small
+from nls.linear.dense import DENSE_COLUMNS, Small
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import LU
-from nls.linear.normal import SparseSolver
+from nls.sparse.elimination import Eliminations
+from nls.sparse.hessian import Hessian
 from nls.system import LinearSystem
-
-__all__ = ["best_decomposition", "chosen_solver", "default_solver", "factorize", "factorized_by"]
 
 
 def default_solver(n: int | None = None) -> SparseSolver:
@@ -19,7 +21,7 @@ def default_solver(n: int | None = None) -> SparseSolver:
 
     It is CHOLMOD, or SuperLU without SuiteSparse. Few columns need neither.
     """
-    if n is not None and n <= FEW:
+    if n is not None and n <= DENSE_COLUMNS:
         return Small()
     return Cholesky() if Cholesky.missing() is None else LU()
 
@@ -84,3 +86,33 @@ def factorized_by(linear_solver: LinearSolver | None, default: SparseSolver, sys
     """The factorization of a solver, or of the default where there is no solver or it does not factorize A'A."""
     own = None if linear_solver is None else linear_solver.factorization(system)
     return default.factorization(system) if own is None else own
+
+
+class Laplacian:
+    """Symmetric matrices of blocks (k, k) at V nodes and at P pairs of them; all sizes k have one elimination order.
+
+    Parameters
+    ----------
+    u, v : (P,) the pairs, repeats allowed: their blocks add up.
+    V : the number of nodes.
+    eliminations : structure kept by others, such as `Pattern.eliminations`; None for a new one.
+    """
+
+    def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
+        self._decomposition = best_decomposition(3 * V)  # at most 3 columns a node in a start
+        self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
+        self._factorizations: dict[int, Factorization] = {}
+
+    def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
+        """Factorization of the matrix of diagonal blocks (V, k, k) and blocks (u, v) (P, k, k); (v, u) are adjoint.
+
+        All matrices of one k are real, or all complex. Raises SingularSystemError where one is not positive definite.
+        """
+        S, V, k = np.concatenate([on_diagonal, off]), len(on_diagonal), off.shape[-1]
+        if np.iscomplexobj(S):  # a `Hessian` transposes these blocks
+            np.conjugate(S[V:], out=S[V:], where=self._elimination.turned[:, None, None])
+        if k not in self._factorizations:
+            begin = np.arange(len(S)) * k * k
+            hessian = Hessian(self._elimination, np.full(V, k), begin[:V], begin[V:])
+            self._factorizations[k] = Factorization(hessian, self._decomposition(hessian, S.dtype.type))
+        return self._factorizations[k].factorize(S.reshape(-1))

@@ -16,20 +16,15 @@ from scipy import sparse as sp
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
-from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
-from nls.linear.factorization import Decomposition
+from nls.linear.base import Analysis, LinearSolution, LinearSolver, SparseSolver, with_damping
+from nls.linear.factorization import ROUNDING, SINGULAR, Decomposition, SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import ROUNDING, SINGULAR, SingularSystemError
 from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 
-__all__ = ["FEW", "DenseCholesky", "DenseQR", "Lapack", "Pinv", "Small"]
-
-
-FEW = 150  # columns, up to which NumPy is as fast as CHOLMOD
+DENSE_COLUMNS = 150  # columns, up to which NumPy is as fast as CHOLMOD
 
 
 class _Dense(LinearSolver):
@@ -45,12 +40,8 @@ class _Dense(LinearSolver):
     def __init__(self, memory_limit: float | None = None) -> None:
         self.memory_limit = checked_limit(memory_limit)
 
-    def needed(self, m: int, n: int) -> float:
-        """Bytes a solve of an (m, n) system takes."""
-        return 8.0 * self.copies * m * n
-
     def analyze(self, pattern: Pattern) -> DenseAnalysis:
-        needed = self.needed(pattern.m, pattern.n)
+        needed = 8.0 * self.copies * pattern.m * pattern.n
         if needed > self.memory_limit:
             raise ResourceLimitError(
                 f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, "

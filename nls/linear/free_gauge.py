@@ -9,13 +9,9 @@ from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.linear.base import Analysis, LinearSolution, LinearSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
-
-__all__ = ["FreeGauge", "free_directions", "gauge_columns"]
-
-UNSEEN = 1e-6  # of a direction of length 1 in sigmas: public pose graphs have at most 1e-10
 
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
@@ -36,7 +32,7 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
     lengths = np.sqrt(A.copy().power(2).sum(axis=0))  # of A itself it would sort indices that all linearizations share
     U = N / np.linalg.norm(lengths[:, None] * N, axis=0)  # of length 1 in sigmas, whatever the units
-    if np.abs(A @ U).max(initial=0.0) > UNSEEN:
+    if np.abs(A @ U).max(initial=0.0) > 1e-6:  # sigmas; public pose graphs have at most 1e-10
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 

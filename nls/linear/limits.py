@@ -25,8 +25,6 @@ from models.options import is_number
 from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
 
-__all__ = ["FRACTION", "checked_limit", "default_limit", "gigabytes"]
-
 FRACTION = 0.5  # of the machine's memory: values, A, the operating system and other programs need some too
 UNKNOWN = 4e9  # bytes, where the system does not say how much memory there is
 

@@ -8,14 +8,9 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index
-from nls.linear.factorization import Decomposition
-from nls.linear.normal import SparseSolver
-from nls.linear.singular import SingularSystemError
+from nls.linear.base import SparseSolver
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.sparse.hessian import Hessian
-
-__all__ = ["LU", "SYMMETRIC", "SuperLU", "dominant"]
-
-SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 def dominant(u: Index, v: Index, V: int) -> sp.csc_array:
@@ -25,14 +20,28 @@ def dominant(u: Index, v: Index, V: int) -> sp.csc_array:
     return sp.csc_array(adjacency + sp.diags_array(1.0 - adjacency.sum(axis=0)))
 
 
+def factored(H: sp.csc_array | sp.csc_matrix, order: str = "NATURAL") -> Any:
+    """SuperLU's factors of a symmetric matrix, with symmetric pivoting.
+
+    Raises
+    ------
+    SingularSystemError
+        A pivot is exactly zero.
+    """
+    from scipy.sparse.linalg import splu
+
+    try:
+        return splu(H, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:  # SuperLU's way to say it
+        raise SingularSystemError(str(error)) from error
+
+
 class SuperLU(Decomposition):
     """H = L U with symmetric pivoting. SuperLU's minimum degree orders the graph of variables, once per graph."""
 
     @staticmethod
     def order(u: Index, v: Index, V: int) -> Index:
-        from scipy.sparse.linalg import splu
-
-        return np.argsort(splu(dominant(u, v, V), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
+        return np.argsort(factored(dominant(u, v, V), "MMD_AT_PLUS_A").perm_c)
 
     _H: sp.csc_array | None = None  # the matrix of the latest factors
 
@@ -53,13 +62,8 @@ class SuperLU(Decomposition):
         return np.asarray(self._lu.U.diagonal()[self._lu.perm_c].real)
 
     def _factorize(self, H: sp.csc_array) -> None:
-        from scipy.sparse.linalg import splu
-
         self._H = None
-        try:
-            self._lu = splu(H, permc_spec="NATURAL", **SYMMETRIC)
-        except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
-            raise SingularSystemError(str(error)) from error
+        self._lu = factored(H)
         self._H = H
 
     def solve(self, g: Array) -> Array:

@@ -13,21 +13,15 @@ from scipy import sparse as sp
 from models.algebra import Array, Index
 from nls.linear.base import INSTALL_SUITESPARSE, Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.default import best_decomposition
-from nls.linear.factorization import Factorization
+from nls.linear.factorization import SINGULAR, Factorization, SingularSystemError
 from nls.linear.limits import always_fits, checked_limit, refuse_above
-from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 
-__all__ = ["QR"]
-
-
 # sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside
 # at once end the process.
 ONE_AT_A_TIME = Lock()
-
-FIXED = 0  # SPQR: the columns stay in their order
 
 
 @cache
@@ -96,7 +90,8 @@ class OrthogonalFactor(Factorization):
         hessian = system.pattern.hessian(decomposition.order)
         super().__init__(hessian, decomposition(hessian))
         p, lengths = hessian.permutation, system.column_norms
-        _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], FIXED)
+        # SPQR's order 0: the columns stay as they are
+        _, R, _ = _decomposed(system.A[:, p], np.zeros(system.pattern.m), lengths[p], 0)
         self._R = sp.csr_array(sp.diags_array(np.sign(R.diagonal())) @ R @ sp.diags_array(lengths[p]))
         self._L = sp.csr_array(self._R.T)
 

@@ -12,19 +12,15 @@ from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.gauge import component_labels, touched_variables
 from nls.linear.base import LinearSolver
+from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
 from nls.linear.null_space import carriers_of_singles, null_directions, separated, single_directions, weakest
-from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["directions", "free_names", "underconstrained"]
-
 TRUNCATED = "nls.Schur(block_inverse=nls.linear.truncated_inverse)"  # as the cure `truncate` writes it
-FAR = 1e9  # numbers in Jacobians beyond this hide a 1 beside them
-ALIKE = 1e3  # rows within this factor of the extreme one belong to it: no single measurement is the cause
-RESOLVED = 1e12  # largest over median row of A that linear solver 'qr' still resolves
-SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one
+HIDES_ONE = 1e9  # numbers in Jacobians beyond this hide a 1 beside them
+ONE_SORT = 1e3  # rows within this factor of the extreme one belong to it: no single measurement is the cause
 INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas
 
 
@@ -66,7 +62,7 @@ def _named(system: LinearSystem, values: Values | None) -> UnderconstrainedError
     if (norms == 0.0).any():
         return _unmeasured(system, norms == 0.0, values)
     moved, more = _moved(system)
-    if not moved or _longest(weighted) > FAR:
+    if not moved or _longest(weighted) > HIDES_ONE:
         return _unlike(weighted, values)
     any_of_them = np.unique(np.concatenate(moved))
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
@@ -139,7 +135,7 @@ def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedErro
         raise system.overflow()
     batch, index, row, spread, size, advice = _extreme(system)
     keys, where = [key[[index]] for key in pattern.batches[batch].model.factor.keys], ""
-    if spread < RESOLVED and (norms > 0).all():
+    if spread < 1e12 and (norms > 0).all():  # linear solver 'qr' still resolves the spread
         owner, component = pattern.column_owner()
         s, N = weakest(system)
         moved = np.flatnonzero(_carriers(N[:, [np.argmin(s)]], norms, _component_ids(pattern, owner, component))[:, 0])
@@ -159,15 +155,15 @@ def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedErro
 def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advice]]:
     """The row of A most unlike the others: batch, measurement and row, how far from the median, its size, and advice.
 
-    Where a Jacobian is beyond `FAR` it is the row of that kind with the largest measurement: distances enter the
+    Where a Jacobian is beyond `HIDES_ONE` it is the row of that kind with the largest measurement: distances enter the
     Jacobians of other measurements, too.
     """
     sizes = [size for _, size in system.row_sizes]
     measured = np.concatenate([size[size > 0] for size in sizes])
     middle = float(np.median(measured))
-    if _longest(system) > FAR:
+    if _longest(system) > HIDES_ONE:
         largest = [np.abs(batch.model.z).max(axis=1, initial=0.0) for batch in system.pattern.batches]
-        far = [(size > FAR * weight).any(axis=1) for weight, size in system.row_sizes]
+        far = [(size > HIDES_ONE * weight).any(axis=1) for weight, size in system.row_sizes]
         values = [np.where(is_far, z, -1.0) for is_far, z in zip(far, largest, strict=True)]
         batch = int(np.argmax([z.max(initial=-1.0) for z in values]))
         index = int(np.argmax(values[batch]))
@@ -181,7 +177,7 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
     times = float(extreme) / middle
     advice = [Advice("larger sigma" if heavy else "smaller sigma"), Advice("remove", ("it",))]
     size = f"its row of A is {times:.3g} times the median"
-    alike = int(((measured > extreme / ALIKE) & (measured < extreme * ALIKE)).sum())
+    alike = int(((measured > extreme / ONE_SORT) & (measured < extreme * ONE_SORT)).sum())
     if alike > system.pattern.batches[batch].model.dim:
         size += f", and there are {alike:,} rows of about that size"
         advice = [Advice("compare sigmas")]
@@ -189,7 +185,7 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
 
 
 def directions(count: int, more: bool = False) -> str:
-    """So many free directions, in words; and whether there may be more."""
+    """The number of free directions in words; and whether there may be more."""
     return "1 direction" if count == 1 else f"{'at least ' if more else ''}{count} directions"
 
 
@@ -252,7 +248,8 @@ def _carriers(N: Array, scale: Array, ids: Index) -> Mask:
     for k in np.unique(ids):
         like = ids == k
         involved = sigmas[like].max(axis=0) >= INVOLVED * sigmas.max(axis=0)
-        carried[like] = (np.abs(N[like]) >= SHARE * np.abs(N[like]).max(axis=0)) & involved
+        # an unknown is named when it moves by at least 0.05 of the farthest moving one
+        carried[like] = (np.abs(N[like]) >= 0.05 * np.abs(N[like]).max(axis=0)) & involved
     return carried
 
 
@@ -269,7 +266,7 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
 
 
 def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, list[Advice]]:
-    """What moves, in words, and what helps: an anchor for whole components, another view for single variables."""
+    """The moving variables in words, and cures: an anchor for whole components, another view for single variables."""
     label = component_labels(pattern)
     free = np.flatnonzero(~pattern.held)
     texts = dict(zip(moving.tolist(), (text for _, text in named), strict=True))

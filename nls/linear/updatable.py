@@ -14,32 +14,31 @@ Cholesky factorization", SIAM J. Matrix Anal. Appl. 26(3), 2005.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse as sp
 
-from models.abstract import Abstract
 from models.algebra import Array
 from nls.linear.cholesky import cholmod
-from nls.linear.lu import SYMMETRIC
-from nls.linear.singular import SingularSystemError, refuse_vanishing
+from nls.linear.factorization import SingularSystemError, refuse_vanishing
+from nls.linear.lu import factored
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
-__all__ = ["Preconditioner", "Refactorized", "Updatable", "Updated", "updatable_class"]
-
-
-WIDEST = 16  # numbers of a variable that is held, at most
 RESERVE = 600  # columns for variables to come
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
-SMALL = 1e-6  # on the diagonal of a column in reserve, of the mean of the others
 
 
-class Updatable(Abstract):
-    """H x = g for a matrix that rows are added to: H + C C'.
+class Updated:
+    """H = L D L' by CHOLMOD; new rows change the columns of L above their variables: H <- H + C C'.
+
+    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
+    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
+
+    Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
+    35(4), 2009.
 
     Parameters
     ----------
@@ -49,30 +48,6 @@ class Updatable(Abstract):
     ------
     SingularSystemError
         H is not positive definite.
-    """
-
-    name: str
-
-    @abstractmethod
-    def __init__(self, H: sp.csc_matrix) -> None: ...
-
-    @abstractmethod
-    def add(self, C: sp.csc_matrix) -> None:
-        """H <- H + C C', C (n, k)."""
-
-    @abstractmethod
-    def solve(self, g: Array) -> Array:
-        """H^-1 g (n,)."""
-
-
-class Updated(Updatable):
-    """H = L D L' by CHOLMOD; new rows change the columns of L above their variables.
-
-    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
-    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
-
-    Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
-    35(4), 2009.
     """
 
     name = "rank updates (CHOLMOD)"
@@ -88,14 +63,16 @@ class Updated(Updatable):
         refuse_vanishing(self._chol.D(), H.diagonal())  # the natural order: that of H
 
     def add(self, C: sp.csc_matrix) -> None:
+        """H <- H + C C', C (n, k)."""
         self._chol.update_inplace(C)
 
     def solve(self, g: Array) -> Array:
+        """H^-1 g (n,)."""
         return np.asarray(self._chol.solve_A(g))
 
 
-class Refactorized(Updatable):
-    """H = L U by SciPy's SuperLU, made anew for new rows."""
+class Refactorized:
+    """H = L U by SciPy's SuperLU, made anew for new rows; otherwise as `Updated`."""
 
     name = "a new factorization for new rows (SuperLU)"
 
@@ -104,12 +81,7 @@ class Refactorized(Updatable):
         self._factorize()
 
     def _factorize(self) -> None:
-        from scipy.sparse.linalg import splu
-
-        try:
-            self._lu = splu(self._H, permc_spec="NATURAL", **SYMMETRIC)
-        except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
-            raise SingularSystemError(str(error)) from error
+        self._lu = factored(self._H)
         refuse_vanishing(self._lu.U.diagonal()[self._lu.perm_c], self._H.diagonal())
 
     def add(self, C: sp.csc_matrix) -> None:
@@ -120,7 +92,7 @@ class Refactorized(Updatable):
         return np.asarray(self._lu.solve(g))
 
 
-def updatable_class() -> type[Updatable]:
+def updatable_class() -> type[Updated] | type[Refactorized]:
     """The best one installed."""
     return Refactorized if cholmod() is None else Updated
 
@@ -147,8 +119,8 @@ class Preconditioner:
 
     def __init__(self, hessian: Hessian, S: Array) -> None:
         self.used, self.rows, self.n = hessian.n, 0, hessian.n + RESERVE
-        self.width = self.n + WIDEST
-        small = SMALL * float(hessian.diagonal(S).mean())
+        self.width = self.n + 16  # numbers of a variable that is held, at most
+        small = 1e-6 * float(hessian.diagonal(S).mean())  # in reserve
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
         data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])
@@ -157,7 +129,7 @@ class Preconditioner:
         self._begin()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What the factorization was made of: equal steps make it equal to the bit."""
+        """All that the factorization was made of: equal steps make it equal to the bit."""
         return {name: value for name, value in vars(self).items() if name != "_factor"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -12,8 +12,8 @@ from nls.optimizers.fit import Fit
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
 from nls.optimizers.problem import gauss_newton_step
-from nls.optimizers.result import Attempt, Callback, Iteration, Result
-from nls.optimizers.thresholds import Status, Stop
+from nls.optimizers.result import Attempt, Callback, Iteration, Result, Status
+from nls.optimizers.step import Stop
 
 __all__ = [
     "OPTIMIZERS",

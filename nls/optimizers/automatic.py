@@ -12,34 +12,30 @@ from __future__ import annotations
 
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
-from nls.optimizers.base import Optimizer
+from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.problem import Problem
+from nls.optimizers.result import Status
 from nls.optimizers.step import Step
-from nls.optimizers.thresholds import Status
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Automatic"]
-
 FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED, Status.MAX_ITERATIONS)
-RISE = 1e4  # growth of chi2 over the start, twice in a row; a long drive with 20 closures rises once to 4e6 times it
-WITHOUT = 10  # steps without a new best; pose graphs that converge take up to 4
 
 
 def chi2_rises(step: Step) -> stop.Verdict | None:
     """chi2 >= 1e4 chi2 of the start after two steps in a row, and not by rounding."""
     begin = step.watch.history[0].chi2
-    rises = min(step.chi2, step.old.chi2) >= RISE * begin and not step.rounds(step.chi2 - begin)
+    # a long drive with 20 closures rises once to 4e6 times the start, not twice in a row
+    rises = min(step.chi2, step.old.chi2) >= 1e4 * begin and not step.rounds(step.chi2 - begin)
     return stop.grown(step) if rises else None
 
 
 def no_new_best(step: Step) -> stop.Verdict | None:
     """No new best for 10 steps."""
     watch = step.watch
-    if watch.since_best < WITHOUT or step.invisible:
+    if watch.since_best < 10 or step.invisible:  # pose graphs that converge take up to 4
         return None
     reason = f"no lower chi2 for {watch.since_best} steps; the lowest is {watch.lowest:.6g}, the last {step.chi2:.6g}"
     return stop.Verdict(Status.CYCLING, reason)

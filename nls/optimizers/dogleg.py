@@ -21,11 +21,9 @@ import math
 import numpy as np
 
 from models.algebra import Array
+from nls.optimizers.problem import Undamped
 from nls.optimizers.trust_region import TrustRegion
-from nls.optimizers.undamped import Undamped
 from nls.system import LinearSystem
-
-__all__ = ["Dogleg"]
 
 
 class Dogleg(TrustRegion):
@@ -55,22 +53,17 @@ class Dogleg(TrustRegion):
     def within(
         self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
     ) -> tuple[Array, float]:
-        return _dogleg(system, D, undamped.step(system, D), radius), 0.0
-
-
-def _dogleg(system: LinearSystem, D: Array, gn: Array, radius: float) -> Array:
-    """The point of the bent path 0 - c - gn at the distance radius, or its end."""
-    far = float(np.linalg.norm(D * gn))
-    if far <= radius:
-        return gn
-    downhill = system.gradient / D**2
-    alpha = float(system.gradient @ downhill) / float(np.square(system.times(downhill)).sum())
-    c = alpha * downhill
-    near = float(np.linalg.norm(D * c))
-    if near >= radius:
-        return c * (radius / near)
-    p, q = D * c, D * (gn - c)  # |p + beta q|^2 = radius^2, the root between 0 and 1, without cancellation
-    a, half, gap = float(q @ q), float(p @ q), radius**2 - float(p @ p)
-    root = math.sqrt(half * half + a * gap)
-    beta = gap / (half + root) if half > 0 else (root - half) / a
-    return np.asarray(c + beta * (gn - c))
+        gn = undamped.step(system, D)
+        if float(np.linalg.norm(D * gn)) <= radius:
+            return gn, 0.0
+        downhill = system.gradient / D**2
+        alpha = float(system.gradient @ downhill) / float(np.square(system.times(downhill)).sum())
+        c = alpha * downhill
+        near = float(np.linalg.norm(D * c))
+        if near >= radius:
+            return c * (radius / near), 0.0
+        p, q = D * c, D * (gn - c)  # |p + beta q|^2 = radius^2, the root between 0 and 1, without cancellation
+        a, half, gap = float(q @ q), float(p @ q), radius**2 - float(p @ p)
+        root = math.sqrt(half * half + a * gap)
+        beta = gap / (half + root) if half > 0 else (root - half) / a
+        return np.asarray(c + beta * (gn - c)), 0.0

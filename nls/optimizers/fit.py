@@ -28,12 +28,7 @@ from models.algebra import Array, Mask
 from nls.sparse.pattern import measuring
 from nls.values import Values
 
-__all__ = ["SILENCED", "Fit", "Share", "fit", "shares"]
-
-TAIL = 0.025  # probability of a chi2 above the quantile
 TWICE = 2.0  # chi2 per degree of freedom
-NOISE = 0.01  # probability of a squared residual above q
-BELIEVED = 0.5  # weight beside that at q, down to which a measurement is believed
 SILENCED = 0.25  # part of a table that may be ignored
 
 
@@ -66,7 +61,7 @@ def fit(chi2: float, dof: int, robust: bool = False) -> Fit:
         return Fit.PLAUSIBLE
     from scipy.special import gammaincc
 
-    if gammaincc(dof / 2, chi2 / 2) >= TAIL:
+    if gammaincc(dof / 2, chi2 / 2) >= 0.025:  # within its 97.5 % quantile
         return Fit.PLAUSIBLE
     return Fit.IMPLAUSIBLE if chi2 > TWICE * dof else Fit.HIGH
 
@@ -136,5 +131,5 @@ def _ignored(factor: Factor, values: Values) -> tuple[Mask, Array, float]:
     s, kernel, model = factor.chi2(values), factor.kernel, values.gather(factor)[0]
     if kernel is None or factor.limit_only:
         return np.zeros(len(s), dtype=bool), s, 0.0
-    bound = BELIEVED * kernel.weight(np.array([chdtri(model.dim, NOISE)]))
+    bound = 0.5 * kernel.weight(np.array([chdtri(model.dim, 0.01)]))  # half the weight at the 99 % quantile q
     return kernel.weight(s) <= bound, s, int(measuring(model).sum()) / max(len(s), 1)

@@ -20,22 +20,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nls.optimizers.base import Optimizer
+from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.problem import Problem
 from nls.optimizers.step import ROUNDING, SHORTER, Step
 from nls.optimizers.stop import ask, relative_decrease
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["GaussNewton"]
-
-
-# Change of A'A along the step since it was factorized, beyond which a step, and the last one, is not taken. It is
-# 0.0001 to 0.1 where pose graphs arrive, 0.8 to 0.95 from step to step on a plateau that falls for ever.
-CHANGED, CHANGED_AT_THE_END = 0.1, 0.5
-ALMOST = 10  # times chi2_rtol: a fall not worth a factorization, and ten times that where it is foreseen
-OVERSTATED = 10  # times the fall: a promise after which the last step is taken in the ordinary way
 
 
 @dataclass(frozen=True)
@@ -84,7 +74,8 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
         return None
     promised, downhill = system.promised(dx), float(dx @ system.gradient)  # equal, had A'A not changed
     last = promised <= watch.tol.chi2_rtol * system.chi2
-    changed = abs(promised - downhill) >= (CHANGED_AT_THE_END if last else CHANGED) * downhill
+    # The change of A'A along the step is 0.0001 to 0.1 where pose graphs arrive, 0.8 to 0.95 on a plateau without end.
+    changed = abs(promised - downhill) >= (0.5 if last else 0.1) * downhill
     if changed or not _small(promised, watch):
         return None
     if last:
@@ -110,12 +101,14 @@ def _nearly(watch: Watch) -> bool:
 
 def _small(fall: float, watch: Watch) -> bool:
     """Whether a fall of chi2 is hardly more than what counts as none."""
-    return 0 <= fall <= ALMOST * watch.tol.chi2_rtol * watch.history[-1].chi2
+    # ten times chi2_rtol is not worth a factorization
+    return 0 <= fall <= 10 * watch.tol.chi2_rtol * watch.history[-1].chi2
 
 
 def _ends(step: Step, problem: Problem, watch: Watch) -> bool:
     """Take a step that ends the optimization; it is forgotten where it does not. Its system is the one before it."""
-    missed = step.promised > OVERSTATED * max(step.fall, ROUNDING * step.chi2) and not step.invisible
+    # ten times the fall: the last step is then taken in the ordinary way
+    missed = step.promised > 10 * max(step.fall, ROUNDING * step.chi2) and not step.invisible
     verdict = None if missed else ask((relative_decrease,), step)
     if verdict is None:
         return False

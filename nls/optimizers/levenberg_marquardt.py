@@ -31,16 +31,12 @@ import numpy as np
 
 from models.algebra import Array
 from models.options import check_between
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
+from nls.optimizers.problem import FAINT, HOPELESS, Undamped
 from nls.optimizers.trust_region import TrustRegion
-from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
 from nls.system import LinearSystem
 
-__all__ = ["LevenbergMarquardt"]
-
 BAND = 0.8, 1.2  # parts of the radius between which |D dx| meets it
-CAREFUL = 1e-3  # lambda of the first step where undamped ones are known to fail
-TRIALS = 10  # of lambda, after which the step is tried whatever its length
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ class LevenbergMarquardt(TrustRegion):
     def first_damping(self, kinked: bool) -> float:
         if self.damping is not None:
             return self.damping
-        return CAREFUL if kinked else FAINT
+        return 1e-3 if kinked else FAINT  # over a kink undamped steps are known to fail
 
     def within(
         self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
@@ -97,7 +93,7 @@ class LevenbergMarquardt(TrustRegion):
         above = float(np.linalg.norm(system.gradient / D)) / radius  # |D dx| <= |D^-1 A'b| / lambda
         above = max(above, 1e4 * below)  # but for rounding, where lambda is too faint for a nearly singular system
         old, old_length, trial = below, length, damping or above * radius / length
-        for _ in range(TRIALS):
+        for _ in range(10):  # trials of lambda: then the step is tried whatever its length
             damping = trial if below < trial < above else math.sqrt(max(below, 1e-10 * above) * above)
             if not below < damping < above:
                 break

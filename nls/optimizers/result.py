@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,13 +12,22 @@ from typing import NamedTuple
 from models.advice import Advice, listed
 from models.html_table import html_table
 from nls.optimizers.fit import SILENCED, Fit, Share, fit
-from nls.optimizers.thresholds import Status
 from nls.values import Values
 
-__all__ = ["Attempt", "Callback", "Iteration", "Result"]
-
-FAR = 100.0  # chi2 per degree of freedom: sigmas ten times too small are rare, wrong measurements or starts are not
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
+
+
+class Status(Enum):
+    """Why an optimization ended; the value is the sentence shown. Only CONVERGED is success."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "the iteration limit was reached before it converged"
+    MAX_TIME = "the time limit was reached before it converged"
+    STALLED = "no further step lowers chi2 although its gradient is not small"
+    CYCLING = "chi2 goes up and down without falling"
+    DIVERGED = "chi2 or the update grew beyond bounds or is not finite"
+    STOPPED = "stopped by the callback"
+    INTERRUPTED = "interrupted by the user"
 
 
 class Iteration(NamedTuple):
@@ -174,7 +184,7 @@ class Result:
 
     @property
     def _silenced(self) -> list[str]:
-        """What a kernel may hide, in words."""
+        """Measurements that a kernel may hide, in words."""
         many = [share for share in self.shares if share.ignored > SILENCED * share.total]
         out = [f"the kernel ignored {share}, not a few wrong ones" for share in many]
         if any(share.ignored for share in self.shares) and self.believed[1] <= 0:
@@ -192,7 +202,8 @@ class Result:
         if not self.doubt:
             return ()
         explain = Advice("explain", ("nls explain",))
-        return (explain, Advice("start")) if self.chi2_final > FAR * max(self.dof, 1) else (explain,)
+        # sigmas ten times too small are rare, wrong measurements or starts are not
+        return (explain, Advice("start")) if self.chi2_final > 100.0 * max(self.dof, 1) else (explain,)
 
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"

@@ -1,25 +1,181 @@
-"""A step as the stop rules see it: its numbers, and the judgments that several rules share."""
+"""Thresholds, the record of a run, and a step: the subjects of the stop rules (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from numbers import Integral, Real
+from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
 from models.algebra import Array
-from nls.optimizers.record import Record
-from nls.optimizers.undamped import Undamped
+from models.errors import OptionError
+from nls.optimizers.problem import Undamped
+from nls.optimizers.result import Attempt, Iteration, Status
 from nls.system import LinearSystem
 from nls.values import Values
 
+
+class Thresholds(NamedTuple):
+    """The thresholds in force; 0 for a rule that is off. These are the ones of a `Stop` to which none is given."""
+
+    update_tol: float = 1e-6
+    chi2_rtol: float = 1e-6
+    gradient_tol: float = 1e-10
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Thresholds and limits that end an optimization; each threshold is documented by its inequality.
+
+    A threshold that is given is the one that stops: the other two are off. Where none is given, all three are in force,
+    with the numbers below. An optimization that has reached the last digits of chi2 ends in any case, see
+    `nls.optimizers.stop`.
+
+    Parameters
+    ----------
+    update_tol : converged when max |dx| < update_tol (meters, radians); 1e-6.
+    chi2_rtol : converged when four things hold. A step lowers chi2 by no more than chi2_rtol * chi2. The promised
+        decrease was at most ten times that. The step was shorter than the one before. The falls, continued as the
+        geometric series of the last two, add up to no more than chi2_rtol * chi2 either. 1e-6.
+    gradient_tol : converged when the largest cosine between b and a column of A is not above it; 1e-10.
+    max_iterations : at most so many steps. When omitted 100; and 1000 in all where no method is named either: the
+        default then goes on, damped, from the lowest point of the first 100 (`Automatic`).
+    max_seconds : no further step after so many seconds.
+
+    Raises
+    ------
+    OptionError
+        A threshold that is negative or not a number.
+
+    Examples
+    --------
+    >>> from nls import Stop
+    >>> Stop(update_tol=1e-12).in_force
+    Thresholds(update_tol=1e-12, chi2_rtol=0.0, gradient_tol=0.0)
+    >>> Stop(max_iterations=20).in_force
+    Thresholds(update_tol=1e-06, chi2_rtol=1e-06, gradient_tol=1e-10)
+    """
+
+    update_tol: float | None = None
+    chi2_rtol: float | None = None
+    gradient_tol: float | None = None
+    max_iterations: int | None = None
+    max_seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None and f.name != "max_seconds":
+                continue
+            if not isinstance(value, Real) or value != value or value < 0:
+                raise OptionError(f.name, value, "a number of at least 0")
+            if value == math.inf and f.name in Thresholds._fields:
+                raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
+        if not isinstance(self.max_iterations, Integral | None):
+            raise OptionError("max_iterations", self.max_iterations, "a whole number")
+
+    @property
+    def patient(self) -> Stop:
+        """As it is; with the limit of all steps of the default where none is given."""
+        return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
+
+    @property
+    def in_force(self) -> Thresholds:
+        """Thresholds that are given, the others off; all three where none is given."""
+        tolerances = self.update_tol, self.chi2_rtol, self.gradient_tol
+        if tolerances == (None, None, None):
+            return Thresholds()
+        return Thresholds(*(threshold or 0.0 for threshold in tolerances))
+
+
+class Record:
+    """The run so far.
+
+    Parameters
+    ----------
+    settings : thresholds and limits.
+    values, chi2, seconds : the start.
+
+    Attributes
+    ----------
+    stop, tol, limit, began : the settings; the thresholds in force; steps at most; when it began.
+    best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
+    history : one `Iteration` per step of the present method, the point it began from first.
+    methods, attempts, earlier : names so far; those that failed, and their records.
+    start : coordinates of the point the present method began from.
+    status, reason, rule : None and empty until it is over.
+    fall, level_steps : of the last step; steps in a row that ran along a plateau.
+    free : a damped method or the shortest step ended on this singular system; None when nothing is free, or nobody
+        looked.
+    """
+
+    def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
+        self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
+        # pose graphs that converge take up to 15, a slow public one of 50 poses 145
+        self.limit = 100 if settings.max_iterations is None else settings.max_iterations
+        self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
+        self.history = [Iteration(0, chi2, seconds=seconds)]
+        self.best, self.lowest = values, chi2
+        self.status: Status | None = None
+        self.reason = self.rule = ""
+        self.free: LinearSystem | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing is known but the best point."""
+        self.start, self.since_best, self.fall, self.level_steps = self.best.coordinates, 0, math.inf, 0
+        self._longest: Array | float = 0.0  # column of A of each unknown
+
+    @property
+    def step_count(self) -> int:
+        """Steps so far."""
+        return self.history[-1].number
+
+    @property
+    def records(self) -> list[Iteration]:
+        """The history of all methods."""
+        return self.earlier + self.history[bool(self.earlier) :]
+
+    def resume(self) -> None:
+        """Another method continues from the best point; it knows nothing of the one before."""
+        assert self.status is not None
+        self.attempts.append(Attempt(self.methods[-1], self.status, self.reason, self.step_count))
+        self.earlier, self.history = self.records, [Iteration(self.step_count, self.lowest)]
+        self.status, self.reason, self.rule = None, "", ""
+        self._begin()
+
+    def end(self, status: Status, reason: str, rule: str = "") -> None:
+        """End the run."""
+        self.status, self.reason, self.rule = status, reason, rule
+
+    def scaled(self, system: LinearSystem) -> Array:
+        """Lengths of the columns of A (n,), the largest met of each."""
+        self._longest = np.maximum(self._longest, system.column_norms)
+        return self._longest
+
+    def scale(self, system: LinearSystem) -> Array:
+        """Lengths of the columns of A as in `scaled`, and 1 where no measurement has reacted."""
+        longest = self.scaled(system)
+        return np.where(longest > 0, longest, 1.0)
+
+    def take(self, new: Iteration, values: Values) -> None:
+        """Record a step, and whether it led to the best point; its number follows from the record."""
+        self.history.append(new._replace(number=self.step_count + 1))
+        self.since_best += 1
+        if new.chi2 < self.lowest:
+            self.best, self.lowest, self.since_best = values, new.chi2, 0
+
+
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
-SHORT = 0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
-FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
-MISSED = 10  # a step that promised so many times the fall it brought has not converged, it has missed
-UNDAMPED = 10  # times chi2_rtol: the fall that the undamped step may still promise when a damped one brings less
+SHORT_OF_ESTIMATE = (
+    0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
+)
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
-EPS = 1e-15  # relative rounding of an error: of the numbers whose difference it is
+ROUNDING_OF_ERROR = 1e-15  # relative rounding of an error: of the numbers whose difference it is
 
 
 class Step:
@@ -69,7 +225,7 @@ class Step:
 
     @property
     def longer(self) -> bool:
-        """Whether it is not; False for the first one, too."""
+        """Whether max|dx| is not below that of the step before; False for the first one, too."""
         return self.update >= SHORTER * self.old.update
 
     @property
@@ -85,7 +241,8 @@ class Step:
     @cached_property
     def missed(self) -> bool:
         """Whether an undamped step promised a much larger fall than it brought."""
-        much = self.undamped is None and self.promised > MISSED * max(self.fall, self.little)
+        # a step that promised 10 times the fall it brought has not converged, it has missed
+        much = self.undamped is None and self.promised > 10 * max(self.fall, self.little)
         return much and not self.invisible
 
     @cached_property
@@ -113,8 +270,8 @@ class Step:
         """
         system = self.system
         b, x = math.sqrt(system.chi2), np.abs(self._coordinates)
-        error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
-        return change <= max((2 * b + error) * error, (EPS * system.pattern.largest_measurement) ** 2)
+        error = ROUNDING_OF_ERROR * max(b, float((system.column_norms * x).max(initial=0.0)))
+        return change <= max((2 * b + error) * error, (ROUNDING_OF_ERROR * system.pattern.largest_measurement) ** 2)
 
     @cached_property
     def short(self) -> bool:
@@ -139,14 +296,16 @@ class Step:
         if self.free:
             return self.agreed
         update = float(np.abs(self._full).max(initial=0.0))
-        return (self.undamped is None or update <= FARTHER * self.tol.update_tol) and self._short(self._full)
+        # an undamped step of a damped method may lead 10 times as far
+        return (self.undamped is None or update <= 10 * self.tol.update_tol) and self._short(self._full)
 
     @property
     def agreed(self) -> bool:
         """Whether the undamped step promises no fall worth it and leads nowhere else."""
         if self.undamped is not None:
             promised = float(self._full @ self.system.gradient)
-            if promised > UNDAMPED * self.tol.chi2_rtol * self.system.chi2 and not self.rounds(promised):
+            # the undamped step may promise 10 times the fall that counts as none
+            if promised > 10 * self.tol.chi2_rtol * self.system.chi2 and not self.rounds(promised):
                 return False
         return self.free or self._short(self._full)
 
@@ -162,4 +321,7 @@ class Step:
     def _short(self, dx: Array) -> bool:
         D = self.watch.scale(self.system)
         length, start = np.linalg.norm(D * dx), D * self.system.pattern.restrict(self.watch.start)
-        return bool(length <= SHORT * np.linalg.norm(start) or length <= SHORT * np.linalg.norm(D * self._coordinates))
+        return bool(
+            length <= SHORT_OF_ESTIMATE * np.linalg.norm(start)
+            or length <= SHORT_OF_ESTIMATE * np.linalg.norm(D * self._coordinates)
+        )

@@ -14,10 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
-from nls.optimizers.thresholds import Status
-
-__all__ = ["AFTER_A_REFUSAL", "AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "NO_STEP_LEFT", "Rule", "Verdict", "ask"]
 
 CHECK = "check the Jacobians with factors.check_jacobians"
 
@@ -81,15 +79,13 @@ def scaled_gradient(step: Step) -> Verdict | None:
 
 # ---- after a step
 
-BOUND = 1e12  # growth of chi2 over the start that no problem of ours comes back from
 PLATEAU = 6  # steps on a plateau, one after the other; a tail such as exp(-x) gives 11 before rounding
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
-SAME = 1e-6  # relative difference of chi2 that counts as a return
 
 
 def chi2_unbounded(step: Step) -> Verdict | None:
     """chi2 >= 1e12 chi2 of the start, or not finite."""
-    if step.chi2 < BOUND * step.watch.history[0].chi2:
+    if step.chi2 < 1e12 * step.watch.history[0].chi2:  # no problem of ours comes back from there
         return None
     return grown(step)
 
@@ -153,7 +149,7 @@ def cycle(step: Step) -> Verdict | None:
     watch, chi2 = step.watch, step.chi2
     if watch.since_best < PATIENCE or step.invisible:
         return None
-    if not any(abs(chi2 - record.chi2) <= SAME * chi2 for record in watch.history[-PATIENCE:-1]):
+    if not any(abs(chi2 - record.chi2) <= 1e-6 * chi2 for record in watch.history[-PATIENCE:-1]):
         return None
     return Verdict(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {watch.lowest:.6g}")
 
@@ -191,8 +187,6 @@ def promise_invisible(step: Step) -> Verdict | None:
 
 # ---- no shorter step is left to try
 
-STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
-
 
 def no_rise(step: Step) -> Verdict | None:
     """chi2 does not rise along the undamped step, as it would from a minimum, even where the Jacobian is singular."""
@@ -202,7 +196,7 @@ def no_rise(step: Step) -> Verdict | None:
 def stationary(step: Step) -> Verdict | None:
     """max_k |A_k'b| / (|A_k| |b|) <= 1e-6."""
     size = step.slope
-    if size > STATIONARY:
+    if size > 1e-6:  # more than chi2 of 16 digits can hide
         return None
     return Verdict(Status.CONVERGED, f"noise floor of 16 digits: no step lowers chi2; scaled gradient {size:.1e}")
 
@@ -244,9 +238,6 @@ def time_limit(step: Step) -> Verdict | None:
 
 # ---- where it has converged
 
-PULL = 5.0  # sigmas by which noise hardly pulls an unknown that a solver leaves alone
-WORTH = 10  # times chi2_rtol: the fall along one unknown that an inexact solver may leave
-
 
 def above_the_best(step: Step, verdict: Verdict) -> Verdict | None:
     """chi2 > (1 + 1e-9) of the lowest, and not by rounding."""
@@ -265,7 +256,7 @@ def pulled(step: Step) -> Verdict | None:
     """
     size = step.slope
     pull = size * math.sqrt(step.system.chi2)
-    if not (pull > PULL and size > math.sqrt(WORTH * step.tol.chi2_rtol)):
+    if not (pull > 5.0 and size > math.sqrt(10 * step.tol.chi2_rtol)):
         return None
     return Verdict(
         Status.STALLED,

@@ -8,26 +8,12 @@ from abc import abstractmethod
 import numpy as np
 
 from models.algebra import Array
-from nls.optimizers.base import Optimizer
-from nls.optimizers.problem import Problem
+from nls.optimizers.base import Optimizer, Watch
+from nls.optimizers.problem import FAINT, Problem, Undamped
+from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
-from nls.optimizers.thresholds import Status
-from nls.optimizers.undamped import FAINT, Undamped
-from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["TrustRegion"]
-
-SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
-# Gain above which the radius grows and below which it shrinks; the radius then, times |D dx|.
-SMOOTH = 0.75, 0.25, 2.5, 0.4
-KINKED = 0.1, 0.1, 10.0, 0.5  # over a kink no step gains what the linear model promises: success alone decides
-BELOW = 0.99  # of |D x|: the radius after a refused step, at most; a step as long as a number ends at 0
-PROBE = 0.1  # of |D x|: where no step is left to try, chi2 is looked at so far along the undamped one
-SMALLEST = 1e-16  # radius, as a part of |D x|, at which no step is left to try
-NEARBY = 1e-3  # of |D x|: so far along the undamped step chi2 is compared with its tangent
-SLOWER = 0.5  # undamped step, as a part of the step before it, below which steps still shorten: no way off a saddle
 
 
 class TrustRegion(Optimizer):
@@ -52,7 +38,9 @@ class TrustRegion(Optimizer):
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
         kinked = any(batch.model.factor.damped for batch in problem.pattern.batches)
-        good, poor, grown, shrunk = KINKED if kinked else SMOOTH
+        # Gain above which the radius grows, and below which it shrinks; the radius then, times |D dx|. Over a kink no
+        # step gains what the linear model promises: success alone decides.
+        good, poor, grown, shrunk = (0.1, 0.1, 10.0, 0.5) if kinked else (0.75, 0.25, 2.5, 0.4)
         radius, damping, undamped = math.inf, 0.0, Undamped(problem, self.first_damping(kinked))
         if not system.column_norms.any():
             problem.solve(system)  # nothing reacts to anything: refused, with the names of the unknowns
@@ -65,7 +53,7 @@ class TrustRegion(Optimizer):
             length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
             Y, trial, led = problem.attempt(X, dx)
             fall = -math.inf if trial is None else system.chi2 - trial.chi2
-            if trial is not None and fall > max(SUFFICIENT * promised, 0.0):
+            if trial is not None and fall > max(1e-4 * promised, 0.0):  # it falls by a part of the promise
                 if fall < poor * promised:
                     radius = shrunk * length
                 elif fall > good * promised:
@@ -74,10 +62,12 @@ class TrustRegion(Optimizer):
                 watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
             else:
                 size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
-                radius = min(0.6 * radius, shrunk * length, BELOW * size or math.inf)
+                # a step as long as |D x| ends at 0
+                radius = min(0.6 * radius, shrunk * length, 0.99 * size or math.inf)
                 watch.refuse(X, system, dx, promised, fall, undamped)
-                if not SMALLEST * (size or length) <= radius < math.inf and watch.status is None:
-                    _, chi2 = problem.glance(X, gn * (PROBE * (size or length) / float(np.linalg.norm(D * gn))))
+                # where no step is left to try, chi2 is looked at a tenth of |D x| along the undamped one
+                if not 1e-16 * (size or length) <= radius < math.inf and watch.status is None:
+                    _, chi2 = problem.glance(X, gn * (0.1 * (size or length) / float(np.linalg.norm(D * gn))))
                     watch.stall(X, system, chi2, led)
         if watch.status is Status.CONVERGED:
             gn = undamped.step(system, watch.scale(system), strict=True)
@@ -100,12 +90,13 @@ def _below_tangent(
     The linear model cannot see that: |A dx - b|^2 never curves downward. Undamped steps grow along such a direction, so
     chi2 is looked at only where they no longer shorten.
     """
-    if system.chi2 == 0 or not gn.any() or np.abs(gn).max() < SLOWER * watch.history[-1].update:
+    # a step half as long as the last one: steps still shorten, this is no way off a saddle
+    if system.chi2 == 0 or not gn.any() or np.abs(gn).max() < 0.5 * watch.history[-1].update:
         return None
     D = watch.scale(system)
     length = float(np.linalg.norm(D * gn))
     size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates))) or length
-    dx = gn * (NEARBY * size / length)
+    dx = gn * (1e-3 * size / length)  # chi2 is compared with its tangent so far along the undamped step
     _, chi2 = problem.glance(X, dx)
     below = system.chi2 - 2 * float(dx @ system.gradient) - chi2
     if below <= ROUNDING * system.chi2 or Step(watch, X, system, dx).rounds(below):

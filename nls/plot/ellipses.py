@@ -16,7 +16,7 @@ import numpy as np
 
 from factors.keys import Keys, Kind
 from models.options import check_between, check_whole
-from nls.covariance.ellipse import outlines
+from nls.covariance.frames import outlines
 from nls.plot.axes import axes_or_new, figure_of
 from nls.plot.style import ELLIPSE, LANDMARK
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from models import LINE
 from nls.covariance import frames
-from nls.covariance.ellipse import outlines
+from nls.covariance.frames import outlines
 from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM

@@ -18,7 +18,7 @@ import numpy as np
 
 from models import LINE
 from nls.covariance import frames
-from nls.covariance.ellipse import outlines
+from nls.covariance.frames import outlines
 from nls.plot.axes import legend_below
 from nls.plot.filters import estimator_map
 from nls.plot.style import ESTIMATE, LANDMARK, SERIES, TRUE

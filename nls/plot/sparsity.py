@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse as sp
 
 from nls.linear import default_solver, factorize
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.plot.style import SERIES
 
 if TYPE_CHECKING:

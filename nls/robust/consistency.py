@@ -38,7 +38,7 @@ from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance.frames import turned
 from nls.posegraph import Edges
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
 

@@ -13,8 +13,8 @@ from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status, Stop, default_optimizer
+from nls.optimizers.base import Watch
 from nls.optimizers.problem import Problem
-from nls.optimizers.watch import Watch
 from nls.robust.kernels import LOSSES, Graduated
 from nls.robust.landmarks import Landmarks
 from nls.robust.loop_graph import LoopGraph

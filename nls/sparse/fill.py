@@ -26,8 +26,6 @@ from models.algebra import Index, Mask
 from nls.sparse.elimination import Order, first_of_equals
 from nls.sparse.pattern import Pattern
 
-__all__ = ["counted", "fill_in", "rows_below", "tree"]
-
 
 class Fill(NamedTuple):
     """Numbers in R, and multiplications and additions to compute it."""

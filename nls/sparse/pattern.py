@@ -15,12 +15,9 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask, components
-from nls.sparse.blocks import Blocks, Scatter
 from nls.sparse.elimination import Eliminations, Order
-from nls.sparse.hessian import Hessian
+from nls.sparse.hessian import Blocks, Hessian, Scatter
 from nls.values import Values, take
-
-__all__ = ["Batch", "Pattern", "measuring", "offsets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +94,7 @@ class Pattern:
         self._free_columns = (~held).repeat(self.dims).nonzero()[0] if held.any() else None
 
     def holding(self, held: Mask) -> Pattern:
-        """The same rows and variables, with others of them held; the latest is kept, with its structure."""
+        """The pattern with other variables held; the latest is kept, with its structure."""
         if self._latest is None or not np.array_equal(self._latest.held, held):
             pattern = copy(self)
             for structure in ("structure", "blocks"):
@@ -108,7 +105,7 @@ class Pattern:
         return self._latest
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
-        """Whether it is the numbering of these factors over these variables, wherever they are."""
+        """Whether this is the numbering of some factors over some variables, wherever these are."""
         return (
             len(self.batches) == len(factors)
             and all(batch.model.factor is factor for batch, factor in zip(self.batches, factors, strict=True))

@@ -19,15 +19,12 @@ from functools import cache, wraps
 from threading import RLock, local
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-__all__ = ["openmp", "single_thread"]
-
 BRING = ("sksparse.cholmod", "sparseqr._sparseqr", "scipy.linalg.lapack")  # modules that bring libraries with them
 OPENBLAS = ("libopenblas", "libscipy_openblas", "libblas")  # how the names of their files begin
 OTHERS = ("libmkl_rt", "libblis", "libflexiblas")
 AFFIXES = ("{}", "scipy_{}", "{}64_", "scipy_{}64_", "{}_64", "scipy_{}_64")  # builds of OpenBLAS name their functions
 P = ParamSpec("P")
 T = TypeVar("T")
-NONE, OWN = 0, 1  # the threads of an OpenBLAS; 2 are those of OpenMP
 
 
 class Knob(NamedTuple):
@@ -51,13 +48,14 @@ def openmp() -> bool:
 
 @cache
 def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
-    """What there is to turn, looked for once per set of bindings."""
+    """Numbers of libraries to turn, looked for once per set of bindings."""
     paths = _mapped()
     knobs = [
         _knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in _opened(paths, "libgomp")
     ]
     openblas = [lib for lib in _opened(paths, *OPENBLAS) if _function(lib, "get_parallel")]  # not the reference BLAS
-    strange = any(_function(lib, "get_parallel")() not in (NONE, OWN) for lib in openblas)
+    # an OpenBLAS without threads says 0, one with its own 1; 2 are those of OpenMP
+    strange = any(_function(lib, "get_parallel")() not in (0, 1) for lib in openblas)
     if strange or not paths or _opened(paths, *OTHERS):
         return knobs + _blas_knobs()
     knobs += [_knob(_function(lib, "get_num_threads"), _function(lib, "set_num_threads"), 1) for lib in openblas]

@@ -19,8 +19,8 @@ from models.errors import UnderconstrainedError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
-from nls.linear.laplacian import Laplacian
-from nls.linear.singular import SingularSystemError
+from nls.linear.default import Laplacian
+from nls.linear.factorization import SingularSystemError
 from nls.posegraph import PoseGraph, pose_graphs
 from nls.sparse.elimination import Eliminations
 from nls.values import Values, refuse_other

@@ -10,10 +10,9 @@ from nls import LinearSystem
 from nls.linear import SOLVERS, LinearSolver
 from nls.linear.cholesky import Cholmod
 from nls.linear.dense import Lapack
-from nls.linear.factorization import Decomposition, Factorization
+from nls.linear.factorization import NULL, Decomposition, Factorization
 from nls.linear.lu import SuperLU
 from nls.linear.null_space import weakest
-from nls.linear.singular import NULL
 
 DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Lapack)
 

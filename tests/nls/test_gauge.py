@@ -10,12 +10,9 @@ from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
 from nls.analysis.inspection import inspect
-from nls.gauge import calibrations, choose_gauge, placeless_kinds
-from nls.linear import LU, SOLVERS
-from nls.linear.factorization import Factorization
-from nls.linear.free_gauge import FreeGauge
+from nls.gauge import calibrations, placeless_kinds
+from nls.linear import SOLVERS
 from nls.missions.scans import dead_reckoning
-from nls.sparse.pattern import Pattern
 from tests.nls.graphs import Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
 ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))
@@ -182,55 +179,6 @@ def test_variables_without_measurement_are_held_with_a_warning() -> None:
     assert result.dof == sample.graph.optimize(sample.values).dof
     with pytest.raises(UnderconstrainedError, match="14 unknowns are without any measurement"):
         sample.graph.optimize(values, gauge="none")
-
-
-def test_the_held_variable_does_not_change_the_shape(group: LieGroup) -> None:
-    sample = pose_graph(group, anchored=False)
-    one = sample.graph.optimize(sample.values, TIGHT)
-    sample.graph.fix(x[6])
-    other = sample.graph.optimize(sample.values, TIGHT)
-    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
-    A, B = (group.between(r.values[x][:1], r.values[x]) for r in (one, other))
-    assert distance(group, A, B) < 1e-8
-
-
-def test_free_factorizes_once_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-    factorize = Factorization.factorize
-
-    def counted(state: Factorization, S: Array) -> Factorization:
-        calls.append(state)
-        return factorize(state, S)
-
-    monkeypatch.setattr(Factorization, "factorize", counted)
-    graph, values = two_components(SE3)
-    graph.optimize(values, ONE_STEP, LU(), gauge="first")
-    needed = len(calls)
-    graph.optimize(values, ONE_STEP, LU(), gauge="free")
-    assert len(calls) == 2 * needed
-
-
-@pytest.mark.filterwarnings("ignore:.*no measurement touches them")
-@pytest.mark.parametrize("solver", ["lu", "dense-qr"])
-def test_variables_without_measurement_are_no_gauge(solver: str) -> None:
-    sample = pose_graph(SE2, anchored=False)
-    stack, L = sample.values.stacks["x"], np.arange(14.0).reshape(7, 2)
-    values = Values({x: (SE2, stack.X, stack.numbers), l: (R(2), L)})
-    fixed = np.zeros(len(values), dtype=bool)
-    decided = choose_gauge("free", sample.graph.pattern(values), values, fixed)
-    assert decided.fixed.tolist() == [False] * 8 + [True] * 7
-    assert decided.held.tolist() == [True] + [False] * 7 + [True] * 7
-    free = FreeGauge(SOLVERS[solver](), Pattern(sample.graph.factors, values, decided.held))
-    settings = dict(vars(free))
-    state = free.analyze(Pattern(sample.graph.factors, values, decided.fixed))
-    assert state.gauge.tolist() == [0, 1, 2]
-    assert state.complement.tolist() == list(range(3, 24))
-    assert vars(free) == settings  # a solver holds settings only
-    result = sample.graph.optimize(values, TIGHT, SOLVERS[solver](), gauge="free")
-    alone = sample.graph.optimize(sample.values, TIGHT, SOLVERS[solver](), gauge="free")
-    assert np.array_equal(result.values[l], L)
-    assert result.dof == alone.dof
-    assert distance(SE2, result.values[x], alone.values[x]) < 1e-9
 
 
 def test_the_warning_is_about_the_line_that_called() -> None:

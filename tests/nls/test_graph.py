@@ -116,17 +116,6 @@ def test_summary_counts_each_type_and_its_variables() -> None:
     assert rows == [["Between", "13"], ["Prior", "1"], ["variables", "x", "8"], ["fixed", "1"]]
 
 
-def test_a_batch_equals_its_measurements_one_by_one() -> None:
-    sample = pose_graph(SE2)
-    batch = Between(x[[0, 1, 2]], x[[1, 2, 3]], np.array([[1.0, 0, 0.1], [1, 0.2, 0], [0.9, 0, 0]]), Isotropic(0.1))
-    singles = [Between(x[k], x[k + 1], batch.z[k], Isotropic(0.1)) for k in range(3)]  # type: ignore[index]
-    together, apart = FactorGraph([batch]), FactorGraph(singles)
-    assert together.chi2(sample.values) == pytest.approx(apart.chi2(sample.values), rel=1e-15)
-    np.testing.assert_allclose(
-        together.linearize(sample.values).A.toarray(), apart.linearize(sample.values).A.toarray(), rtol=0, atol=1e-13
-    )
-
-
 def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same() -> None:
     steps, prior = (
         Between(x[[0, 1, 2]], x[[1, 2, 3]], [[1.0], [2.0], [4.0]], Isotropic(1.0)),

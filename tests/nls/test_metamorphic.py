@@ -14,7 +14,6 @@ from nls import FactorGraph, GaussNewton, Result, Stop, Values
 from tests.nls.graphs import Sample, distance, pose_graph, x, y
 
 TIGHT = GaussNewton(Stop(update_tol=1e-11, chi2_rtol=0.0, gradient_tol=0.0))
-GROUPS = (R(2), SE2, SO3, SE3)
 SAMPLES = ((R(2), True), (SE2, True), (SE2, False), (SO3, False), (SE3, True))  # with a prior, or held by the gauge
 Poses = npt.NDArray[np.float64]
 
@@ -117,40 +116,3 @@ def test_variables_told_in_another_way(group: LieGroup, anchored: bool) -> None:
     for other, poses in zip(results, (results[0].values[x[name]], halves, back), strict=True):
         assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
         assert distance(group, one.values[x], poses) < 1e-8
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_conventions_agree_to_first_order(group: LieGroup) -> None:
-    """Measured almost without error, every convention with its own information finds the same poses."""
-    sample = pose_graph(group, n=8, seed=3)
-    half = np.array([2.0 if c in ("roll", "pitch", "yaw") and group.point_dim == 3 else 1.0 for c in group.components])
-    exact = []
-    for f in sample.graph.factors:
-        X = [sample.truth[keys] for keys in f.keys]
-        h = group.between(*X) if len(X) == 2 else X[0]
-        noise = 1e-4 * np.random.default_rng(len(f)).normal(size=(len(f), group.dim))
-        exact.append((f.keys, group.retract(h, noise), whiteners(f, group)))
-    results = []
-    for convention, scale in (("log", np.ones(group.dim)), ("g2o", half), ("graphslam", half)):
-        graph = FactorGraph()
-        for keys, z, Omega in exact:
-            noise = Information(Omega * scale[:, None] * scale)
-            graph.add((Between if len(keys) == 2 else Prior)(*keys, z, noise, convention=convention))
-        results.append(graph.optimize(sample.truth, TIGHT))
-    one = results[0]
-    assert one.chi2_final > 1e-6
-    for other in results[1:]:
-        assert other.chi2_final == pytest.approx(one.chi2_final, rel=2e-3)
-        assert distance(group, one.values[x], other.values[x]) < 1e-6
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_a_measurement_twice_is_one_of_twice_the_information(group: LieGroup) -> None:
-    sample = pose_graph(group, n=6, seed=4)
-    twice, double = FactorGraph(sample.graph.factors), FactorGraph(sample.graph.factors[1:])
-    first = sample.graph.factors[0]
-    twice.add(Between(*first.keys, first.z, first.noise))
-    double.add(Between(*first.keys, first.z, Information(2 * whiteners(first, group))))
-    one, other = (optimum(graph, sample.values) for graph in (twice, double))
-    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
-    assert distance(group, one.values[x], other.values[x]) < 1e-8

@@ -114,24 +114,6 @@ def test_retract_moves_each_variable_by_its_own_part(group: LieGroup) -> None:
     assert np.array_equal(values[x], X)
 
 
-def test_gather_gives_one_stack_per_slot() -> None:
-    values, X = odd()
-    factor = Between(x[[40, 1000]], x[[-3, 7]], np.zeros((2, 3)), Isotropic(1))
-    model, (Xi, Xj) = values.gather(factor)
-    assert model.manifolds == (SE2, SE2)
-    assert np.array_equal(Xi, X[[0, 4]])
-    assert np.array_equal(Xj, X[[3, 1]])
-
-
-def test_other_stacks_for_kinds_that_exist() -> None:
-    x, l = kinds("x", "l")
-    values = Values({x: (R(1), [[1.0], [2.0]]), l: (R(2), [[3.0, 4.0]])})
-    assert values.replaced({l: np.array([[5.0, 6.0]])})[l].tolist() == [[5.0, 6.0]]
-    assert values.replaced({"x": np.array([[7.0], [8.0]])})[x].tolist() == [[7.0], [8.0]]
-    with pytest.raises(GraphError, match="no variable of kind 'p'"):
-        values.replaced({"p": np.zeros((1, 1))})
-
-
 def test_a_kind_is_added_to_values_that_are_there() -> None:
     values, X = odd()
     o, q = kinds("o", "q")

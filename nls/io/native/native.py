@@ -16,13 +16,12 @@ from models import LINE, SE2, SE3, SO2, SO3, Manifold, Measured, R
 from models.errors import GraphError, GraphFileError, LeadlineError
 from models.listing import some
 from nls.gauge import fixed_variables
-from nls.graph import FactorGraph
+from nls.graph import FactorGraph, Singles
 from nls.io.files import ZIP
 from nls.io.native.archive import archived, arrays_of
 from nls.io.native.structure import MISMATCHES, decoded, encoded
 from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.io.report import LoadReport, Source
-from nls.sparse.singles import Singles
 from nls.values import Values
 
 __all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from nls.linear.schur.inverses import truncated_inverse
 from nls.linear.schur.pcg import PCG
 from nls.linear.schur.solver import Schur
-from nls.linear.schur.truncated import truncated_inverse
 
 __all__ = ["PCG", "Schur", "truncated_inverse"]

@@ -14,7 +14,7 @@ from models.algebra import Array, Index, Numbers, distance_along
 from models.geodesy import LocalPlane
 from models.visible import visible
 from nls.covariance import Marginals
-from nls.covariance.ellipse import outlines
+from nls.covariance.frames import outlines
 from nls.missions.folder.report import MissionReport
 from nls.missions.results import covariances, landmark_covariances
 from nls.missions.solution import Elevations

@@ -32,7 +32,7 @@ from models.manifolds.so3 import rotation3
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import factorize
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
 from nls.missions.checks.findings import Cause, Reading, TableError
 from nls.missions.folder.calibration import NAMES
 from nls.missions.folder.clocks import CLOCKED, rates_by_time, total, twists

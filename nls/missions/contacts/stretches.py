@@ -16,7 +16,7 @@ from nls.gauge import by_number, component_labels
 from nls.graph import FactorGraph
 from nls.missions.contacts.estimate import without
 from nls.missions.contacts.places import Pings
-from nls.sparse.components import firsts
+from nls.sparse.elimination import firsts
 from nls.starts.parts import Parts
 from nls.values import Stack, Values
 

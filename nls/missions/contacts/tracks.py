@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 
 __all__ = [
     "joined",

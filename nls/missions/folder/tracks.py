@@ -22,7 +22,7 @@ from nls.missions.folder.motion import walking
 from nls.missions.folder.rows import Assembly, columns_together
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import poses_of_rows, united
-from nls.sparse.components import connected
+from nls.sparse.elimination import connected
 
 __all__ = ["track"]
 

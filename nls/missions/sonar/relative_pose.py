@@ -23,7 +23,7 @@ from models.algebra import Array, Mask, apply, dot, gram, product
 from models.errors import SingularGeometryError
 from models.sensors.arcs import Contacts, least_information
 from models.sensors.singular import SingularAt
-from nls.linear.schur.truncated import truncated_inverse
+from nls.linear.schur.inverses import truncated_inverse
 
 ALIKE = 4.0  # chi2: a mirror image within 2 sigmas of the better one is as good
 SMALL = 1e-4  # an undamped step, in standard deviations, that ends the descent

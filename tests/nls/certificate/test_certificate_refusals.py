@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,20 +157,6 @@ def test_a_certified_solution_is_not_improved(tmp_path: Path, capsys: Captured) 
     report = json.loads(capsys.readouterr().out)
     assert (report["certificate"]["verdict"], report["certificate"]["refuted"]) == ("certified", [])
     assert "better poses" not in report["starts"]
-
-
-def test_it_goes_on_until_nothing_is_refuted(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    verdicts, certify = ["refuted", "refuted"], nls.certify
-
-    def refuting(graph: FactorGraph, values: Values, stop: nls.Stop) -> nls.Certificate:
-        found = certify(graph, values, stop)
-        return replace(found, verdict=verdicts.pop(), better=values) if verdicts else found
-
-    monkeypatch.setattr(nls, "certify", refuting)
-    assert main(["solve", square(tmp_path), "--improve", "--json", "-"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["certificate"]["verdict"] == "certified"
-    assert report["certificate"]["refuted"] == pytest.approx([report["chi2_final"]] * 2)
 
 
 @pytest.mark.filterwarnings("ignore::models.errors.GraphWarning")

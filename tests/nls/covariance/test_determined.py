@@ -8,14 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import nls
-from factors import Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Range, Robust
+from factors import Between, Diagonal, Factor, Isotropic, Prior, Range
 from models import SE2, SE3, R
 from models.algebra import Array, Mask
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Keys, Marginals, Values
-from nls.covariance import marginals as module
-from nls.linear.anchors import FreeDirections, column_lengths
-from nls.system import LinearSystem
 from tests.nls.graphs import Sample, between, l, pose_graph, x
 from tests.nls.solving import make
 
@@ -99,16 +96,6 @@ def test_a_landmark_with_one_range(solver: str) -> None:
     assert marginals.underconstrained.keys == (l[0],)
 
 
-def test_the_graph_without_the_free_landmark_has_the_same_covariances() -> None:
-    sample = landmark_with_one_range()
-    fewer = Values({x: (SE2, sample.values[x]), l: (R(2), sample.values[l[[1]]], [1])})
-    graph = FactorGraph([f for f in sample.graph.factors if l[0] not in f.keys])
-    expected, marginals = Marginals(graph, fewer), Marginals(sample.graph, sample.values)
-    assert expected.underconstrained is None
-    np.testing.assert_allclose(marginals.all(x, "world"), expected.all(x, "world"), rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(marginals.covariance(l[1]), expected.covariance(l[1]), rtol=1e-9)
-
-
 def test_a_component_that_is_free() -> None:
     sample = two_components()
     pinv, determined = projected(sample.graph, sample.values)
@@ -126,20 +113,6 @@ def test_a_component_that_is_free() -> None:
     held = Marginals(sample.graph, sample.values)  # one of its poses held: all is determined
     assert held.underconstrained is None
     close(held.covariance(x[5], "body"), pinv[15:18, 15:18])
-
-
-def test_a_component_of_which_only_the_yaw_is_measured() -> None:
-    """The prior keeps it from being held: it may go anywhere and not turn."""
-    sample = two_components()
-    sample.graph.add(Prior(x[50], sample.values[x[50]], Isotropic(0.1), components=["yaw"]))
-    pinv, determined = projected(sample.graph, sample.values)
-    marginals = Marginals(sample.graph, sample.values)
-    assert marginals.gauge == "fixed by the graph itself"
-    assert marginals.status(x) == ["estimated"] * 8 + ["free"] * 8
-    assert determined[24:].reshape(8, 3).tolist() == [[False, False, True]] * 8
-    close(marginals.covariance(x[0:8], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
-    with pytest.raises(UnderconstrainedError, match=r"x51: x, y: not determined. 2 free directions"):
-        marginals.covariance(x[51], "body")
 
 
 def test_a_pose_whose_yaw_is_free_has_a_position() -> None:
@@ -173,17 +146,6 @@ def test_the_free_gauge_beside_something_free_is_the_pseudo_inverse() -> None:
         marginals.covariance(l[0])
 
 
-def test_many_variables_of_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    sample = landmark_with_one_range()
-    pinv, _ = projected(sample.graph, sample.values)
-    monkeypatch.setattr(module, "ONE_BLOCK", 4)
-    marginals = Marginals(sample.graph, sample.values)
-    close(marginals.covariance(x[[3, 5]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (9, 15)]))
-    assert "_diagonal" in vars(marginals)
-    with pytest.raises(UnderconstrainedError, match="l0: x, y"):
-        marginals.covariance(l[[0, 1]])
-
-
 def test_fixed_untouched_and_free_variables_side_by_side() -> None:
     sample = landmark_with_one_range()
     sample.graph.fix(x[0])
@@ -206,33 +168,6 @@ def test_a_graph_without_a_determined_variable_is_refused() -> None:
     sample = pose_graph(SE2, anchored=False)
     with pytest.raises(UnderconstrainedError, match="3 directions free"):
         Marginals(sample.graph, sample.values, gauge="none")
-
-
-def test_a_rejected_measurement_determines_nothing_new() -> None:
-    """A robust kernel counts with its weight beside something free, too."""
-    sample = landmark_with_one_range()
-    noise = Robust(Isotropic(0.1), Cauchy(1.0))
-    sample.graph.add(Prior(x[6], SE2.compose(sample.values[x[6]], [0.5, 0.3, 0.1]), noise))
-    pinv, _ = projected(sample.graph, sample.values)
-    close(Marginals(sample.graph, sample.values).covariance(x[6], "body"), pinv[18:21, 18:21])
-
-
-def test_the_covariance_does_not_depend_on_the_strength_of_the_anchors() -> None:
-    sample = landmark_with_one_range()
-    system = sample.graph.linearize(sample.values)
-    free = FreeDirections(column_lengths(system))
-    assert free.collect(system)
-    assert (free.count, system.cols[free.anchors[0]][:2]) == (1, "l0")
-    inverses = []
-    for strength in (1.0, 30.0):
-        free.norms = strength * free.norms
-        held = LinearSystem.at(free.held(system.pattern, sample.values), sample.values)
-        assert not free.collect(held)
-        inverse = np.linalg.inv((held.A.T @ held.A).toarray())
-        inverses.append((inverse + inverse.T) / 2)
-    rows = [k for k, name in enumerate(system.cols) if not name.startswith("l0")]
-    close(inverses[0][np.ix_(rows, rows)], inverses[1][np.ix_(rows, rows)])
-    assert np.abs(inverses[0] - inverses[1]).max() > 1e-3
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +15,7 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from nls import FactorGraph, Kind, Marginals, Values
 from nls.covariance import marginals as module
-from tests.nls.graphs import ODD, SAMPLES, Sample, between, l, mixed, pose_graph, x, y
+from tests.nls.graphs import ODD, SAMPLES, Sample, between, l, mixed, pose_graph, x
 from tests.nls.solving import make
 
 
@@ -69,17 +68,6 @@ def test_many_variables_come_out_of_the_pass_over_all(monkeypatch: pytest.Monkey
     close(passed.joint(some, frame="body").matrix, Marginals(sample.graph, sample.values).joint(some, "body").matrix)
 
 
-def test_blocks_of_a_joint() -> None:
-    sample = mixed(0)
-    joint = Marginals(sample.graph, sample.values).joint([x[40], l[[5, -1]], y[3]], frame="body")
-    Sigma, names = dense(sample)
-    at = [names.index(name) for name in joint.names]
-    close(joint.matrix, Sigma[np.ix_(at, at)])
-    assert joint.names[:5] == ("x40: x", "x40: y", "x40: yaw", "l5: x", "l5: y")
-    assert joint.keys == (x[40], l[5], l[-1], y[3])
-    np.testing.assert_array_equal(joint.block(l[-1], x[40]), joint.matrix[5:7, :3])
-
-
 @pytest.mark.parametrize("gauge", ["first", "free"])
 def test_pairs_that_share_a_factor_come_out_of_one_pass(gauge: str) -> None:
     """Poses far apart are given as pairs; a held one has no covariance with any."""
@@ -120,27 +108,6 @@ def test_motions_of_pairs_against_the_dense_joint() -> None:
     points = mixed(0)
     with pytest.raises(GraphError, match="no poses of one group"):
         Marginals(points.graph, points.values).relative(x[40], l[5])
-
-
-def test_the_order_of_variables_and_factors_does_not_matter() -> None:
-    sample = mixed(2)
-    marginals = Marginals(sample.graph, sample.values)
-    stacks = reversed(sample.values.stacks.items())
-    shuffled = Values({name: (s.manifold, s.X[::-1], s.numbers[::-1]) for name, s in stacks})
-    other = Marginals(FactorGraph(sample.graph.factors[::-1]), shuffled)
-    for kind in (x, l):
-        np.testing.assert_allclose(other.all(kind, "world")[::-1], marginals.all(kind, "world"), rtol=1e-10, atol=1e-15)
-
-
-def test_covariance_is_what_the_estimate_scatters_by() -> None:
-    """Linear problem: estimates from 4,000 noisy copies of the measurements have this covariance, within 4 sigma."""
-    n, values = 4000, Values({x: (R(1), [0.0, 1.0])})
-    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(0.1))])
-    for sigma in (0.3, 0.2):
-        graph.add(Between(x[0], x[1], [1.0], Isotropic(sigma)))
-    Sigma = Marginals(graph, values).joint(x[[0, 1]]).matrix
-    estimates = np.linalg.pinv(graph.linearize(values).A.toarray()) @ np.random.default_rng(0).normal(size=(3, n))
-    np.testing.assert_allclose(np.cov(estimates), Sigma, atol=4 * Sigma.max() * np.sqrt(2 / n))
 
 
 def two_components() -> Sample:
@@ -186,21 +153,6 @@ def test_gauges(case: str) -> None:
 
     with pytest.raises(UnderconstrainedError, match="directions free"):
         Marginals(sample.graph, sample.values, gauge="none")
-
-
-def test_the_same_diagnosis_as_the_optimizer() -> None:
-    sample = mixed(0)
-    sample.graph.add(Between(x[[40, 7]], x[[7, 8]], [[1.0, 0, 0]] * 2, Isotropic(1.0)))
-    sample.graph.add(Factor.from_function(lambda X, L: (L - X[:, :2])[:, :1], [x[40], l[200]], 1))
-    stacks = {name: (s.manifold, s.X, s.numbers) for name, s in sample.values.stacks.items()}
-    points, L, numbers = stacks["l"]
-    values = Values({**stacks, "l": (points, np.vstack([L, [[3.0, 1.0]]]), np.append(numbers, 200))})
-    error = Marginals(sample.graph, values).underconstrained
-    assert error is not None
-    assert error.keys == (l[200],)
-    assert "l200: y" in str(error)
-    with pytest.raises(UnderconstrainedError, match="l200: y"):
-        sample.graph.optimize(values)
 
 
 def test_what_no_measurement_touches_has_no_covariance() -> None:
@@ -281,11 +233,3 @@ def test_wrong_uses() -> None:
     lying = FactorGraph([Factor.from_function(lambda X: X - 1.0, x[0], 2, relative=True)])
     with pytest.raises(GraphError, match="says relative=True and is not"):
         Marginals(lying, Values({x: (R(2), [0.0, 0.0])}), gauge="free")
-
-
-def test_without_suitesparse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
-    sample = pose_graph(SE2)
-    with pytest.raises(nls.MissingSolverError, match=r"linear solver 'cholesky': .*pip install"):
-        Marginals(sample.graph, sample.values, nls.Cholesky())
-    close(Marginals(sample.graph, sample.values).joint(x[0:8], "body").matrix, dense(sample)[0])

@@ -62,7 +62,7 @@ def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pyte
     world = sim.ring(np.random.default_rng(3), laps=2, per_lap=40)
     smoother = Incremental(1e-6)
     drive(smoother, world.graph, world)
-    before, n, judge = smoother.values, len(smoother.graph), nls.incremental.decision.gnc
+    before, n, judge = smoother.values, len(smoother.graph), nls.incremental.leaving.gnc
 
     def wary(graph: FactorGraph, values: Values, doubted: Sequence[Factor] | None) -> nls.Robustified:
         found = judge(graph, values, doubted=doubted)
@@ -71,7 +71,7 @@ def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pyte
         return found
 
     with monkeypatch.context() as patch:
-        patch.setattr("nls.incremental.decision.gnc", wary)
+        patch.setattr("nls.incremental.leaving.gnc", wary)
         smoother.decide()
     assert sum(map(len, smoother.rejected)) == len(world.graph.factors[1])
     again = pickle.loads(pickle.dumps(smoother))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,7 +28,6 @@ from nls.linear import cholesky, updatable
 from tests.factors.samples import Sample, full_noise, situation
 from tests.factors.test_conformity import SAMPLES
 
-Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
 STEP = Isotropic(0.1)
 
@@ -71,18 +67,6 @@ def test_a_loop_is_at_its_optimum_after_every_step(group: type) -> None:
     is_optimal(smoother)
     assert not smoother.waiting
     assert len(smoother.graph) == len(world.graph)
-
-
-def test_landmarks_join_when_they_are_determined() -> None:
-    world = sim.subsea(np.random.default_rng(1), laps=1)
-    smoother, waited = Incremental(1e-9), set()
-    for k, step in enumerate(steps(world.graph.factors)):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
-        waited |= {repr(keys) for keys in smoother.waiting}
-        if k % 20 == 0:
-            is_optimal(smoother)
-    assert waited == set() or all(name.startswith("l") for name in waited)
-    same(smoother, smoother.graph.optimize(smoother.values), 1e-3)
 
 
 def test_a_range_alone_waits_for_the_third() -> None:
@@ -185,29 +169,6 @@ def test_without_suitesparse_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> 
     smoother.remove(last)
     assert x[39] not in smoother
     is_optimal(smoother)
-
-
-def test_it_is_saved_and_goes_on() -> None:
-    world = sim.ring(np.random.default_rng(6), laps=2, per_lap=20)
-    smoothers = [Incremental()]
-    for k, step in enumerate(steps(world.graph.factors)):
-        if k == 25:
-            smoothers.append(pickle.loads(pickle.dumps(smoothers[0])))
-        for smoother in smoothers:
-            smoother.update(step.factors, first(world.start) if k == 0 else None)
-    for smoother in smoothers:
-        is_optimal(smoother)
-    np.testing.assert_allclose(*(smoother.values[x] for smoother in smoothers), atol=1e-2)
-
-
-def test_memory_grows_with_the_measurements() -> None:
-    world = sim.ring(np.random.default_rng(6), laps=4, per_lap=100)
-    smoother, sizes = Incremental(), []
-    for k, step in enumerate(steps(world.graph.factors)):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
-        if k in (99, 398):
-            sizes.append(len(pickle.dumps(smoother)) / len(smoother.graph))
-    assert sizes[1] < 2 * sizes[0]  # bytes a measurement; arrays that grow have up to twice the room
 
 
 def test_a_redescending_kernel_from_the_first_measurement_on() -> None:

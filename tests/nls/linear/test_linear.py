@@ -14,10 +14,9 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear import SOLVERS, Pinv, backends, best_decomposition, default_solver
-from nls.linear.dense import FEW, Lapack
-from nls.linear.factorization import Decomposition
+from nls.linear.dense import DENSE_COLUMNS, Lapack
+from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.linear.lu import SuperLU
-from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph, x
 from tests.nls.solving import DECOMPOSITIONS, dense_step, factorized, make, near
 
@@ -169,11 +168,11 @@ def test_the_default_is_cholesky_and_without_suitesparse_lu(monkeypatch: pytest.
         assert all(backends()[name] == "available" for name in ("cholesky", "lu", *DENSE))
     monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
     assert default_solver().name == backends()["default"] == "lu"
-    assert best_decomposition() is best_decomposition(FEW + 1) is SuperLU
+    assert best_decomposition() is best_decomposition(DENSE_COLUMNS + 1) is SuperLU
     result = sample.graph.optimize(sample.values)
     assert (result.linear_solver, result.converged) == ("lu", True)
     few = pose_graph(SE3)
-    assert best_decomposition(FEW) is Lapack
+    assert best_decomposition(DENSE_COLUMNS) is Lapack
     assert few.graph.optimize(few.values).linear_solver == "cholesky"
 
 

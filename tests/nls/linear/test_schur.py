@@ -13,11 +13,10 @@ import nls
 from factors import Huber, Isotropic, Landmark, Prior
 from models import SE2, SE3, R
 from models.algebra import Array
-from nls import PCG, FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Values
+from nls import PCG, FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Values
 from nls.linear import LU, LinearSolver
-from nls.linear.schur.roots import inverse_root
+from nls.linear.factorization import SingularSystemError
 from nls.linear.schur.solver import SchurDecomposition
-from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
 from tests.nls.solving import near
@@ -72,20 +71,6 @@ def test_the_complement_is_the_formula() -> None:
     assert np.abs(H[n:, n:] - S).max() > 0.1 * np.abs(H).max()
 
 
-def test_the_order_of_factors_and_variables_does_not_matter() -> None:
-    sample, rng = landmarks(SE3, seed=6), np.random.default_rng(0)
-    poses, points = rng.permutation(12), rng.permutation(30)
-    shuffled = FactorGraph()
-    for factor in (sample.graph.factors[k] for k in rng.permutation(len(sample.graph.factors))):
-        shuffled.add(factor[rng.permutation(len(factor))])
-    values = Values({l: (R(3), sample.values[l][points], points), x: (SE3, sample.values[x][poses], poses)})
-    stop = GaussNewton(Stop(max_iterations=1))
-    one = sample.graph.optimize(sample.values, stop, Schur()).values
-    two = shuffled.optimize(values, stop, Schur()).values
-    for kind in (x, l):
-        assert two[kind[0:12]] == pytest.approx(one[kind[0:12]], rel=0, abs=1e-9)
-
-
 @pytest.mark.parametrize("optimizer", [GaussNewton(), LevenbergMarquardt(), nls.Dogleg()], ids=lambda o: o.name)
 def test_whole_optimizations(optimizer: nls.Optimizer) -> None:
     sample = landmarks(SE2, seed=7)
@@ -99,19 +84,6 @@ def test_whole_optimizations(optimizer: nls.Optimizer) -> None:
     for other in (two, three):
         assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
         assert other.status is one.status
-
-
-@BOTH
-def test_every_gauge(solver: LinearSolver) -> None:
-    sample = landmarks(SE3, n=8, k=16, seed=9, anchored=False)
-    for gauge in ("first", "prior", "free"):
-        stop = GaussNewton(Stop(max_iterations=1) if gauge == "free" else Stop(update_tol=1e-9, chi2_rtol=1e-15))
-        other = nls.Pinv() if gauge == "free" else reference()  # the shortest step
-        one, two = (sample.graph.optimize(sample.values, stop, s, gauge) for s in (other, solver))
-        assert two.gauge == one.gauge
-        assert two.status is one.status
-        for kind in (x, l):
-            np.testing.assert_allclose(two.values[kind], one.values[kind], rtol=0, atol=1e-7)
 
 
 def test_a_kept_step_is_that_of_the_kept_factorization() -> None:
@@ -231,22 +203,6 @@ def test_where_nothing_may_move_nothing_has_converged(optimizer: nls.Optimizer) 
     assert exact.converged
     assert exact.linear_solver == "schur, x eliminated: 3 of 5 columns, 0 directions left alone"
     assert exact.values[l[0]] == pytest.approx([1.0, 2.0])
-
-
-def test_what_is_left_alone_is_counted_in_the_latest_solve() -> None:
-    sample = seen_by_range(4)
-    system = sample.graph.linearize(sample.values)
-    analyzed = Schur(truncated).analyze(system.pattern)
-    analyzed.solve(system)
-    assert analyzed.description.endswith(", 1 directions left alone")
-    assert analyzed.again(system) is None
-
-
-def test_a_root_of_an_inverse() -> None:
-    W = np.random.default_rng(0).normal(size=(5, 3, 2))
-    V = W @ W.mT  # of rank 2
-    X = inverse_root(lambda H: V, np.zeros((5, 3, 3)))
-    np.testing.assert_allclose(X.mT @ X, V, rtol=0, atol=1e-12)
 
 
 # ---- memory

@@ -11,8 +11,8 @@ import nls
 from factors import Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, R
 from nls import FactorGraph, GaussNewton, Schur, Values
-from nls.linear.schur.independent import _heaviest, independent, separate
-from nls.linear.singular import SingularSystemError
+from nls.linear.factorization import SingularSystemError
+from nls.linear.schur.solver import _heaviest, independent
 from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 from tests.nls.solving import near
@@ -65,18 +65,6 @@ def test_of_few_kinds_the_best_set_and_of_many_a_set_in_time() -> None:
             sets = [np.flatnonzero([c >> k & 1 for k in range(n)]) for c in range(1 << n)]
             assert columns[taken].sum() == max(columns[s].sum() for s in sets if not joined[np.ix_(s, s)].any())
         assert columns[taken].sum() >= columns.sum() / 3  # each leaves out two of no more columns
-
-
-def test_separate_nodes_are_a_maximal_set() -> None:
-    for seed in range(5):
-        u, v = np.random.default_rng(seed).integers(0, 200, (2, 500))
-        u, v = u[u != v], v[u != v]
-        taken = separate(u, v, 200)
-        assert not (taken[u] & taken[v]).any()
-        neighbors = np.zeros(200, dtype=bool)
-        neighbors[u[taken[v]]] = neighbors[v[taken[u]]] = True
-        assert (taken | neighbors).all()
-        assert np.array_equal(taken, separate(v, u, 200))
 
 
 # ---- singular

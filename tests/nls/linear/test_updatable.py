@@ -7,14 +7,14 @@ import pytest
 import scipy.sparse as sp
 
 from nls.linear.cholesky import cholmod
-from nls.linear.singular import SingularSystemError
-from nls.linear.updatable import Refactorized, Updatable, Updated
+from nls.linear.factorization import SingularSystemError
+from nls.linear.updatable import Refactorized, Updated
 
 both = pytest.mark.parametrize("kind", [Updated, Refactorized] if cholmod() else [Refactorized])
 
 
 @both
-def test_rows_are_added(kind: type[Updatable]) -> None:
+def test_rows_are_added(kind: type[Updated | Refactorized]) -> None:
     rng = np.random.default_rng(0)
     A = rng.normal(size=(12, 8)) * (rng.random((12, 8)) < 0.4) + np.eye(12, 8)
     H = A.T @ A
@@ -29,7 +29,7 @@ def test_rows_are_added(kind: type[Updatable]) -> None:
 
 
 @both
-def test_a_dense_matrix_takes_rows_and_is_refused_where_a_pivot_vanishes(kind: type[Updatable]) -> None:
+def test_a_dense_matrix_takes_rows_and_is_refused_where_a_pivot_vanishes(kind: type[Updated | Refactorized]) -> None:
     """CHOLMOD factorizes it by supernodes first."""
     rng = np.random.default_rng(1)
     A, C, g = rng.normal(size=(300, 200)), rng.normal(size=(200, 3)), rng.normal(size=200)
@@ -44,7 +44,7 @@ def test_a_dense_matrix_takes_rows_and_is_refused_where_a_pivot_vanishes(kind: t
 
 
 @both
-def test_what_is_not_positive_definite_is_refused(kind: type[Updatable]) -> None:
+def test_what_is_not_positive_definite_is_refused(kind: type[Updated | Refactorized]) -> None:
     for H in (np.zeros((2, 2)), np.array([[1.0, 1.0], [1.0, 1.0]]), np.diag([1.0, -1.0])):
         with pytest.raises(SingularSystemError):
             kind(sp.csc_matrix(np.tril(H)))

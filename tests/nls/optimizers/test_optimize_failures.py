@@ -123,20 +123,6 @@ def test_a_jacobian_of_the_wrong_sign(name: str) -> None:
             assert "factors.check_jacobians" in result.reason
 
 
-@ALL
-def test_a_jacobian_of_the_wrong_size(name: str) -> None:
-    """It points downhill: the minimum is reached slowly, or not, but nothing else is called one."""
-    for factor in (0.5, 0.9, 1.5, 3.0, 30.0):
-        graph, start = scalar(
-            lambda X: np.concatenate([X - 1.0, 0.1 * X**2], axis=1),
-            3.0,
-            lambda X, factor=factor: factor * np.stack([np.ones_like(X), 0.2 * X], axis=1),  # type: ignore[misc]
-            dim=2,
-        )
-        result = optimize(graph, start, name)
-        assert not result.converged or result.values[p[0]][0] == pytest.approx(0.98070, abs=1e-3)
-
-
 @DAMPED
 def test_a_row_of_the_jacobian_that_is_wrong(name: str) -> None:
     """The minimum of (x-1)^2 + (x-2)^2 is at 1.5; with one derivative twice too large the gradient vanishes at 5/3."""

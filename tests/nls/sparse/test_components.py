@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from nls.sparse.components import connected, firsts
+from nls.sparse.elimination import connected, firsts
 
 
 def test_components_of_trajectories_with_gaps_and_closures() -> None:

@@ -79,19 +79,6 @@ def free_pattern(sample: Sample) -> Pattern:
     return Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
 
 
-@pytest.mark.parametrize("name", ["SE2 odd ids", "mixed, some fixed"])
-def test_A_is_minus_the_derivative_of_b(name: str) -> None:
-    """Independent of every Jacobian: b at values moved along one column of A after the other."""
-    sample = SAMPLES[name]()
-    pattern, step = free_pattern(sample), 1e-6
-    A = LinearSystem.at(pattern, sample.values).A.toarray()
-    for column in range(pattern.n):
-        delta = np.zeros(pattern.n)
-        delta[column] = step
-        there, back = (LinearSystem.at(pattern, sample.values.retract(pattern.expand(s * delta))).b for s in (1, -1))
-        np.testing.assert_allclose(A[:, column], (back - there) / (2 * step), rtol=0, atol=2e-7 * np.abs(A).max())
-
-
 @pytest.mark.parametrize("name", ["R(1)", "SE3 odd ids", "two poses", "mixed", "mixed, some fixed"])
 def test_any_elimination_order_gives_the_same_H(name: str) -> None:
     sample = SAMPLES[name]()
@@ -121,20 +108,6 @@ def test_H_stores_one_block_per_joined_pair_whatever_its_factors() -> None:
     assert sample.graph.linearize(sample.values).H.nnz == 9 * (8 + 2 * len(pairs))
 
 
-def test_A_data_is_one_buffer_of_contiguous_slices() -> None:
-    sample = SAMPLES["SE2"]()
-    system = sample.graph.linearize(sample.values)
-    start = 0
-    for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
-        side_by_side = np.concatenate(blocks, axis=-1)
-        view = system.A.data[start : start + side_by_side.size].reshape(side_by_side.shape)
-        assert np.shares_memory(view, system.A.data)
-        assert np.array_equal(view, side_by_side)
-        assert np.array_equal(system.b[batch.rows].reshape(len(batch), -1).shape, side_by_side.shape[:2])
-        start += side_by_side.size
-    assert start == len(system.A.data) == system.A.nnz
-
-
 def test_labels_name_every_row_and_column() -> None:
     sample = mixed(0, held=True)
     system = sample.graph.linearize(sample.values)
@@ -155,15 +128,6 @@ def test_labels_name_every_row_and_column() -> None:
         assert label == f"{key!r}: {component}"
 
 
-def test_held_variables_leave_the_other_columns_alone() -> None:
-    free, held = mixed(6), mixed(6, held=True)
-    A, B = free.graph.linearize(free.values), held.graph.linearize(held.values)
-    kept = [k for k, name in enumerate(A.cols) if name in set(B.cols)]
-    assert len(kept) == B.A.shape[1] == A.A.shape[1] - 2 * 3 - 2
-    assert np.array_equal(A.A.toarray()[:, kept], B.A.toarray())
-    assert np.array_equal(A.b, B.b)
-
-
 def test_everything_held_leaves_no_columns_and_what_is_not_measured_zeros() -> None:
     sample = pose_graph(SE2)
     sample.graph.fix(x[0:8])
@@ -174,27 +138,6 @@ def test_everything_held_leaves_no_columns_and_what_is_not_measured_zeros() -> N
     system = graph.linearize(Values({x: (SE2, SE2.identity(3))}))
     assert system.A.shape == (3, 9)
     assert system.H.toarray().diagonal().tolist() == [0.0] * 3 + [1.0, 4.0, 16.0] + [0.0] * 3
-
-
-def test_expand_and_restrict_are_inverse_on_the_free_columns() -> None:
-    sample = mixed(0, held=True)
-    pattern = free_pattern(sample)
-    dx = np.random.default_rng(0).normal(size=pattern.n)
-    full = pattern.expand(dx)
-    assert len(full) == sample.values.dim
-    assert np.count_nonzero(full) == pattern.n
-    assert np.array_equal(pattern.restrict(full), dx)
-    moved = sample.values.retract(full)
-    assert np.array_equal(moved[x[[7, 1000]]], sample.values[x[[7, 1000]]])
-
-
-def test_a_system_can_be_made_of_blocks() -> None:
-    sample = pose_graph(SE2)
-    system = sample.graph.linearize(sample.values)
-    twice = LinearSystem(system.pattern, [tuple(2 * A for A in blocks) for blocks in system.blocks], 3 * system.b)
-    np.testing.assert_allclose(twice.A.toarray(), 2 * system.A.toarray(), rtol=1e-15)
-    np.testing.assert_allclose(twice.gradient, 6 * system.gradient, rtol=1e-13)
-    assert twice.chi2 == pytest.approx(9 * system.chi2, rel=1e-14)
 
 
 def test_an_empty_batch_has_no_rows() -> None:

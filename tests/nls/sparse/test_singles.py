@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-import nls
 import sim
-from factors import Between, Diagonal, Factor, Huber, Isotropic, Kernel, Prior
+from factors import Factor, Huber, Isotropic, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.sparse.singles import MANY
+from nls.graph import SMALLEST_BATCH
 
 (x,) = kinds("x")
-NOISE = Diagonal(x=0.03, y=0.03, yaw=0.01)
 
 
 def by_ones(factor: Factor) -> list[Factor]:
@@ -44,7 +39,7 @@ def test_one_by_one_is_the_same_as_in_batches(world: sim.World) -> None:
 
 
 def test_few_stay_alone(world: sim.World) -> None:
-    odometry = by_ones(world.graph.factors[0])[: MANY - 1]
+    odometry = by_ones(world.graph.factors[0])[: SMALLEST_BATCH - 1]
     graph = FactorGraph(odometry)
     graph.chi2(world.start)
     assert graph.factors == odometry
@@ -59,7 +54,7 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
         if k % 10 == 9:
             graph.chi2(world.start)
     assert graph.chi2(world.start) == pytest.approx(world.graph.chi2(world.start), rel=1e-12)
-    assert len(graph.factors) < 2 + MANY
+    assert len(graph.factors) < 2 + SMALLEST_BATCH
     rest = list(range(len(steps)))
     for k in (0, 3, len(steps) - 1, 41):
         graph.remove(steps[k])
@@ -74,10 +69,10 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
 
 
 def test_a_factor_that_is_given_twice_counts_twice() -> None:
-    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(MANY)]
-    values = Values({x: (SE2, np.zeros((MANY, 3)))})
-    expected = sum(k * k for k in range(MANY))
-    for factors, chi2 in (([priors[3]] * MANY, 9 * MANY), ([priors[5], *priors], expected + 25)):
+    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(SMALLEST_BATCH)]
+    values = Values({x: (SE2, np.zeros((SMALLEST_BATCH, 3)))})
+    expected = sum(k * k for k in range(SMALLEST_BATCH))
+    for factors, chi2 in (([priors[3]] * SMALLEST_BATCH, 9 * SMALLEST_BATCH), ([priors[5], *priors], expected + 25)):
         graph = FactorGraph(factors)
         assert graph.chi2(values) == chi2
         assert len(graph) == len(factors)
@@ -85,47 +80,14 @@ def test_a_factor_that_is_given_twice_counts_twice() -> None:
         assert graph.chi2(values) == chi2 - factors[0].chi2(values)[0]
 
 
-def test_kernels_that_differ_in_any_number_stay_apart() -> None:
-    class Scaled(Kernel):
-        def __init__(self, c: float, part: float) -> None:
-            super().__init__(c)
-            self.part = part
-
-        def rho(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            return self.part * s
-
-        def weight(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            return np.full(len(s), self.part)
-
-    parts = [0.25 if k % 2 else 0.75 for k in range(2 * MANY)]
-    factors = [Prior(x[k], [1, 0, 0], Isotropic(1.0)).robust(Scaled(1.0, part)) for k, part in enumerate(parts)]
-    graph = FactorGraph(factors)
-    assert graph.chi2(Values({x: (SE2, np.zeros((2 * MANY, 3)))})) == sum(parts)
-    assert [len(factor) for factor in graph.factors] == [MANY, MANY]
-
-
 def test_functions_stay_alone() -> None:
     """Only the function knows its data."""
     factors = [
         Factor.from_function(lambda X, k=k: X[:, :1] - k, x[k], 1)  # type: ignore[misc]
-        for k in range(2 * MANY)
+        for k in range(2 * SMALLEST_BATCH)
     ]
     graph = FactorGraph(factors)
-    assert graph.chi2(Values({x: (SE2, np.zeros((2 * MANY, 3)))})) == sum(k * k for k in range(2 * MANY))
+    assert graph.chi2(Values({x: (SE2, np.zeros((2 * SMALLEST_BATCH, 3)))})) == sum(
+        k * k for k in range(2 * SMALLEST_BATCH)
+    )
     assert graph.factors == factors
-
-
-def test_a_pickled_graph_still_knows_its_parts(world: sim.World) -> None:
-    steps = by_ones(world.graph.factors[0])
-    graph = FactorGraph(steps)
-    graph.chi2(world.start)
-    again, handle = pickle.loads(pickle.dumps((graph, steps[5])))
-    again.remove(handle)
-    assert len(again) == len(graph) - 1
-
-
-def test_the_explanation_names_single_measurements(world: sim.World) -> None:
-    graph = FactorGraph([step for factor in world.graph.factors for step in by_ones(factor)])
-    graph.add(Between(x[3], x[20], [5.0, 5.0, 1.0], NOISE))
-    result = graph.optimize(world.start)
-    assert "Between(x3, x20)" in nls.explain(graph, result.values).report()

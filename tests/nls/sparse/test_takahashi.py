@@ -13,9 +13,8 @@ from models.errors import ResourceLimitError
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
-from nls.sparse import supernodes
+from nls.sparse import takahashi
 from nls.sparse.pattern import Pattern
-from nls.sparse.supernodes import Supernodes
 from tests.nls.graphs import SAMPLES, mixed, pose_graph, x
 from tests.nls.solving import DECOMPOSITIONS, factorized, near
 
@@ -57,25 +56,17 @@ def test_every_graph_against_the_dense_inverse(kind: type[Decomposition]) -> Non
 @pytest.mark.parametrize("step", [0.0, 60e-6, 1e9], ids=["nothing merged", "as it is", "all in one"])
 @every_factorization
 def test_merging_changes_nothing(kind: type[Decomposition], step: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supernodes, "STEP", step)
+    monkeypatch.setattr(takahashi, "STEP", step)
     if step == 0.0:
-        monkeypatch.setattr(supernodes, "GATHER", 0.0)
+        monkeypatch.setattr(takahashi, "GATHER", 0.0)
     for system in (dense_world(1), mixed(3).graph.linearize(mixed(3).values)):
         agrees(factorized(kind, system), system)
 
 
 @every_factorization
-def test_space_against_the_dense_inverse(kind: type[Decomposition]) -> None:
-    world = sim.sphere(np.random.default_rng(2), rings=6, per_ring=10)
-    world.graph.fix(x[0])
-    system = world.graph.linearize(world.truth)
-    agrees(factorized(kind, system), system)
-
-
-@every_factorization
 def test_a_long_loop(kind: type[Decomposition]) -> None:
     """Variances on a ring of resistances, by hand: 1/s = 1/k + 1/(n - k) between places k apart."""
-    n = 3000
+    n = 600
     graph = FactorGraph([Between(x[np.arange(n)], x[(np.arange(n) + 1) % n], np.zeros((n, 1)), Isotropic(1.0))])
     graph.fix(x[0])
     system = graph.linearize(Values({x: (R(1), np.zeros((n, 1)))}))
@@ -94,49 +85,6 @@ def test_numbers_that_happen_to_be_zero(kind: type[Decomposition]) -> None:
     graph.add(Between(x[[0, 3, 9]], x[[20, 17, 28]], SE2.between(X[[0, 3, 9]], X[[20, 17, 28]]), Isotropic(0.1)))
     system = graph.linearize(Values({x: (SE2, X)}))
     agrees(factorized(kind, system), system)
-
-
-def test_supernodes_cover_the_factor() -> None:
-    """Every column once, children before parents, and the rows below a supernode lie in the front of its parent."""
-    V = 60
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        widths = rng.integers(1, 5, V)
-        a, b = rng.integers(0, V, (2, 90))
-        a, b = a[a != b], b[a != b]
-        row, column, n = np.maximum(a, b), np.minimum(a, b), int(widths.sum())
-        nodes = Supernodes(widths, row, column)
-        assert np.array_equal(np.sort(nodes.columns), np.arange(n))
-        assert nodes.width.sum() == n
-        joined = np.eye(V, dtype=bool)
-        joined[row, column] = True
-        filled = np.repeat(np.repeat(joined, widths, axis=0), widths, axis=1)  # the factor's pattern, by elimination
-        for k in range(n):
-            below = np.flatnonzero(filled[k + 1 :, k]) + k + 1
-            filled[np.ix_(below, below)] = True
-        for k in range(len(nodes)):
-            rows, w, parent = nodes.rows(k), nodes.width[k], nodes.parent[k]
-            assert np.array_equal(nodes.columns[nodes.first[k] : nodes.first[k + 1]], rows[:w])
-            assert (nodes.node[rows[:w]] == k).all()
-            assert np.array_equal(nodes.local[rows[:w]], np.arange(w))
-            assert all(np.isin(np.flatnonzero(np.tril(filled)[:, c]), rows).all() for c in rows[:w])
-            if parent < 0:
-                assert len(rows) == w
-            else:
-                assert parent > k
-                assert np.array_equal(nodes.rows(parent)[nodes.below(k)], rows[w:])
-        assert np.array_equal(nodes.children, [(nodes.parent == k).sum() for k in range(len(nodes))])
-
-
-def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two leaves of a star, never together; of a chain a front and its parent's."""
-    tall = np.full(3, 200, dtype=np.intp)
-    star = Supernodes(tall, np.array([2, 2]), np.array([0, 1]))
-    assert (len(star), star.numbers) == (3, 200**2 + 400**2)
-    monkeypatch.setattr(supernodes, "STEP", 0.0)
-    monkeypatch.setattr(supernodes, "GATHER", 0.0)
-    chain = Supernodes(tall, np.array([1, 2]), np.array([0, 1]))
-    assert (len(chain), chain.numbers) == (3, 2 * 400**2)
 
 
 def test_what_would_not_fit_is_refused() -> None:

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import numpy as np
 import pytest
 
-from factors import Factor, Isotropic
-from models import SE2, SE3, LieGroup, R
-from nls import FactorGraph, Marginals, Values, backends
+from models import SE2, SE3
+from nls import Marginals, Values, backends
 from nls.linear import SOLVERS
 from nls.sparse import threads
 from nls.sparse.threads import single_thread
-from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
+from tests.nls.graphs import SAMPLES, Sample, pose_graph, x
 from tests.nls.solving import make
 
 WORKERS = 4
@@ -54,27 +51,6 @@ def test_different_graphs_and_one_graph_by_many_at_once(solver: str) -> None:
     assert together([lambda s=s: solved(s, solver) for s in samples]) == alone  # type: ignore[misc]
     one, shared = (pose_graph(SE2, n=12) for _ in range(2))  # nothing of the shared one has been bound yet
     assert together([lambda: solved(shared, solver)] * 2 * WORKERS) == [solved(one, solver)] * 2 * WORKERS
-
-
-def test_one_factor_bound_to_two_spaces_at_once() -> None:
-    """A factor remembers its last model: it must hand out the one asked for, whoever asks at the same time."""
-    factor = Factor.from_function(lambda X: X - 1.0, p[0], 1, Isotropic(0.1))
-    wrong: list[Any] = []
-
-    def bind(space: LieGroup) -> bytes:
-        for _ in range(1500):
-            model = factor.bind(space)
-            if model.manifolds != (space,):
-                wrong.append(model.manifolds)
-        return b""
-
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        together([lambda s=s: bind(s) for s in (R(1), R(2), R(3), SE2)])  # type: ignore[misc]
-    finally:
-        sys.setswitchinterval(interval)
-    assert wrong == []
 
 
 def test_a_thread_beside_the_main_one_is_kept_to_one_thread_too() -> None:
@@ -279,17 +255,3 @@ def test_threadpoolctl_is_asked_about_what_is_no_openblas_of_its_own(
     knobs = threads._knobs.__wrapped__(())
     assert (theirs in knobs) is asked
     assert [knob.get() for knob in knobs] == ([4] if asked else [7])
-
-
-def test_a_user_function_may_solve_a_graph_itself() -> None:
-    """Inside a residual another graph is solved, in several threads at once."""
-
-    def inner(X: np.ndarray) -> np.ndarray:
-        sample = pose_graph(R(1), n=4)
-        return X - sample.graph.optimize(sample.values).chi2_final
-
-    def job() -> bytes:
-        graph = FactorGraph([Factor.from_function(inner, p[0], 1)])
-        return bits(graph.optimize(Values({p: (R(1), [[3.0]])})).values)
-
-    assert len(set(together([job] * WORKERS))) == 1

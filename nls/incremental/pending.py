@@ -17,12 +17,10 @@ from models.algebra import Mask
 from models.errors import GraphError, LeadlineError
 from models.listing import some
 from models.manifolds.rn import Vectors
-from nls.incremental.beginnings import Known, New, Variable, alone, part, points, together
-from nls.incremental.growing import Variables
-from nls.incremental.window import Window
+from nls.incremental.growing import Variables, part
+from nls.incremental.leaving import Window
+from nls.incremental.new_variables import Known, New, Variable, alone, points, together
 from nls.values import Values
-
-__all__ = ["Arrivals", "Ready", "blame", "factors_of", "refuse_others"]
 
 
 @dataclass(frozen=True)

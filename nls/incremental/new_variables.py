@@ -20,14 +20,13 @@ from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.incremental.growing import Variables
+from nls.incremental.growing import Variables, part
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import odometry
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import DETERMINED, locate_points
 from nls.values import Stack, Values
 
-__all__ = ["LIMIT", "Known", "New", "Variable", "alone", "lower_start", "part", "points", "together"]
 LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on
 
 Variable = tuple[str, int]  # kind, number
@@ -88,13 +87,6 @@ class Known:
         return Values.of(stacks)
 
 
-def part(factor: Factor, mask: Mask) -> Factor | None:
-    """Those measurements (n,) of a factor; None where there are none, or only its function knows them."""
-    if not mask.any() or (factor.opaque and not mask.all()):
-        return None
-    return factor if mask.all() else factor[mask]
-
-
 def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor, int]]) -> New | None:
     """A variable that its measurements to the estimate, and the slots in which it is there, determine; see `points`."""
     start = known.starts.get((key.kind, int(key.numbers[0])))
@@ -146,7 +138,7 @@ def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, f
 
 
 def points(known: Known, kind: str, space: Manifold, measurements: dict[int, list[Factor]]) -> list[New]:
-    """Those points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
+    """Points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
     starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
     if missing := [number for number in measurements if number not in starts]:
         graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])
