@@ -270,8 +270,10 @@ def _halved(space: LieGroup, convention: str) -> bool:
     return space is SE3 and convention in ("g2o", "graphslam")
 
 
-def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> bytes:
-    """The bytes of a PyFactorGraph text file.
+def pyfg_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None = None
+) -> tuple[bytes, list[str]]:
+    """The bytes of a PyFactorGraph text file, and no notes.
 
     Reading, writing and reading again gives the same numbers, bit for bit.
 
@@ -288,7 +290,7 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         A factor, space or name the format has no line for; variables held fixed.
     """
     refuse_held(str(path), graph, FILE)
-    known = LoadReport(str(path), "pyfg", "", "") if report is None else report
+    known = LoadReport(str(path), form, "", "") if report is None else report
     factor_times = {id(factor): times for factor, times in known.factor_times}
     space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}
     dialect = SPACE if space else PLANE
@@ -311,8 +313,8 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         name, table = _measured(str(path), factor, values, dialect)
         times = factor_times.get(id(factor), np.zeros(len(factor)))
         out += _lines(name, times, list(factor.keys), table)
-    out += appended(report, "pyfg")
-    return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape")
+    out += appended(report, form)
+    return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape"), []
 
 
 def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:

@@ -1,7 +1,5 @@
 """The reader of graph text files of every dialect: from its records to a graph, start values and a report.
 
-Formats without tags (BAL, PyFactorGraph) are told apart in `nls.io` itself, `_parsed`, and have readers of their own.
-
 Vertices may stand anywhere, in any order, or not at all. Then poses are chained along the edges and points placed where
 they were first seen. Nothing is repaired unless asked for: what cannot be right is an error with its line.
 """
@@ -22,11 +20,12 @@ from models import SE2, LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
-from nls.io.dialects import LineOptions, choose, refuse_needless
+from nls.io.dialects import choose
+from nls.io.formats import Reading, refuse_needless
 from nls.io.gtsam_keys import id_text, with_letters
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
 from nls.io.misspelt_tags import refuse_misspelt
-from nls.io.records import KINDS, Format, Record, spaces_of
+from nls.io.records import KINDS, Dialect, Record, spaces_of
 from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles, by_role, present
 from nls.io.start import started, unstarted
@@ -58,7 +57,7 @@ def read_graph(
     ----------
     data, path : the bytes, and their name for messages.
     convention : residual of pose measurements.
-    dialect : one of `nls.io.dialects.FORMATS`, or ``auto``.
+    dialect : one of `nls.io.dialects.TAGGED`, or ``auto``.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
     before : lines of the file before these bytes.
     start : without vertices, chain the poses; otherwise the values are none, of the spaces that the edges name.
@@ -78,7 +77,7 @@ def read_graph(
     comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
     format, reason = choose(text, tags, comments, dialect, part=not start)
     if format.matrix != "information":
-        refuse_needless(path, format.name, LineOptions(repair_information))
+        refuse_needless(path, format.name, Reading(repair_information=repair_information))
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
     group = _dimension(text, tags, records)
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
@@ -180,7 +179,7 @@ class _Offsets:
             keep(self.text, lines, report)
 
 
-def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
+def _matrices(text: Text, block: Lines, format: Dialect, repair: bool, report: LoadReport) -> Array:
     """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
     M = matrix(block.record, block.numbers[:, block.record.element.width :], format.matrix)
     if repair:
@@ -206,7 +205,7 @@ def _factor(
     matrices: Array,
     offsets: _Offsets | Switches,
     roles: Roles,
-    format: Format,
+    format: Dialect,
     convention: str,
     group: LieGroup,
     report: LoadReport,

@@ -146,7 +146,7 @@ class Record:
 
 
 @dataclass(frozen=True, eq=False)
-class Format:
+class Dialect:
     """A dialect of graph text files.
 
     Attributes
@@ -170,11 +170,6 @@ class Format:
     ignored_tags: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
     apart: bool = False
-
-    @property
-    def holds_values(self) -> bool:
-        """Whether it has lines for vertices, or measurements only."""
-        return any(record.factor is None and record.slots for record in self.records)
 
     @cached_property
     def tags(self) -> dict[bytes, Record]:

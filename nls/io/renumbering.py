@@ -14,30 +14,14 @@ from factors.keys import Keys
 from factors.replaced import replaced
 from models import SE2, SE3, R
 from models.algebra import Numbers
-from models.errors import OptionError
 from nls.graph import FactorGraph
-from nls.io.dialects import FORMATS
+from nls.io.formats import check_renumber as check_renumber
 from nls.io.gtsam_keys import VertexIds
 from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
 __all__ = ["check_renumber", "renumbered", "with_keys", "with_known_kinds"]
-
-
-def check_renumber(form: str) -> None:
-    """Refuse new numbers for a file that needs none.
-
-    Raises
-    ------
-    OptionError
-    """
-    shared = [name for name, format in FORMATS.items() if not format.apart]
-    if form not in shared:
-        allowed = (
-            f"an output in one of the formats {', '.join(shared)}, whose vertices share one numbering; leave it out"
-        )
-        raise OptionError("renumber", form, allowed)
 
 
 def renumbered(

@@ -27,7 +27,7 @@ from factors.robust import Robust
 from models.algebra import Array, Mask
 from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
-from nls.io.records import Format, Record
+from nls.io.records import Dialect, Record
 
 __all__ = ["repaired"]
 
@@ -64,7 +64,7 @@ def noise_of(record: Record, kind: str, M: Array, measured: Array, convention: s
     return NOISES[kind](M)
 
 
-def entries(record: Record, format: Format, factor: Factor, W: Array, measured: Array) -> Array:
+def entries(record: Record, format: Dialect, factor: Factor, W: Array, measured: Array) -> Array:
     """Matrix entries (n, k) of the lines of a factor with the whitener W; the inverse of `noise_of`.
 
     Raises

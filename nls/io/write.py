@@ -21,9 +21,10 @@ from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
+from nls.io.dialects import TAGGED
 from nls.io.gtsam_keys import VertexIds
 from nls.io.lines import joined
-from nls.io.records import Format, Record, a_file, at_origin, fixed_offsets, spaces_of
+from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.switches import PRIOR, VERTEX
@@ -38,7 +39,7 @@ PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
 def graph_text(
-    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> tuple[bytes, list[str]]:
     """The bytes of a graph text file, and what they leave out, in words.
 
@@ -47,16 +48,17 @@ def graph_text(
     Parameters
     ----------
     path : the file, for messages.
+    form : the name of the dialect.
     graph, values : what to write: poses of kind x, points l, places of sensors o.
     report : of the file that the graph was read from; where that is of the same format, the numbers of its lines are
         written again, and its unused lines appended, as they were.
-    format : the dialect.
 
     Raises
     ------
     GraphError
         Something this dialect has no line for, or that would be read back as something else.
     """
+    format = TAGGED[form]
     content = _Content(str(path), graph, values, report, format)
     out = content.offsets.lines(format)
     for tag, numbers, held, columns in content.vertices:
@@ -76,7 +78,7 @@ def graph_text(
 
 
 def refuse_unwritable_graph(
-    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> None:
     """Refuse what `graph_text` refuses, without its text, which takes ten times as long; parameters as there.
 
@@ -84,7 +86,7 @@ def refuse_unwritable_graph(
     ------
     GraphError
     """
-    _Content(str(path), graph, values, report, format)
+    _Content(str(path), graph, values, report, TAGGED[form])
 
 
 class _Content:
@@ -99,7 +101,7 @@ class _Content:
     """
 
     def __init__(
-        self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+        self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Dialect
     ) -> None:
         known = report.statements if report is not None and report.format == format.name else []
         statements = {id(statement.noise): statement for statement in known}
@@ -133,7 +135,7 @@ class _Content:
 
 
 def _dimension(
-    path: str, graph: FactorGraph, values: Values, format: Format, vertex_ids: VertexIds, apart: bool
+    path: str, graph: FactorGraph, values: Values, format: Dialect, vertex_ids: VertexIds, apart: bool
 ) -> LieGroup:
     """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
@@ -165,7 +167,7 @@ def _dimension(
     return group
 
 
-def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.ndarray:
+def _fixed(path: str, graph: FactorGraph, values: Values, format: Dialect) -> np.ndarray:
     for keys in graph.fixed:
         values.stack(keys.kind)  # refuses a kind without values
     fixed = fixed_variables(graph.fixed, values)
@@ -230,7 +232,7 @@ class _Offsets:
             self.free = next(k for k in count() if k not in self.rows and k not in self.used_ids)
         return number
 
-    def lines(self, format: Format) -> list[str]:
+    def lines(self, format: Dialect) -> list[str]:
         """The parameter lines."""
         if not self.rows:
             return []
@@ -245,7 +247,7 @@ def _edges(
     factor: Factor,
     values: Values,
     group: LieGroup,
-    format: Format,
+    format: Dialect,
     vertex_ids: VertexIds,
     offsets: _Offsets,
     statement: Statement | None,
@@ -292,7 +294,7 @@ def _edges(
 def _record(
     factor: Factor,
     manifolds: tuple[object, ...],
-    format: Format,
+    format: Dialect,
     fixed: list[Array],
     roles: dict[str, str],
     tag: bytes = b"",

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from factors import DCS, Landmark, Position, Prior
 from nls import GraphWarning, LevenbergMarquardt, OptionError, Stop, load
-from nls.io.dialects import FORMATS
+from nls.io.dialects import TAGGED
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE, again, assert_refused, read, same, write
 from tests.nls.io.io_files import GTSAM_2, POSES_3, RTABMAP_3, SWITCHED_2, SWITCHED_3, UPPER_3, C
 
@@ -221,7 +221,7 @@ def test_a_tag_of_edges_is_left_out_only_where_that_is_asked_for(tmp_path: Path)
     assert read(PLANE + "EDGE_A 1\nEDGE, 2\n", ignore_tags="EDGE_A, EDGE,")[2].tags["EDGE,"] == 1
     for dialect, tag in (("toro", "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3"), ("isam", "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1")):
         assert_refused(2, "EDGE_X (1)", read, f"{tag}\nEDGE_X 0 1\n", dialect=dialect)
-    assert set(FORMATS) == {"g2o", "toro", "isam", "isam-covariance", "graph"}
+    assert set(TAGGED) == {"g2o", "toro", "isam", "isam-covariance", "graph"}
 
 
 def test_edges_to_absent_vertices_are_left_out_only_where_that_is_asked_for(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from factors.noise import NEGATIVE
 from nls import FactorGraph, GraphWarning, OptionError, Values, load
-from nls.io import DIALECTS, NATIVE, rendered
+from nls.io import DIALECTS, rendered
 from nls.io.weights import repaired
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import UPPER_3, again, assert_refused, read, same, same_factors, write
@@ -62,7 +62,7 @@ def test_before_units_and_angles_are_turned(tmp_path: Path) -> None:
 
 def test_a_covariance_is_not_repaired(tmp_path: Path) -> None:
     """Nor a square root, nor what states no noise: an option that would do nothing is refused."""
-    native = {form: rendered("graph", FactorGraph(), Values(), None, form)[0] for form in NATIVE}
+    native = {form: rendered("graph", FactorGraph(), Values(), None, form)[0] for form in ("npz", "json")}
     files = dict(FILES.values()) | {"pyfg": PYFG, "bal": BAL} | native
     assert set(files) == set(DIALECTS[1:])
     for dialect, text in files.items():

@@ -12,7 +12,7 @@ import sim
 from models import SE3, R
 from nls import Values, kinds
 from nls.io import read_tum
-from nls.io.table import values_table
+from nls.io.table import values_text
 
 x, l = kinds("x", "l")
 
@@ -21,13 +21,13 @@ def test_numbers_read_back_and_cells_stay_empty() -> None:
     X = SE3.exp(np.random.default_rng(0).normal(size=(3, 6)))
     values = Values({x: (SE3, X, [5, 6, 9]), l: (R(2), [[1 / 3, 2.0]])})
     report = nls.LoadReport("a", "g2o", "3-D", "log", vertex_times={"x": np.array([0.1, 0.2, 0.7])})
-    rows = list(csv.DictReader(values_table(values, report).decode().splitlines()))
+    rows = list(csv.DictReader(values_text("a.csv", "csv", nls.FactorGraph(), values, report)[0].decode().splitlines()))
     columns = ("x", "y", "z", "qx", "qy", "qz", "qw")
     assert list(rows[0]) == ["kind", "number", "time_s", *columns]
     assert [[float(row[c]) for c in columns] for row in rows[:3]] == X.tolist()
     assert [(row["kind"], row["number"], row["time_s"]) for row in rows[2:]] == [("x", "9", "0.7"), ("l", "0", "")]
     assert [rows[3][c] for c in columns] == [repr(1 / 3), "2.0", "", "", "", "", ""]
-    assert values_table(Values()) == b"kind,number\n"
+    assert values_text("a.csv", "csv", nls.FactorGraph(), Values(), None)[0] == b"kind,number\n"
 
 
 def test_save_goes_by_the_suffix(tmp_path: Path) -> None:
