@@ -135,7 +135,7 @@ def _renamed(
 ) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
-    from nls.io.renumbering import renumbered, with_known_kinds
+    from nls.io.variable_names import renumbered, with_known_kinds
 
     before = values.stacks
     changes: list[str] = []

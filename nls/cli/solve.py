@@ -74,7 +74,7 @@ def _checked(options: argparse.Namespace) -> Job:
         job.form = output_format("-o", options.output, options.to)
         _refuse_output(job)
     if options.renumber:
-        from nls.io.renumbering import check_renumber
+        from nls.io.formats import check_renumber
 
         check_renumber(job.form or ("mission" if mission else "no output"))
     from nls.starts import initialize  # noqa: F401 - counted as an import

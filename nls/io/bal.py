@@ -31,8 +31,6 @@ from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["read_bal"]
-
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
 FILE = "a bundle-adjustment file"

@@ -13,8 +13,6 @@ import numpy as np
 from models.errors import ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["PER_BYTE", "PER_WORD", "BoundedText"]
-
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
 SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
 WORD = 1 << 22  # bytes of one word

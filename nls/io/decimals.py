@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from models.algebra import Array, Index, Mask, Numbers
 
-__all__ = ["MARKS", "PAD", "UNREAD", "WHOLE", "decimals"]
 Words = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]
 Places = npt.NDArray[np.int8]

@@ -23,20 +23,6 @@ from models.errors import GraphFileError, OptionError
 from models.listing import some
 from nls.io.bounded_text import BoundedText
 
-__all__ = [
-    "descriptor",
-    "graph_file",
-    "names_folder",
-    "new_folder",
-    "read_bytes",
-    "read_text",
-    "refuse_absent",
-    "title_of",
-    "unreadable",
-    "write_bytes",
-    "write_folder",
-]
-
 GRAPH_FILES = ("graph.npz", "graph.g2o")  # of a folder, the first one counts
 CHUNK = 1 << 20
 GZIP = b"\x1f\x8b"

@@ -27,6 +27,11 @@ class Reading(NamedTuple):
     drop_absent: bool = False
 
 
+def _no_looks(_: object) -> str:
+    """Other things tell."""
+    return ""
+
+
 class Format(NamedTuple):
     """One format: a row of the table.
 
@@ -48,7 +53,6 @@ class Format(NamedTuple):
     whole : whether it holds every graph, as one piece and not as lines.
     measurements, values : whether it holds these.
     entries : the matrix of an edge, where formats of one suffix differ in it.
-    noun : its files, where a note says what they leave out.
     timeless : why its measurements are in no order of time.
     """
 
@@ -56,7 +60,7 @@ class Format(NamedTuple):
     holds: str
     section: str
     suffixes: tuple[str, ...] = ()
-    looks: Callable[[Any], Any] = lambda _: ""
+    looks: Callable[[Any], str] = _no_looks
     reader: str = ""
     writer: str = ""
     options: tuple[str, ...] = ()
@@ -68,7 +72,6 @@ class Format(NamedTuple):
     measurements: bool = True
     values: bool = True
     entries: str = ""
-    noun: str = ""
     timeless: str = ""
 
     @property
@@ -111,78 +114,63 @@ def _names_poses(data: bytes) -> str:
     return f"'{name[0].decode():.30}' after a time is the name of a pose" if name else ""
 
 
-def _are_scans(folder: object) -> bool:
-    return bool(_named("nls.missions.scans.folder:is_scan_mission")(folder))
+def _are_scans(folder: object) -> str:
+    return "keyframes and scans" if _named("nls.missions.scans.folder:is_scan_mission")(folder) else ""
 
 
-_TAGGED = Format(
-    "",
-    "pose graph",
-    "toro-and-isam",
-    reader="nls.io.read:read_graph",
-    writer="nls.io.write:graph_text",
-    options=("convention", "dialect", "repair_information", "ignore_tags", "drop_absent"),
-    tagged=True,
-)
-_SHARED = _TAGGED._replace(numbered=True)
-_ISAM = _TAGGED._replace(holds="measurements of a pose graph, with points", values=False)
-_PYFG = Format(
-    "pyfg",
-    "pose graph with ranges",
-    "pyfactorgraph",
-    (".pyfg",),
-    _names_poses,
-    "nls.io.pyfg:read_pyfg",
-    "nls.io.pyfg:pyfg_text",
-    options=("convention", "ignore_tags"),
-    by_name=True,
-)
-_BAL = Format(
-    "bal",
-    "cameras and points",
-    "bundle-adjustment",
-    (".bal",),
-    _begins(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)", "three counts on its first line"),
-    "nls.io.bal:read_bal",
-    "nls.io.bal:bal_text",
-    timeless="is bundle adjustment (bal), whose cameras are in no order of time",
-)
-_NATIVE = Format("", "any graph with its values, to the bit", "native-files", whole=True)._replace(
-    reader="nls.io.native.native:read_native", writer="nls.io.native.native:native_bytes"
-)
-_TABLE = Format("", "positions; a table of all values", "trajectories", measurements=False)
-_TRAJECTORY = _TABLE._replace(
-    holds="poses", writer="nls.io.trajectory:trajectory_text", options=("convention",), noun="trajectory"
-)
-_MISSION = Format("mission", "mission of a vehicle with its sensors", "mission-folders", folder=True)
+def _tagged(name: str, holds: str, section: str, *suffixes: str, **more: Any) -> Format:
+    """A dialect of `nls.io.dialects`."""
+    options = ("convention", "dialect", *SUBJECTS)
+    functions = _no_looks, "nls.io.read:read_graph", "nls.io.write:graph_text"
+    return Format(name, holds, section, suffixes, *functions, options, tagged=True, **more)
+
+
+def _native(name: str, looks: Callable[[Any], str]) -> Format:
+    functions = looks, "nls.io.native.native:read_native", "nls.io.native.native:native_bytes"
+    return Format(name, "any graph with its values, to the bit", "native-files", (f".{name}",), *functions, whole=True)
+
+
+def _estimate(name: str, holds: str, writer: str, reader: str = "") -> Format:
+    """A file without measurements."""
+    functions = _no_looks, reader, writer, ("convention",)
+    return Format(name, holds, "trajectories", (f".{name}",), *functions, measurements=False)
+
 
 FORMATS = {
     row.name: row
     for row in (
-        _SHARED._replace(
-            name="g2o", holds="pose graph, with points and sensor offsets", section="g2o", suffixes=(".g2o",)
+        _tagged("g2o", "pose graph, with points and sensor offsets", "g2o", ".g2o", numbered=True),
+        _tagged("toro", "pose graph", "toro-and-isam", ".toro", ".graph", numbered=True, entries="information"),
+        _tagged("isam", "measurements of a pose graph, with points", "toro-and-isam", ".isam", values=False),
+        _tagged("isam-covariance", "measurements of a pose graph, with points", "toro-and-isam", values=False),
+        _tagged("graph", "pose graph", "toro-and-isam", ".graph", numbered=True, entries="covariance"),
+        Format("pyfg", "pose graph with ranges", "pyfactorgraph", (".pyfg",), _names_poses)._replace(
+            reader="nls.io.pyfg:read_pyfg",
+            writer="nls.io.pyfg:pyfg_text",
+            options=("convention", "ignore_tags"),
+            by_name=True,
         ),
-        _SHARED._replace(name="toro", suffixes=(".toro", ".graph"), entries="information"),
-        _ISAM._replace(name="isam", suffixes=(".isam",)),
-        _ISAM._replace(name="isam-covariance"),
-        _SHARED._replace(name="graph", suffixes=(".graph",), entries="covariance"),
-        _PYFG,
-        _BAL,
-        _NATIVE._replace(name="npz", suffixes=(".npz",), looks=_begins(rb"PK\x03\x04", "an archive of arrays")),
-        _NATIVE._replace(name="json", suffixes=(".json",), looks=_begins(rb"\s*\{", "a JSON object")),
-        _TRAJECTORY._replace(name="tum", suffixes=(".tum",), reader="nls.io.trajectory:load_tum"),
-        _TRAJECTORY._replace(name="kitti", suffixes=(".kitti",), reader="nls.io.trajectory:load_kitti"),
-        _TABLE._replace(name="csv", suffixes=(".csv",), writer="nls.io.table:values_text", noun="csv"),
-        _TABLE._replace(name="ply", suffixes=(".ply",), writer="nls.missions.charts.ply:cloud_text", noun="ply"),
-        _MISSION._replace(
-            name="scan mission",
-            holds="mission with sonar scans",
-            section="scan-missions",
-            looks=_are_scans,
-            reader="nls.missions.scans.folder:read_scan_mission",
+        Format("bal", "cameras and points", "bundle-adjustment", (".bal",))._replace(
+            looks=_begins(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)", "three counts on its first line"),
+            reader="nls.io.bal:read_bal",
+            writer="nls.io.bal:bal_text",
+            timeless="is bundle adjustment (bal), whose cameras are in no order of time",
         ),
-        _MISSION._replace(reader="nls.missions.folder.read:read_mission", options=("elevation",)),
-        _MISSION._replace(name="dives", reader="nls.missions.folder.dives:read_dives", options=("elevation",)),
+        _native("npz", _begins(rb"PK\x03\x04", "an archive of arrays")),
+        _native("json", _begins(rb"\s*\{", "a JSON object")),
+        _estimate("tum", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_tum"),
+        _estimate("kitti", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_kitti"),
+        _estimate("csv", "positions; a table of all values", "nls.io.table:values_text"),
+        _estimate("ply", "positions; a table of all values", "nls.missions.charts.ply:cloud_text"),
+        Format("scan mission", "mission with sonar scans", "scan-missions", folder=True, looks=_are_scans)._replace(
+            reader="nls.missions.scans.folder:read_scan_mission"
+        ),
+        Format("mission", "mission of a vehicle with its sensors", "mission-folders", folder=True)._replace(
+            reader="nls.missions.folder.read:read_mission", options=("elevation",)
+        ),
+        Format("dives", "mission of a vehicle with its sensors", "mission-folders", folder=True)._replace(
+            reader="nls.missions.folder.dives:read_dives", options=("elevation",)
+        ),
     )
 }
 

@@ -243,10 +243,13 @@ def rendered(
     row = FORMATS[check_dialect(format_of(path, dialect), outputs())]
     notes = left_out(report, row.name)
     if renumber:
-        from nls.io.renumbering import check_renumber, renumbered
+        from nls.io.formats import check_renumber
+        from nls.io.variable_names import renumbered
 
         check_renumber(row.name)
         graph, values, changes = renumbered(graph, values, report)
         notes += changes
     data, more = row.written(path, graph, values, report)
-    return data, notes + more + ([] if row.measurements else measurements_left_out(row.noun, graph))
+    if not row.measurements:
+        more = more + measurements_left_out("trajectory" if row.poses_alone else row.name, graph)
+    return data, notes + more

@@ -39,17 +39,14 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.lines import turns
-from nls.io.misspelt_tags import refuse_misspelt
-from nls.io.records import at_origin, fixed_offsets
+from nls.io.records import at_origin, fixed_offsets, turns
 from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused_lines import appended, keep_unknown, note_comments, refuse_edges
+from nls.io.unused_lines import appended, keep_unknown, note_comments, refuse_edges, refuse_misspelt
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["read_pyfg"]
 FILE = "a PyFactorGraph file"
 LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name

@@ -27,8 +27,6 @@ from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals
 from nls.io.files import read_bytes
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["Text", "plain_lines", "plain_table", "refuse_late"]
-
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = rb"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?"
 INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither

@@ -29,8 +29,6 @@ from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
 from nls.io.records import Dialect, Record
 
-__all__ = ["repaired"]
-
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,
     "square root": SqrtInformation,

@@ -22,18 +22,15 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.dialects import TAGGED
-from nls.io.gtsam_keys import VertexIds
-from nls.io.lines import joined
-from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, spaces_of
+from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, joined, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
+from nls.io.variable_names import VertexIds
 from nls.io.weights import entries
 from nls.values import Values
-
-__all__ = ["refuse_unwritable_graph"]
 
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 

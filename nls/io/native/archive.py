@@ -15,8 +15,6 @@ from numpy.lib import format as npy
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.text import printable
 
-__all__ = ["archived", "arrays_of"]
-
 Arrays = dict[str, npt.NDArray[np.generic]]
 RATIO, SLACK = 64, 1 << 20  # that an archive may unpack to: so many times its bytes, and more
 LARGEST = 0x10FFFF  # number of a character

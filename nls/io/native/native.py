@@ -25,8 +25,6 @@ from nls.io.report import LoadReport, Source
 from nls.sparse.singles import Singles
 from nls.values import Values
 
-__all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]
-
 FORMAT, VERSION = "leadline graph", 1
 PARTS = ("values", "fixed", "factors")
 STRUCTURE = "structure"  # the array of an archive that says what the others are

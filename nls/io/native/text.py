@@ -11,8 +11,6 @@ import numpy as np
 
 from models.errors import GraphFileError
 
-__all__ = ["json_of", "plain_of", "without_arrays"]
-
 DEEPEST = 40  # of brackets in brackets
 LONGEST = 1 << 20  # of an axis of an array without numbers
 STRING = r'"(?:[^"\\]|\\.)*"'

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from nls.io import decimals as module
 from nls.io import text as text_module
 from nls.io.decimals import FRACTION, MARKS, PAD, UNREAD, WHOLE, decimals
-from nls.io.lines import among
+from nls.io.records import among
 from nls.io.text import Text
 
 

@@ -11,9 +11,9 @@ import pytest
 from nls import GraphFileError, load
 from nls.io.bal import read_bal
 from nls.io.files import read_bytes
-from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
+from nls.io.unused_lines import refuse_misspelt
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, assert_refused, cases, read, same, write

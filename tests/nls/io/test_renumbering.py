@@ -11,7 +11,7 @@ import nls
 from factors import Between, BetweenSensors, Isotropic, Landmark, Range
 from models import SE2, Manifold, R
 from nls import FactorGraph, Values, kinds
-from nls.io.renumbering import renumbered
+from nls.io.variable_names import renumbered
 from tests.nls.missions.charts.charted import charted
 
 x, l, o = kinds("x", "l", "o")
