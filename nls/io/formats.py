@@ -136,6 +136,10 @@ def _estimate(name: str, holds: str, writer: str, reader: str = "") -> Format:
     return Format(name, holds, "trajectories", (f".{name}",), *functions, measurements=False)
 
 
+def _mission(name: str, holds: str, reader: str) -> Format:
+    return Format(name, holds, "mission-folders", reader=reader, options=("elevation",), folder=True)
+
+
 FORMATS = {
     row.name: row
     for row in (
@@ -162,15 +166,11 @@ FORMATS = {
         _estimate("kitti", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_kitti"),
         _estimate("csv", "positions; a table of all values", "nls.io.table:values_text"),
         _estimate("ply", "positions; a table of all values", "nls.missions.charts.ply:cloud_text"),
-        Format("scan mission", "mission with sonar scans", "scan-missions", folder=True, looks=_are_scans)._replace(
-            reader="nls.missions.scans.folder:read_scan_mission"
+        _mission("scan mission", "mission with sonar scans", "nls.missions.scans.folder:read_scan_mission")._replace(
+            section="scan-missions", looks=_are_scans, options=()
         ),
-        Format("mission", "mission of a vehicle with its sensors", "mission-folders", folder=True)._replace(
-            reader="nls.missions.folder.read:read_mission", options=("elevation",)
-        ),
-        Format("dives", "mission of a vehicle with its sensors", "mission-folders", folder=True)._replace(
-            reader="nls.missions.folder.dives:read_dives", options=("elevation",)
-        ),
+        _mission("mission", "mission of a vehicle with its sensors", "nls.missions.folder.read:read_mission"),
+        _mission("dives", "mission of a vehicle with its sensors", "nls.missions.folder.dives:read_dives"),
     )
 }
 

@@ -14,18 +14,9 @@ from typing import BinaryIO
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
+from nls.io import formats
 from nls.io.files import graph_file, read_bytes, read_stream, write_bytes
-from nls.io.formats import (
-    FORMATS,
-    Reading,
-    by_content,
-    check_dialect,
-    dialects,
-    format_of,
-    of_folder,
-    outputs,
-    refuse_needless,
-)
+from nls.io.formats import FORMATS, Reading
 from nls.io.report import LoadReport
 from nls.io.unused_lines import left_out, measurements_left_out, not_there
 from nls.stages import stage
@@ -86,7 +77,7 @@ def load(
         ...
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
-    check_dialect(dialect, dialects())
+    formats.check_dialect(dialect, formats.dialects())
     how = Reading(convention, dialect, repair_information, elevation, ignore_tags, drop_absent)
     if isinstance(path, str | os.PathLike):
         return _warned(path, _read(path, how))
@@ -118,7 +109,7 @@ def load_stream(
     >>> load_stream(stream, "<stdin>")[0].factors
     [Between(x0, x1)]
     """
-    check_dialect(dialect, dialects())
+    formats.check_dialect(dialect, formats.dialects())
     how = Reading(convention, dialect, repair_information, elevation, ignore_tags, drop_absent)
     _refuse_elevation(elevation, name)
     with stage("read file"):
@@ -145,7 +136,7 @@ def _read(path: str | Path, how: Reading) -> Read:
             data = read_bytes(path, archive=True)
         return _parsed(data, str(path), how)
     _refuse_options(path, how, f"{path} is a folder, and folders are missions")
-    row = of_folder(path)
+    row = formats.of_folder(path)
     if "elevation" not in row.options:
         _refuse_elevation(how.elevation, path)
     return row.read(how, path)
@@ -166,7 +157,7 @@ def _refuse_options(path: str | Path, how: Reading, why: str) -> None:
     """Refuse the options of files for a folder."""
     if how.dialect != "auto":
         raise OptionError("dialect", how.dialect, f"auto: {why}")
-    refuse_needless(str(path), "mission", how)
+    formats.refuse_needless(str(path), "mission", how)
     check_convention(how.convention)
 
 
@@ -178,9 +169,9 @@ def _refuse_elevation(elevation: str | None, name: str | Path) -> None:
 
 def _parsed(data: bytes, path: str, how: Reading) -> Read:
     """The graph of the bytes of a file, without its warnings; errors as for `load`."""
-    row, reason = by_content(data, path) if how.dialect == "auto" else (FORMATS[how.dialect], "as asked for")
+    row, reason = formats.by_content(data, path) if how.dialect == "auto" else (FORMATS[how.dialect], "as asked for")
     row = FORMATS["g2o"] if row is None else row  # whose reader reads all dialects
-    refuse_needless(path, row.name, how, row.options)
+    formats.refuse_needless(path, row.name, how, row.options)
     graph, values, report = row.read(how, data, path)
     report.reason = report.reason or reason
     for note in not_there(how.ignore_tags, report.tags):
@@ -226,7 +217,9 @@ def save(
         raise OptionError("path", path, "the name of a file first, then the graph and its values")
     data, notes = rendered(path, graph, values, report, dialect, renumber)
     write_bytes(path, data)
-    for note in notes if FORMATS[format_of(path, dialect)].measurements else ():  # of others nobody expects more
+    for note in (
+        notes if FORMATS[formats.format_of(path, dialect)].measurements else ()
+    ):  # of others nobody expects more
         warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
 
 
@@ -240,13 +233,12 @@ def rendered(
 ) -> tuple[bytes, list[str]]:
     """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
     refuse_other("save", graph, values)
-    row = FORMATS[check_dialect(format_of(path, dialect), outputs())]
+    row = FORMATS[formats.check_dialect(formats.format_of(path, dialect), formats.outputs())]
     notes = left_out(report, row.name)
     if renumber:
-        from nls.io.formats import check_renumber
         from nls.io.variable_names import renumbered
 
-        check_renumber(row.name)
+        formats.check_renumber(row.name)
         graph, values, changes = renumbered(graph, values, report)
         notes += changes
     data, more = row.written(path, graph, values, report)

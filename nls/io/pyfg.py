@@ -48,7 +48,6 @@ from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
 FILE = "a PyFactorGraph file"
-LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
@@ -207,11 +206,11 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
         yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 
 
-def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], Numbers]:
+def _names(text: Text, lines: Index, column: int, longest: int = 40) -> tuple[npt.NDArray[np.bytes_], Numbers]:
     """Names such as A17 as their letters (n,) and numbers (n,)."""
     tokens = text.first[lines] + column
     lengths = text.ends[tokens] - text.starts[tokens]
-    C = text.characters(tokens, min(int(lengths.max(initial=1)), LONGEST))
+    C = text.characters(tokens, min(int(lengths.max(initial=1)), longest))
     letter = ((C | 32) >= ord("a")) & ((C | 32) <= ord("z"))
     digit = (C >= ord("0")) & (C <= ord("9"))
     head = np.argmin(np.column_stack([letter, np.zeros(len(C), dtype=bool)]), axis=1)  # letters in front
@@ -219,11 +218,11 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     leading_zero = np.take_along_axis(C, np.minimum(head, C.shape[1] - 1)[:, None], axis=1)[:, 0] == ord("0")
     column_of = np.arange(C.shape[1])
     tail = (column_of >= head[:, None]) & (column_of < lengths[:, None])
-    bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > LONGEST) | (leading_zero & (digits > 1))
+    bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > longest) | (leading_zero & (digits > 1))
     bad |= (tail & ~digit).any(axis=1)
 
     def problem(k: int) -> str:
-        word = printable(text.token(int(tokens[k])), LONGEST)
+        word = printable(text.token(int(tokens[k])), longest)
         return f"name '{word}': expected letters and a number of at most {DIGITS} digits, such as A17"
 
     text.refuse(bad, lines, problem)

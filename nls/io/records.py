@@ -32,7 +32,6 @@ KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by wh
 NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
 LINK_TYPES = range(100)  # RTAB-Map numbers them so
-TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
 
 
@@ -361,7 +360,7 @@ def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
     first: list[tuple[int, str, float]] = []
     count = 0
     for tag, lines, angles in angles_by_tag:
-        beyond = np.flatnonzero((np.abs(angles) > TURN).any(axis=1))
+        beyond = np.flatnonzero((np.abs(angles) > 6.3).any(axis=1))  # 2 pi, also where it was rounded to two digits
         count += len(beyond)
         if len(beyond):
             k = beyond[np.argmin(lines[beyond])]

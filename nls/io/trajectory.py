@@ -31,8 +31,6 @@ from nls.values import Stack, Values
 
 __all__ = ["load_kitti", "load_tum", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
 
-ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
-
 
 def load_tum(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
     """No measurements, the poses of a TUM trajectory as variables x, and a report with their times.
@@ -136,12 +134,13 @@ def _kitti(path: str | Path) -> tuple[Array, int]:
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    rotations = off <= 1e-3  # files of six digits are off by 1e-6
 
     def problem(k: int) -> str:
-        why = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
+        why = f"R R' is off the identity by {off[k]:.3g}" if not rotations[k] else "its determinant is -1"
         return f"no rotation matrix: {why}"
 
-    text.refuse(~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0), lines, problem)
+    text.refuse(~rotations | (np.linalg.det(R) < 0), lines, problem)
     return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 

@@ -28,7 +28,6 @@ SIGNS = bytes.maketrans(b"-:", b"__")  # as they are confused in tags
 SEPARATORS = {",": "commas", ";": "semicolons", "|": "bars", "=": "equals signs"}
 QUOTES = "\"'`\u00b4\u00ab\u00bb\u2018\u2019\u201a\u201c\u201d\u201e()[]{}<>"  # around words
 NAMED = 9  # tags in a sentence
-LONGEST = 500  # bytes of tags in an option that is advised
 
 
 def refuse_edges(
@@ -61,7 +60,7 @@ def refuse_edges(
         raise text.error(
             f"tags that are not known and may join variables: {counts}; the rest may be another graph",
             min(int(lines[0]) for lines in edges.values()),
-            [Advice("ignore tags", option)] * (len(option[0]) <= LONGEST),
+            [Advice("ignore tags", option)] * (len(option[0]) <= 500),
         )
 
 

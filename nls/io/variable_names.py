@@ -30,7 +30,6 @@ from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
 BITS = 48  # of the number of a key
-PLAIN = 1 << 56  # ids below have no letter
 LETTERS = list(ascii_letters.encode())
 SPACES = {SE2: "pose", SE3: "pose", R(2): "point", R(3): "point"}
 
@@ -130,7 +129,7 @@ def _heads(ids: Numbers) -> Numbers:
     """Head (n,) of every id."""
     head = ids >> BITS
     is_key = np.isin(head >> 8, LETTERS) & np.isin(head & 255, [0, *LETTERS])
-    return np.where(is_key, head, np.where(ids < PLAIN, 0, -1))
+    return np.where(is_key, head, np.where(ids < 1 << 56, 0, -1))
 
 
 def _name(kind: str, head: int) -> str:

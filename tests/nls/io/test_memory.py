@@ -20,7 +20,7 @@ from nls import GraphFileError, LeadlineError, ResourceLimitError, load
 from nls.io import bounded_text, files
 from nls.io.bounded_text import PER_BYTE, PER_WORD
 from nls.io.files import read_bytes
-from nls.io.text import PER_TAG, Text
+from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
 from nls.linear import limits
 from nls.missions.folder.table import Table
@@ -201,7 +201,7 @@ def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(Text(data).tags) == 2000
     used = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert used < PER_BYTE * len(data) + (PER_TAG + PER_WORD) * 2000
+    assert used < PER_BYTE * len(data) + (700 + PER_WORD) * 2000
     monkeypatch.setattr("nls.io.text.default_limit", lambda: 1e6)
     with pytest.raises(ResourceLimitError, match=r"<text>: 1,984 lines with first words of many kinds, .* 0\.00139 GB"):
         assert Text(data).tags
