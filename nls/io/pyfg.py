@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +43,7 @@ from nls.io.records import at_origin, fixed_offsets, turns
 from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused_lines import appended, keep_unknown, note_comments, refuse_edges, refuse_misspelt
+from nls.io.unused_lines import appended, note_comments, set_aside, without_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
@@ -52,8 +52,7 @@ DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
 
-@dataclass(frozen=True)
-class Tag:
+class Tag(NamedTuple):
     """One kind of line: its measurement, and how many names stand before it."""
 
     factor: Callable[..., Factor] | None  # None for a vertex
@@ -78,10 +77,10 @@ class Tag:
         return " ".join(columns + [f"{self.noise} of covariance"] * (self.factor is not None))
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
 
+    tag: str
     kinds: tuple[str, ...]
     numbers: list[Numbers]
     lines: Index
@@ -127,50 +126,38 @@ def read_pyfg(
     """
     check_convention(convention)
     text = Text(data, path)
-    words = {tag: lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
+    words, comments = without_comments(text)
     tags = {printable(tag): lines for tag, lines in words.items()}
     dialect = _dialect(text, tags)
-    comments = sum(len(lines) for tag, lines in text.tags.items() if tag.startswith(b"#"))
     report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
     report.tags = {tag: len(lines) for tag, lines in tags.items()}
     known = {name.encode(): tag.words for name, tag in dialect.items()}
-    if unknown := {tag: lines for tag, lines in words.items() if tag not in known}:
-        refuse_misspelt(text, unknown, known, FIRST)
-    refuse_edges(text, unknown, ignore_tags, known)
-    keep_unknown(text, unknown, report)
-    note_comments(report, comments)
+    unknown = {tag: lines for tag, lines in words.items() if tag not in known}
+    set_aside(text, unknown, known, ignore_tags, report, first=FIRST)
+    note_comments(report, len(comments))
 
-    vertices: dict[str, list[tuple[LieGroup, Batch]]] = {}
-    for name, tag in dialect.items():
-        if tag.factor is None and name in tags:
-            for batch in _batches(text, name, tag, tags[name]):
-                vertices.setdefault(batch.kinds[0], []).append((tag.space, batch))
-    values = Values()
-    for kind, parts in vertices.items():
-        space, batch = parts[0]
-        if len(parts) > 1:
-            line = max(int(block.lines[0]) for _, block in parts)
-            raise text.error(f"kind {kind} is in {space} and in {parts[1][0]}, expected one", line)
-        number = batch.numbers[0]
-        text.once(number, batch.lines, f"vertex {kind}")
-        values.stacks |= Values({kind: (space, batch.table, number)}).stacks
-        if space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
+    graph, values, first = FactorGraph(), Values(), dict[str, int]()
+    angles: tuple[list[tuple[str, Index, Array]], ...] = [], []  # of measurements, of vertices
+    batches = ((tag, batch) for name, tag in dialect.items() for batch in _batches(text, name, tag, tags.get(name)))
+    for tag, batch in batches:
+        lines = batch.lines
+        angles[tag.factor is None].extend([(batch.tag, lines, batch.table[:, 2:3])] * (tag.space is SE2))
+        if tag.factor is not None:
+            factor = _factor(text, tag, batch, values, convention)
+            report.factor_times.append((graph.add(factor), batch.times))
+            report.sources.append(Source(path, lines + 1))
+            continue
+        (kind,), (number,) = batch.kinds, batch.numbers
+        if kind in first:
+            spaces = f"{values.stacks[kind].manifold} and in {tag.space}"
+            raise text.error(f"kind {kind} is in {spaces}, expected one", max(first[kind], int(lines[0])))
+        first[kind] = int(lines[0])
+        text.once(number, lines, f"vertex {kind}")
+        values.stacks |= Values({kind: (tag.space, batch.table, number)}).stacks
+        if tag.space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
             report.vertex_times[kind] = batch.times
-
-    graph = FactorGraph()
-    angles_by_tag = [
-        ("VERTEX_SE2", block.lines, block.table[:, 2:3]) for of in vertices.values() for s, block in of if s is SE2
-    ]
-    report.notes += turns(angles_by_tag)
-    measured = []
-    for name, tag in dialect.items():
-        if tag.factor is not None and name in tags:
-            for batch in _batches(text, name, tag, tags[name]):
-                measured += [(name, batch.lines, batch.table[:, 2:3])] if tag.space is SE2 else []
-                factor = _factor(text, tag, batch, values, convention)
-                report.factor_times.append((graph.add(factor), batch.times))
-                report.sources.append(Source(path, batch.lines + 1))
-    for message in turns(measured):
+    report.notes += turns(angles[True])
+    for message in turns(angles[False]):
         report.warn(message)
     return graph, values, report
 
@@ -187,8 +174,10 @@ def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
     raise text.error("mixes the plane and space; expected one dimension in a file", line)
 
 
-def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
-    """Lines of a tag, one batch per combination of kinds."""
+def _batches(text: Text, name: str, tag: Tag, lines: Index | None) -> Iterator[Batch]:
+    """Lines of a tag, one batch per combination of kinds; nothing of a tag that is not there."""
+    if lines is None:
+        return
     lead = 1 + tag.timed + tag.names
     wide = tag.space.size + tag.noise
     count = text.first[lines + 1] - text.first[lines] - 1
@@ -203,7 +192,7 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     for k, pair in enumerate(pairs):
         mine = np.flatnonzero(pair_of.reshape(-1) == k)
         kinds = tuple(word.decode() for word in pair.tolist())
-        yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
+        yield Batch(name, kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 
 
 def _names(text: Text, lines: Index, column: int, longest: int = 40) -> tuple[npt.NDArray[np.bytes_], Numbers]:

@@ -44,7 +44,7 @@ from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles, by_role, present
 from nls.io.switches import Switches
 from nls.io.text import Text, printable
-from nls.io.unused_lines import keep, keep_unknown, note_comments, refuse_edges, refuse_misspelt
+from nls.io.unused_lines import keep, note_comments, set_aside, without_comments
 from nls.io.variable_names import id_text, with_letters
 from nls.io.weights import matrix, noise_of, repaired
 from nls.posegraph import says_poses
@@ -91,8 +91,7 @@ def read_graph(
     check_convention(convention)
     with stage("read words"):
         text = Text(data, path, before)
-        tags = dict(text.tags)
-    comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
+        tags, comments = without_comments(text)
     format, reason = choose(text, tags, comments, dialect, part=not start)
     if format.matrix != "information":
         refuse_needless(path, format.name, Reading(repair_information=repair_information))
@@ -102,10 +101,7 @@ def read_graph(
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
     known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
-    if strays := {t: n for t, n in unknown.items() if t not in format.ignored_tags}:
-        refuse_misspelt(text, strays, known)
-    refuse_edges(text, strays, ignore_tags, known)
-    keep_unknown(text, unknown, report, format.ignored_tags)
+    set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
     note_comments(report, len(comments))
 
     lines: dict[bytes, list[Index]] = {}

@@ -81,16 +81,6 @@ def keep(text: Text, lines: Index, report: LoadReport) -> None:
     report.ignored += [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
 
 
-def keep_unknown(text: Text, unknown: dict[bytes, Index], report: LoadReport, known: Collection[bytes] = ()) -> None:
-    """Keep the lines of tags that are not used, and warn; ``known``: tags of the format without a use here."""
-    if not unknown:
-        return
-    aside = "" if all(tag in known for tag in unknown) else "with unknown tags "
-    named = [f"{printable(tag, 30)} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
-    report.warn(f"lines {aside}were not used: {some(named, NAMED, noun=' tags')}")
-    keep(text, np.sort(np.concatenate(list(unknown.values()))), report)
-
-
 def note_comments(report: LoadReport, count: int) -> None:
     """Say how many comments there were: they are never written."""
     if count:
@@ -119,6 +109,49 @@ def left_out(report: LoadReport | None, format: str) -> list[str]:
         (f"{count} lines that were not used are", "them") if count > 1 else ("1 line that was not used is", "it")
     )
     return [f"{lines} left out, only {a_file(report.format)} gets {pronoun} back: {named}"]
+
+
+def without_comments(text: Text) -> tuple[dict[bytes, Index], Index]:
+    """Lines (from 0) by the first word of each, and the lines of comments, which begin with #."""
+    tags = dict(text.tags)
+    return tags, np.concatenate([np.zeros(0, dtype=np.intp), *(tags.pop(t) for t in list(tags) if t.startswith(b"#"))])
+
+
+def set_aside(
+    text: Text,
+    unknown: dict[bytes, Index],
+    known: Mapping[bytes, int],
+    ignore_tags: Sequence[str],
+    report: LoadReport,
+    unused: Collection[bytes] = (),
+    first: re.Pattern[bytes] = NUMBER,
+) -> None:
+    """Keep the lines that are not used as text, and refuse those that may be meant as others.
+
+    Parameters
+    ----------
+    text : the file.
+    unknown : lines (from 0) by tags that are not read.
+    known : words after each tag that is read; 0 where there may be any number above.
+    ignore_tags : as for `nls.load`.
+    report : gets the lines and a warning.
+    unused : tags of the format that have no use here.
+    first : the form of a word behind a tag.
+
+    Raises
+    ------
+    GraphFileError, OptionError
+        As for `refuse_misspelt` and `refuse_edges`.
+    """
+    strays = {tag: lines for tag, lines in unknown.items() if tag not in unused}
+    if strays:
+        refuse_misspelt(text, strays, known, first)
+    refuse_edges(text, strays, ignore_tags, known)
+    if unknown:
+        aside = "with unknown tags " if strays else ""
+        named = [f"{printable(tag, 30)} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
+        report.warn(f"lines {aside}were not used: {some(named, NAMED, noun=' tags')}")
+        keep(text, np.sort(np.concatenate(list(unknown.values()))), report)
 
 
 def refuse_misspelt(

@@ -12,7 +12,7 @@ import pytest
 from factors import Between, Covariance, Information, SqrtInformation
 from models import SE2, SE3
 from models.manifolds.euler import quaternion_from_angles, to_se3
-from nls import GraphFileError, OptionError, Values, kinds, load
+from nls import OptionError, Values, kinds, load
 from nls.io import DIALECTS
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import CONVENTIONS, assert_refused, read, write
@@ -212,12 +212,3 @@ def test_files_that_are_no_graph(tmp_path: Path) -> None:
     ):
         error = assert_refused(line, words, load, write(tmp_path, content, "some.dat"))
         assert ("expected lines such as EDGE_SE2" in str(error)) == (line is not None and words != "zero byte")
-
-
-def test_public_files_that_are_no_graph(data: Path) -> None:
-    for name in (
-        *("range-only/Plaza2_.mat", "victoria-park/GPS.txt", "mrclam6/Barcodes.dat"),
-        *("underwater-caves/cones.csv", "underwater-holoocean/underwater_data.txt.gz"),
-    ):
-        with pytest.raises(GraphFileError, match=r"is a MATLAB file|is no graph"):
-            load(data / name)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from nls import GraphFileError, LeadlineError, ResourceLimitError, load
@@ -26,7 +26,6 @@ from nls.linear import limits
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.io_files import ISAM_2, PLANE, PYFG, SPACE
-from tests.nls.missions.folder.mission_files import folder
 
 N = 1 << 15
 CHUNK, BASE = 1 << 12, 1 << 17  # bytes read at once here; that any call takes: messages, short arrays
@@ -118,17 +117,6 @@ def test_every_reader_keeps_to_what_is_stated(reader: str, file: Path) -> None:
         assert used < stated(data), (name, used, stated(data))
 
 
-@given(st.lists(st.tuples(st.sampled_from(list(PARTS)), st.integers(1, N)), min_size=1, max_size=5), st.booleans())
-@settings(max_examples=15)
-def test_any_mixture_keeps_to_it(tmp_path_factory: pytest.TempPathFactory, parts: Any, packed: bool) -> None:
-    file = tmp_path_factory.mktemp("any") / "f.g2o"
-    data = b"".join(PARTS[name][:size] for name, size in parts)
-    file.write_bytes(gzip.compress(data) if packed else data)
-    for reader in ("graph", "pyfg", "tum", "table of a mission"):
-        used, _ = peak(READERS[reader], file)
-        assert used < stated(data), (reader, used, stated(data))
-
-
 @for_all(reader=READERS)
 def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blanks and comments of 25 times what is allowed, packed or not: no more is read than that."""
@@ -141,14 +129,6 @@ def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pyte
             verb = "has" if content is data else "unpacks to"
             assert re.search(rf"f\.g2o: {verb} [0-9,]+ bytes or more of blanks, commas and comments", message), name
             assert used < PER_BYTE * bounded_text.SLACK + 32 * CHUNK, (name, used)
-
-
-def test_a_bomb_in_the_folder_of_a_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded_text, "SLACK", 1 << 12)
-    place = folder(tmp_path)
-    (place / "contacts.csv").write_bytes(b"\n" * N)
-    with pytest.raises(ResourceLimitError, match=r"contacts\.csv: has [0-9,]+ bytes or more of blanks"):
-        load(place)
 
 
 @given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
@@ -216,14 +196,6 @@ def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None
             used, message = peak(read, file)
             assert f"a word of {5 * CHUNK:,} bytes or more, the limit is {4 * CHUNK:,}" in message
             assert used < 16 * CHUNK + BASE
-
-
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
-def test_a_device_without_end() -> None:
-    for read in READERS.values():
-        used, message = peak(read, Path("/dev/zero"))
-        assert message.startswith("/dev/zero:1: has a zero byte")
-        assert used < 4 * CHUNK + BASE
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")

@@ -93,20 +93,6 @@ def test_damaged_lines(name: str, data: st.DataObject) -> None:
     read_or_refused("\n".join(lines).encode(), dialect)
 
 
-@given(
-    name=names,
-    edits=st.lists(st.tuples(st.integers(0, 10**6), st.binary(max_size=3), st.integers(0, 4)), min_size=1, max_size=5),
-)
-@damage
-def test_damaged_bytes(name: str, edits: list[tuple[int, bytes, int]]) -> None:
-    dialect, text = ALL[name]
-    data = text.encode()
-    for place, put, cut in edits:
-        at = place % (len(data) + 1)
-        data = data[:at] + put + data[at + cut :]
-    read_or_refused(data, dialect)
-
-
 @for_all(name=ALL)
 def test_the_undamaged_file_is_read_packed_marked_and_truncated(name: str, tmp_path: Path) -> None:
     dialect, text = ALL[name]

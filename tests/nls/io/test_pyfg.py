@@ -11,16 +11,16 @@ import pytest
 
 from factors import Between, Cauchy, Covariance, Diagonal, Information, Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, SO2, R
-from nls import FactorGraph, GraphError, GraphWarning, LoadReport, Values, kinds, load, save
+from nls import FactorGraph, GraphError, GraphWarning, Values, kinds, load, save
 from nls.io.files import read_bytes
 from nls.io.pyfg import read_pyfg
 from tests.combinations import for_all
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import CONVENTIONS, assert_refused, cases, write
+from tests.nls.io.g2o_files import CONVENTIONS, Loaded, assert_refused, cases, write
+from tests.nls.io.g2o_files import same as same_graph
 from tests.nls.io.io_files import BAL
 
 A, B, L, x = kinds("A", "B", "L", "x")
-Loaded = tuple[FactorGraph, Values, LoadReport]
 
 PLANE = """# a comment
 VERTEX_SE2 0.5 A0 1 2 0.1
@@ -60,21 +60,9 @@ def again(loaded: Loaded, folder: Path, convention: str = "g2o", ignore_tags: Se
 
 
 def same(one: Loaded, two: Loaded) -> None:
-    assert list(one[1].stacks) == list(two[1].stacks)
-    for kind, stack in one[1].stacks.items():
-        assert np.array_equal(stack.X, two[1].stacks[kind].X)
-        assert np.array_equal(stack.numbers, two[1].stacks[kind].numbers)
-    assert {k: t.tolist() for k, t in one[2].vertex_times.items()} == {
-        k: t.tolist() for k, t in two[2].vertex_times.items()
-    }
-    for f, g, (_, s), (_, t) in zip(
-        one[0].factors, two[0].factors, one[2].factor_times, two[2].factor_times, strict=True
-    ):
-        assert type(f) is type(g)
-        assert f.keys == g.keys
-        assert np.array_equal(f.z, g.z)
-        assert np.array_equal(f.noise.matrix, g.noise.matrix)  # type: ignore[attr-defined]
-        assert np.array_equal(s, t)
+    same_graph(one, two)
+    for times in (lambda r: r.vertex_times.items(), lambda r: r.factor_times):
+        assert [t.tolist() for _, t in times(one[2])] == [t.tolist() for _, t in times(two[2])]
 
 
 def test_what_is_read_in_the_plane() -> None:
