@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 
 import nls
 from factors.noise import NEGATIVE
-from nls import FactorGraph, GraphWarning, OptionError, Values, load
+from nls import GraphWarning, load
 from nls.cli import main
-from nls.io import DIALECTS, rendered
 from nls.io.weights import repaired
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import PLANE, UPPER_3, again, assert_refused, read, same, same_factors, write
-from tests.nls.io.io_files import BAL, FILES, ISAM_3, PYFG, TORO_3
+from tests.nls.io.io_files import ISAM_3, PYFG, TORO_3
 
 DEGREES = "these degrees?"
 
@@ -70,13 +69,6 @@ def test_a_prior_of_pyfg_is_a_measurement_and_its_vertex_none(tmp_path: Path) ->
     assert f"first on line {vertex + 1} (VERTEX_SE2): 90" in note
 
 
-@for_all(name=["ring.g2o", "kitti_00.g2o", "input_INTEL.g2o"])
-def test_no_public_graph_is_warned_of(data: Path, name: str) -> None:
-    _, values, report = nls.load(data / "pose-graphs-2d" / name)
-    assert not any(DEGREES in note for note in report.notes)
-    assert np.abs(values.stacks["x"].X[:, 2]).max() < 6.2832
-
-
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
 GOOD = "EDGE_SE2 0 1 1.01 0 0 4 0.5 0.25 3 0.125 2\n"
 BAD = "EDGE_SE2 1 2 1.02 0.1 0.3 1 2 0 1 0 1\nEDGE_SE2 0 2 2.1 0 0.1 4 0 0 9 12 4\n"
@@ -118,20 +110,6 @@ def test_before_units_and_angles_are_turned(tmp_path: Path) -> None:
     assert "EDGE3 had negative eigenvalues, first on line 1" in loaded[2].warnings[0]
     assert smallest(loaded[0].factors[0].noise.matrix)[0] > -NEGATIVE  # type: ignore[attr-defined]
     same_factors(loaded, again(loaded, tmp_path, dialect="toro"))
-
-
-def test_a_covariance_is_not_repaired(tmp_path: Path) -> None:
-    """Nor a square root, nor what states no noise: an option that would do nothing is refused."""
-    native = {form: rendered("graph", FactorGraph(), Values(), None, form)[0] for form in ("npz", "json")}
-    files = dict(FILES.values()) | {"pyfg": PYFG, "bal": BAL} | native
-    assert set(files) == set(DIALECTS[1:])
-    for dialect, text in files.items():
-        path = write(tmp_path, text)
-        if dialect in ("g2o", "toro"):
-            assert load(path, dialect=dialect, repair_information=True)[2].warnings == []
-            continue
-        with pytest.raises(OptionError, match=f"format {dialect}"):
-            load(path, dialect=dialect, repair_information=True)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 3, 6]), st.integers(-8, 8))

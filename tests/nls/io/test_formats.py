@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,7 @@ from nls.io.dialects import TAGGED
 from nls.io.formats import FORMATS, Format
 from tests.nls.io.formats_page import PAGE, section
 from tests.nls.io.g2o_files import assert_refused, write
+from tests.nls.io.io_files import BAL, FILES, PYFG
 
 TOY = "toy\n1.0 0.0\n2.5 1.0\n"
 PLACE = "tests.nls.io.toy_format:"
@@ -49,6 +52,29 @@ def test_a_format_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     with pytest.raises(nls.OptionError, match=r"expected one of auto, .*, json, toy"):
         nls.load("d", dialect="no")
     assert_refused(1, "'toy' is no tag", nls.load, "d", dialect="g2o")
+
+
+def test_an_option_that_means_nothing_to_a_format_is_refused(tmp_path: Path) -> None:
+    """A repair of matrices that are no information, tags where there are none; a mission is a format, too."""
+    native = {
+        form: nls.io.rendered("graph", nls.FactorGraph(), nls.Values(), None, form)[0] for form in ("npz", "json")
+    }
+    files = dict(FILES.values()) | {"pyfg": PYFG, "bal": BAL} | native
+    assert set(files) == set(nls.io.DIALECTS[1:])
+    write(tmp_path, "pose,time\n", "odometry.csv")
+    for option, value in (("repair_information", True), ("ignore_tags", ["EDGE_X"]), ("drop_absent", True)):
+        refused = {"mission"} if option != "repair_information" else {"mission", "isam", "isam-covariance", "graph"}
+        for name, text in {**files, "mission": ""}.items():
+            path = write(tmp_path, text, "graph.txt") if text else tmp_path
+            dialect: dict[str, Any] = {"dialect": name} if text else {}
+            if option in FORMATS[name].options and name not in refused:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", nls.GraphWarning)
+                    assert nls.load(path, **dialect, **{option: value})[2].format == name
+                continue
+            expected = rf"{option}: .* expected {re.escape(repr(type(value)()))}: .* format {name}, which has no"
+            with pytest.raises(nls.OptionError, match=expected):
+                nls.load(path, **dialect, **{option: value})
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gzip
 from pathlib import Path
 
@@ -11,9 +10,7 @@ import numpy as np
 import nls
 from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, RangeAzimuth
 from factors.base import Factor
-from factors.robust import Cauchy
 from nls.cli import outliers
-from nls.cli.preparation import prepare
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.io_files import ALL
@@ -101,15 +98,6 @@ def test_lines_and_the_graph_without_the_rejected(tmp_path: Path) -> None:
                 assert line.split()[1 : 1 + len(factor.keys)] == variables(factor, k, "g2o")
     ((number, k),) = [(n, k) for n, w in enumerate(found.weights) for k in np.flatnonzero(w == 0)]
     assert report.place(number, k) == f"{path}:{lines.index(edges[9]) + 1}"
-
-
-def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
-    path = tmp_path / "graph.g2o"
-    path.write_text(ALL["every tag of the plane"][1])
-    graph, values, report = nls.load(path)
-    options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
-    for other in (prepare(graph, values, report, options), graph.robust(Cauchy(1.0))):
-        assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
 
 
 @for_all(elevation=["hinge", "prior", "free"])

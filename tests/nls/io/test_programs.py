@@ -252,15 +252,3 @@ def test_a_pose_is_absent_though_a_point_of_its_own_numbering_has_its_number() -
     graph, _, report = read(vertices + edges + "LANDMARK2 0 2 1 1 1 0 1\n", drop_absent=True)
     assert report.warnings == ["2 edges to vertices that no line gives left out, first on line 6"]
     assert [repr(f) for f in graph.factors] == ["Between(x0, x2)", "Landmark(x0, l1)"]
-
-
-def test_the_options_are_refused_where_they_mean_nothing(tmp_path: Path) -> None:
-    loaded = read(PLANE)
-    again(loaded, tmp_path, dialect="json")
-    (tmp_path / "mission").mkdir()
-    (tmp_path / "mission" / "odometry.csv").write_text("pose,time\n")
-    for name, form in (("again.g2o", "json"), ("mission", "mission")):
-        with pytest.raises(OptionError, match=rf"ignore_tags: .* expected \[\]: .* format {form}, which has no tags"):
-            load(tmp_path / name, ignore_tags=["EDGE_X"])
-        with pytest.raises(OptionError, match=f"drop_absent: .* False: .* format {form}"):
-            load(tmp_path / name, drop_absent=True)
