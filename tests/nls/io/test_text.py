@@ -132,16 +132,7 @@ def test_line_ends_tabs_and_blank_lines() -> None:
 
 def test_tags_are_grouped_in_order_of_appearance() -> None:
     """Short ones at both ends of the text, those that share their ends, long ones, and more than any format has."""
-    near = [
-        b"E",
-        b"EDGE_SE2",
-        b"XEDGE_SE2",
-        b"EDGE_SE2_XY",
-        b"EDGE_BEARING_SE2_XY",
-        b"EDGE_BEARING_SE3_XY",
-        b"2",
-        b"EE",
-    ]
+    near = b"E EDGE_SE2 XEDGE_SE2 EDGE_SE2_XY EDGE_BEARING_SE2_XY EDGE_BEARING_SE3_XY 2 EE".split()
     long = [b"a" * 64, b"b" * 65, b"b" * 66, b"EDGE_SE3:QUAT", b"EDGE_SE2:QUAT", b"e"]
     rng = np.random.default_rng(0)
     for words in (near, near + long, *([b"t%d" % k for k in range(n)] for n in (15, 16, 17, 250))):
