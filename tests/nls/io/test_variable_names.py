@@ -39,7 +39,7 @@ def test_a_file_of_two_robots_has_their_names_and_comes_back_byte_for_byte(tmp_p
 @pytest.mark.parametrize("group", [SE2, SE3])
 @pytest.mark.parametrize("vertices", [True, False])
 def test_two_robots_have_the_optimum_of_plain_ids(group: LieGroup, vertices: bool, tmp_path: Path) -> None:
-    """Starts take several kinds of poses."""
+    """Starts, certificate and gnc take several kinds of poses."""
     sample = pose_graph(group, anchored=False)
     nls.save(tmp_path / "plain.g2o", sample.graph, sample.values)
     text = (tmp_path / "plain.g2o").read_text()
@@ -51,6 +51,11 @@ def test_two_robots_have_the_optimum_of_plain_ids(group: LieGroup, vertices: boo
     assert results[1].chi2_final == pytest.approx(results[0].chi2_final, rel=1e-9)
     joined = np.concatenate([results[1].values[Kind(kind)] for kind in "ab"])
     assert joined == pytest.approx(results[0].values[Kind("x")], abs=1e-6)
+    proofs = [nls.certify(loaded[0], result.values) for loaded, result in zip((one, two), results, strict=True)]
+    assert [proof.verdict for proof in proofs] == ["certified"] * 2
+    assert proofs[1].chi2_reached == pytest.approx(proofs[0].chi2_reached, rel=1e-9)
+    chosen = [nls.gnc(graph, values, preselect=False).result.chi2_final for graph, values, _ in (one, two)]
+    assert chosen[1] == pytest.approx(chosen[0], rel=1e-6)
     with pytest.raises(nls.GraphError, match="no odometry joins a3 to b0: the graph has 2 sessions"):
         nls.gnc(*two[:2])
 
