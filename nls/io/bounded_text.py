@@ -26,11 +26,10 @@ class BoundedText:
     Parameters
     ----------
     subject : the file and a verb, for the message.
-    limit : of memory, bytes; the default when None.
     """
 
-    def __init__(self, subject: str, limit: float | None) -> None:
-        self.subject, self.limit = subject, default_limit() if limit is None else limit
+    def __init__(self, subject: str) -> None:
+        self.subject, self.limit = subject, default_limit()
         self.chunks: list[bytes] = []
         self.size = self.words = self.content = 0
         self.weighed = self.counted = 0  # chunks whose content, whose words are counted: only where it can matter

@@ -134,7 +134,7 @@ def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pyte
 @given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
 def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.DataObject) -> None:
     text = b"".join(words)
-    pieces, rest, content, count = bounded_text.BoundedText("f: has", 0.0), text, 0, 0
+    pieces, rest, content, count = bounded_text.BoundedText("f: has"), text, 0, 0
     while rest:
         size = data.draw(st.integers(1, len(rest)))
         content += pieces._content(rest[:size])
@@ -157,13 +157,15 @@ def test_the_limits_to_the_byte(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
             read_bytes(file)
     file.write_bytes(content + b"\n" + b"1 " * 500)
     needed = PER_BYTE * 1005 + PER_WORD * (501 + 1 + 1)
-    assert len(read_bytes(file, limit=needed)) == 1005
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed)
+    assert len(read_bytes(file)) == 1005
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed - 1)
     for data in (file.read_bytes(), gzip.compress(file.read_bytes())):
         file.write_bytes(data)
         with pytest.raises(
             ResourceLimitError, match=r"f\.g2o: .* 1,005 bytes or more, .* takes 0\.0000583 GB"
         ) as caught:
-            read_bytes(file, limit=needed - 1)
+            read_bytes(file)
         assert (caught.value.needed, caught.value.limit) == (needed, needed - 1)
 
 
@@ -232,4 +234,4 @@ def test_the_limit_is_that_of_every_solve(file: Path, monkeypatch: pytest.Monkey
         with pytest.raises(ResourceLimitError, match=r"the limit is 0\.0000100 GB"):
             read(file)
     with pytest.raises(GraphFileError, match="has a zero byte"):
-        read_bytes(Path("/dev/zero"), limit=1e12)
+        read_bytes(Path("/dev/zero"))
