@@ -69,8 +69,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     )
     if len(rows) < observations:
         raise text.error(
-            f"the file ends after {len(rows)} observations, its first line announces {observations}",
-            int(lines[-1]),
+            f"the file ends after {len(rows)} observations, its first line announces {observations}", int(lines[-1])
         )
     i = _index(text, rows, 0, cameras, "camera")
     j = _index(text, rows, 1, points, "point")

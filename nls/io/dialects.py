@@ -113,19 +113,12 @@ TORO_PLANE = (
 )
 TORO = Dialect(
     "toro",
-    (
-        *TORO_PLANE,
-        Record(b"VERTEX3", SE3, ("pose",), ANGLES),
-        Record(b"EDGE3", SE3, POSES, ANGLES, Between),
-    ),
+    (*TORO_PLANE, Record(b"VERTEX3", SE3, ("pose",), ANGLES), Record(b"EDGE3", SE3, POSES, ANGLES, Between)),
     "information",
     "information, in the plane in the order I11 I12 I22 I33 I13 I23",
 )
 GRAPH = Dialect("graph", TORO_PLANE, "covariance", "covariance in the order of TORO")
-ISAM_PLANE = (
-    Record(b"EDGE2", SE2, POSES, STEP2, Between),
-    Record(b"LANDMARK", SE2, POSE_AND_POINT, POINT2, Landmark),
-)
+ISAM_PLANE = (Record(b"EDGE2", SE2, POSES, STEP2, Between), Record(b"LANDMARK", SE2, POSE_AND_POINT, POINT2, Landmark))
 ISAM = Dialect(
     "isam",
     (

@@ -100,9 +100,7 @@ def refuse_robust(factor: Factor) -> None:
     """
     if isinstance(factor.noise, Robust):
         raise GraphError(
-            f"{factor!r} has a robust kernel, which files of this kind have no place for",
-            factor.keys,
-            factor.name,
+            f"{factor!r} has a robust kernel, which files of this kind have no place for", factor.keys, factor.name
         )
 
 

@@ -25,8 +25,7 @@ from tests.nls.io.g2o_files import assert_refused, write
 digits = st.text("0123456789", max_size=25)
 sign = st.sampled_from(["", "-", "+"])
 exponent = st.one_of(
-    st.just(""),
-    st.builds("{}{}{}".format, st.sampled_from("eE"), sign, st.text("0123456789", min_size=1, max_size=3)),
+    st.just(""), st.builds("{}{}{}".format, st.sampled_from("eE"), sign, st.text("0123456789", min_size=1, max_size=3))
 )
 
 
