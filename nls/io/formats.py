@@ -28,7 +28,7 @@ class Reading(NamedTuple):
 
 
 def _no_looks(_: object) -> str:
-    """Other things tell."""
+    """No look of the bytes: their tags or their name tell the format."""
     return ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import warnings
 from pathlib import Path
@@ -97,6 +98,18 @@ def test_the_page_has_the_rows_of_the_table() -> None:
         rows[row.section, row.holds] = (suffixes | set(row.suffixes), read, written)
     shown.pop(("public-landmark-logs", "MRCLAM; Victoria Park"), None)
     assert shown == rows
+
+
+def test_nobody_asks_for_a_format_by_its_name() -> None:
+    """But the table, and a file that writes two of them; g2o is the name of a convention, too."""
+    names = {name for name, row in FORMATS.items() if not row.folder} - {"g2o"}
+    own = {"formats.py", "trajectory.py", "native.py"}
+    asked = []
+    for path in Path(nls.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if path.name not in own else ():
+            constants = [node.left, *node.comparators] if isinstance(node, ast.Compare) else []
+            asked += [(path.name, c.value) for c in constants if isinstance(c, ast.Constant) and c.value in names]
+    assert asked == []
 
 
 def test_the_table_says_what_the_records_say() -> None:
