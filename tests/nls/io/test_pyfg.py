@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from factors import Between, Cauchy, Covariance, Diagonal, Information, Isotropic, Landmark, Prior, Range
-from models import SE2, SE3, SO2, R
+from models import SE2, SO2, R
 from nls import FactorGraph, GraphError, GraphWarning, Values, kinds, load, save
 from nls.io.files import read_bytes
 from nls.io.pyfg import read_pyfg
 from tests.combinations import for_all
-from tests.nls.graphs import pose_graph
 from tests.nls.io.g2o_files import CONVENTIONS, Loaded, assert_refused, cases, write
 from tests.nls.io.g2o_files import same as same_graph
 from tests.nls.io.io_files import BAL
@@ -181,17 +180,6 @@ def test_every_mistake_has_its_line() -> None:
     assert_refused(14, "measurement 1 is -0.01", read, "\n".join(lines))
     for text in ("", "# nothing\n", "EDGE_RANGE 0 A0 L0 1 1\n", "HELLO\n"):
         assert_refused(1, "no vertices", read, text)
-
-
-def test_graphs_made_in_python(tmp_path: Path) -> None:
-    sample = pose_graph(SE3, anchored=False)
-    graph = FactorGraph([*sample.graph.factors, Range(x[[0, 1]], x[2], [1.0, 2.0], Isotropic(0.1))])
-    save(tmp_path / "out.pyfg.gz", graph, sample.values)
-    text = gzip.decompress((tmp_path / "out.pyfg.gz").read_bytes()).decode()
-    assert text.splitlines()[0].split()[:3] == ["VERTEX_SE3:QUAT", "0.0", "x0"]
-    read_back, values, _ = read(text, "log")
-    assert np.array_equal(values[x], sample.values[x])
-    assert read_back.chi2(values) == pytest.approx(graph.chi2(sample.values), rel=1e-9)
 
 
 def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
