@@ -234,7 +234,7 @@ def _same_tree(text: str, arrays: dict[str, Any], read: Reading) -> str:
     if repeated:
         return f"{repeated[0]!r} is there twice"
     assert read.graph is not None
-    again = json.loads(native_bytes("again", *read.graph, read.report, "json"))
+    again = json.loads(native_bytes("again", "json", *read.graph, read.report)[0])
     for one in (tree, again):
         one["factors"] = {str(k): factor for k, factor in enumerate(one["factors"].values())}  # their names say nothing
     if len(tree["factors"]) > len(again["factors"]):

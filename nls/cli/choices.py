@@ -7,8 +7,6 @@ from __future__ import annotations
 
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 CONVENTIONS = ("log", "g2o", "graphslam", "gtsam")
-DIALECTS = ("auto", "g2o", "toro", "isam", "isam-covariance", "graph", "pyfg", "bal", "npz", "json")
-FORMATS = (*DIALECTS[1:], "tum", "kitti", "csv", "ply")
 GNC = ("gnc-tls", "gnc-gm")  # graduated non-convexity
 GAUGES = ("first", "prior", "free", "none")
 KERNELS = ("huber", "cauchy", "tukey", "geman-mcclure", "welsch", "dcs")

@@ -12,7 +12,7 @@ def convert(options: argparse.Namespace) -> int:
     from models.listing import several
     from nls.cli.formats import output_format, read, rendered
     from nls.io.files import write_bytes
-    from nls.io.renumbering import check_renumber
+    from nls.io.formats import check_renumber
 
     refuse_unwritable({"OUT": options.output})
     form = output_format("OUT", options.output, options.to)

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,19 +21,12 @@ if TYPE_CHECKING:
     from nls.missions import MissionReport
     from nls.values import Values
 
-__all__ = ["mission_of", "refuse_unwritable_graph", "rendered"]
-
 
 def output_format(option: str, path: str, named: str | None) -> str:
-    """The format of an output, the value of an option: as named, else by the suffix, as for `nls.save`.
+    """The format of an output, the value of an option: as named, else by the suffix; errors as for `nls.save`."""
+    from nls.io.formats import format_of
 
-    Raises
-    ------
-    OptionError
-    """
-    from nls.io.dialects import SUFFIXES, format_of
-
-    return format_of(path, named, SUFFIXES, "--to FORMAT", option)
+    return format_of(path, named, "--to FORMAT", option)
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
@@ -63,24 +55,21 @@ def name_lines(error: LeadlineError, graph: FactorGraph, report: LoadReport) -> 
 
 def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     import nls
-    from nls.io import load_stream
-    from nls.io.dialects import LineOptions, refuse_needless
-    from nls.io.trajectory import TRAJECTORIES, load_trajectory
+    from nls.io.formats import Reading, refuse_needless, suffix_of, suffixes
 
-    form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
-    of_lines = LineOptions(options.repair_information, options.ignore_tags, options.drop_absent)
-    elevation = getattr(options, "elevation", None)
-    how = options.convention, options.dialect, of_lines.repair_information, elevation, *of_lines[1:]
+    lines = options.repair_information, getattr(options, "elevation", None), options.ignore_tags, options.drop_absent
+    how = Reading(options.convention, options.dialect, *lines)
     if dives := getattr(options, "dives", []):
         return nls.load([options.file, *dives], *how)
     if options.file == "-":
         if sys.stdin is None:
             raise nls.GraphFileError("cannot be read: standard input is closed", input_name(options.file))
-        return load_stream(sys.stdin.buffer, input_name(options.file), *how)
-    if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
+        return nls.io.load_stream(sys.stdin.buffer, input_name(options.file), *how)
+    row = suffixes().get(suffix_of(options.file))
+    if row is None or not row.poses_alone or options.dialect != "auto" or os.path.isdir(options.file):
         return nls.load(options.file, *how)
-    refuse_needless(options.file, form, of_lines)
-    return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
+    refuse_needless(options.file, row.name, how)
+    return row.read(how, options.file)
 
 
 def mission_of(report: LoadReport) -> MissionReport | None:
@@ -98,19 +87,27 @@ def rendered(
 ) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
     from models.errors import GraphError
-    from nls import io
-    from nls.io.dialects import FORMATS
+    from nls.io import rendered as rendered_graph
+    from nls.io.formats import FORMATS
 
-    if report.format == "mission" and form not in (*io.POSES_ONLY, *io.NATIVE):
+    row = FORMATS[form]
+    if report.format == "mission" and row.measurements and not row.whole:
         raise GraphError(
             f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
-            "npz and json hold it, and tum or kitti its poses"
+            f"{_names('whole', 'and')} hold it, and {_names('poses_alone', 'or')} its poses"
         )
-    if form not in FORMATS:
-        return io.rendered(path, graph, values, report, form)
+    if not row.tagged:
+        return rendered_graph(path, graph, values, report, form)
     with _renamed(graph, values, report, renumber) as (graph, values, changes):
-        data, notes = io.rendered(path, graph, values, report, form)
+        data, notes = rendered_graph(path, graph, values, report, form)
     return data, changes + notes
+
+
+def _names(trait: str, word: str) -> str:
+    """The names of the formats with a trait."""
+    from nls.io.formats import FORMATS
+
+    return f" {word} ".join(row.name for row in FORMATS.values() if getattr(row, trait))
 
 
 def refuse_unwritable_graph(
@@ -122,14 +119,14 @@ def refuse_unwritable_graph(
     ------
     GraphError
     """
-    from nls.io.dialects import FORMATS
+    from nls.io.formats import FORMATS
     from nls.io.write import refuse_unwritable_graph
 
-    if form not in FORMATS:
+    if not FORMATS[form].tagged:
         rendered(path, form, graph, values, report)
         return
     with _renamed(graph, values, report, renumber) as (graph, values, _):
-        refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
+        refuse_unwritable_graph(path, form, graph, values, report)
 
 
 @contextmanager
@@ -138,7 +135,7 @@ def _renamed(
 ) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
-    from nls.io.renumbering import renumbered, with_known_kinds
+    from nls.io.variable_names import renumbered, with_known_kinds
 
     before = values.stacks
     changes: list[str] = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from models.errors import OptionError
 from nls.cli.formats import mission_of
-from nls.io.dialects import SUFFIXES
+from nls.io.formats import suffixes
 
 if TYPE_CHECKING:
     from nls.io import LoadReport
@@ -30,7 +30,7 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("--to", form, "nothing: the solution of a mission is a folder with files of their own")
     if folder is None:
         return
-    if Path(folder).suffix in SUFFIXES and not os.path.isdir(folder):
+    if Path(folder).suffix in suffixes() and not os.path.isdir(folder):
         raise OptionError("-o", folder, "a folder: the solution of a mission is several files")
     path = Path(folder)
     existing = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)

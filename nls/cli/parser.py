@@ -11,8 +11,6 @@ from typing import Any, NoReturn
 from nls.cli.choices import (
     ALIGNMENTS,
     CONVENTIONS,
-    DIALECTS,
-    FORMATS,
     GAUGES,
     KERNELS,
     OPTIMIZERS,
@@ -22,6 +20,7 @@ from nls.cli.choices import (
     TREATMENTS,
 )
 from nls.cli.outputs import say
+from nls.io.formats import dialects, outputs
 
 __all__ = ["parser"]
 
@@ -167,7 +166,7 @@ def parser() -> Parser:
         help="coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
         "origin.csv and pyproj, and add columns to the tables",
     )
-    solve.add_argument("--to", choices=FORMATS, help="format of OUT.g2o (default: by its suffix)")
+    solve.add_argument("--to", choices=outputs(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument(
@@ -226,7 +225,7 @@ def parser() -> Parser:
 
     convert = command("convert", "write a graph in another format")
     convert.add_argument("output", metavar="OUT", help="the file to write")
-    convert.add_argument("--to", choices=FORMATS, help="format of OUT (default: by its suffix)")
+    convert.add_argument("--to", choices=outputs(), help="format of OUT (default: by its suffix)")
     convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     convert.add_argument("--renumber", action="store_true", help=RENUMBER)
 
@@ -302,7 +301,7 @@ def _input(command: argparse.ArgumentParser) -> None:
     """The file every command reads, and how it is read."""
     command.add_argument("file", metavar="FILE", help=FILE)
     command.add_argument(
-        "--dialect", default="auto", choices=DIALECTS, help="format of FILE (default: auto, by its content)"
+        "--dialect", default="auto", choices=dialects(), help="format of FILE (default: auto, by its content)"
     )
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     ignored = "unknown tags of edges that are left out; others are refused"

@@ -74,7 +74,7 @@ def _checked(options: argparse.Namespace) -> Job:
         job.form = output_format("-o", options.output, options.to)
         _refuse_output(job)
     if options.renumber:
-        from nls.io.renumbering import check_renumber
+        from nls.io.formats import check_renumber
 
         check_renumber(job.form or ("mission" if mission else "no output"))
     from nls.starts import initialize  # noqa: F401 - counted as an import
@@ -88,10 +88,10 @@ def _refuse_output(job: Job) -> None:
     from models.errors import OptionError
     from nls.cli import outliers
     from nls.cli.outputs import refuse_loss
-    from nls.io.dialects import FORMATS
+    from nls.io.formats import FORMATS
 
     options, form = job.options, job.form
-    if form in FORMATS and not FORMATS[form].holds_values:
+    if form and not FORMATS[form].values:
         allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
         raise OptionError("-o", options.output, allowed)
     if options.sigmas != "stated":

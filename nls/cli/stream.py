@@ -30,11 +30,10 @@ from nls.cli.outputs import input_name, refuse_unwritable
 from nls.gauge import fixed_variables
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.steps import Arrived, steps
-from nls.io import NATIVE, foreign, switches
-from nls.io.dialects import FORMATS
+from nls.io import switches
+from nls.io.dialects import TAGGED
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
-from nls.io.native.native import read_native
-from nls.io.pyfg import read_pyfg
+from nls.io.formats import FORMATS, Format, Reading, by_content
 from nls.io.read import read_graph
 from nls.io.records import KINDS
 from nls.io.report import LoadReport
@@ -184,9 +183,9 @@ class _Reader:
 
     def steps(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
         """The measurements of a block as they arrive, and what is said of their variables."""
-        form = foreign(block, self.name)[0] if self.dialect == "auto" else self.dialect
-        if form in NATIVE:
-            yield from self._native(block)
+        row = by_content(block, self.name)[0] if self.dialect == "auto" else FORMATS[self.dialect]
+        if row is not None and row.whole:
+            yield from self._whole(block, row)
             return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
@@ -194,11 +193,11 @@ class _Reader:
             self._lines += [*whole, rest] if rest else whole
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
         self._refuse_held(len(self._fixed))
-        if form == "bal":
-            raise nls.GraphFileError("is bundle adjustment (bal), whose cameras are in no order of time", self.name)
-        if form == "pyfg":
-            graph, values, report = read_pyfg(block, self.name, self.options.convention, self.options.ignore_tags)
-            yield from self._arriving(graph, values, report)
+        if row is not None and row.timeless:
+            raise nls.GraphFileError(row.timeless, self.name)
+        if row is not None and not row.tagged:
+            named = Reading(self.options.convention, ignore_tags=self.options.ignore_tags)
+            yield from self._arriving(*row.read(named, block, self.name))
             return
         if not self._begun:
             self._vertices += b"".join(VERTEX.findall(block))
@@ -226,7 +225,7 @@ class _Reader:
 
     def _refuse_two_things(self, graph: nls.FactorGraph, report: LoadReport) -> None:
         """Refuse a number that is a pose in one block and a point in another: what a line is about, others say."""
-        format, tags = FORMATS[report.format], {*self.tags, *report.tags}
+        format, tags = TAGGED[report.format], {*self.tags, *report.tags}
         if format.apart or any(record.apart for record in format.records if record.tag.decode() in tags):
             return
         plain = self._numbers.keys() - set(report.gtsam_kinds)
@@ -238,9 +237,9 @@ class _Reader:
                     raise nls.GraphFileError(f"has {two}, by one number; give the file, not a pipe", self.name)
             self._numbers[keys.kind] |= numbers
 
-    def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
-        """The steps of a native file, in the order of their newest poses."""
-        graph, values, report = read_native(block, self.name)
+    def _whole(self, block: bytes, row: Format) -> Iterator[tuple[Arrived, nls.Values]]:
+        """The steps of a file without lines, in the order of their newest poses."""
+        graph, values, report = row.read(Reading(), block, self.name)
         self._refuse_held(int(fixed_variables(graph.fixed, values).sum()))
         self._hash.update(block)
         yield from self._arriving(graph, values, report)

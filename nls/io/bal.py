@@ -31,8 +31,6 @@ from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["read_bal"]
-
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
 FILE = "a bundle-adjustment file"
@@ -71,8 +69,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     )
     if len(rows) < observations:
         raise text.error(
-            f"the file ends after {len(rows)} observations, its first line announces {observations}",
-            int(lines[-1]),
+            f"the file ends after {len(rows)} observations, its first line announces {observations}", int(lines[-1])
         )
     i = _index(text, rows, 0, cameras, "camera")
     j = _index(text, rows, 1, points, "point")
@@ -112,8 +109,10 @@ def _line(text: Text, tokens: Index) -> Index:
     return np.searchsorted(text.first, tokens, side="right") - 1
 
 
-def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:
-    """The bytes of a bundle-adjustment file; the path is for messages.
+def bal_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None = None
+) -> tuple[bytes, list[str]]:
+    """The bytes of a bundle-adjustment file, and no notes; the path is for messages.
 
     Reading, writing and reading again gives the same numbers bit for bit.
 
@@ -138,7 +137,7 @@ def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:
     cameras, lenses, points = (stack.X for stack in stacks)
     numbers = [*np.hstack([cameras, lenses]).reshape(-1).tolist(), *np.ascontiguousarray(points).reshape(-1).tolist()]
     out = [f"{len(cameras)} {len(points)} {len(rows)}", *rows, *map(repr, numbers)]
-    return ("\n".join(out) + "\n").encode()
+    return ("\n".join(out) + "\n").encode(), []
 
 
 def _counted(path: str, values: Values, kind: str, manifold: object) -> Stack:

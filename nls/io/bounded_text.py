@@ -13,14 +13,11 @@ import numpy as np
 from models.errors import ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["PER_BYTE", "PER_WORD", "BoundedText"]
-
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
 SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
 WORD = 1 << 22  # bytes of one word
 BETWEEN = re.compile(rb"[\x00-\x20,]")  # words
 COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
-BLANK = 0x20  # the largest byte that is one
 
 
 class BoundedText:
@@ -29,11 +26,10 @@ class BoundedText:
     Parameters
     ----------
     subject : the file and a verb, for the message.
-    limit : of memory, bytes; the default when None.
     """
 
-    def __init__(self, subject: str, limit: float | None) -> None:
-        self.subject, self.limit = subject, default_limit() if limit is None else limit
+    def __init__(self, subject: str) -> None:
+        self.subject, self.limit = subject, default_limit()
         self.chunks: list[bytes] = []
         self.size = self.words = self.content = 0
         self.weighed = self.counted = 0  # chunks whose content, whose words are counted: only where it can matter
@@ -115,13 +111,13 @@ class BoundedText:
         text = chunk
         if b"#" in before or b"#" in chunk:
             text = COMMENT.sub(b"", before + chunk).removeprefix(b"x")
-        dark = np.frombuffer(text, dtype=np.uint8) > BLANK
+        dark = np.frombuffer(text, dtype=np.uint8) > 0x20
         commas = text.count(b",") if b"," in text else 0  # the search takes a tenth of the time
         return int(np.count_nonzero(dark)) - commas
 
 
 def _words(chunk: bytes) -> int:
     """The words, lines and cells of a chunk, or one more; cells of a table may be empty."""
-    dark = np.frombuffer(chunk, dtype=np.uint8) > BLANK
+    dark = np.frombuffer(chunk, dtype=np.uint8) > 0x20
     lines = max(chunk.count(b"\n"), chunk.count(b"\r"))
     return int(np.count_nonzero(dark[:-1] > dark[1:])) + 1 + lines + chunk.count(b",") + chunk.count(b'"')

@@ -21,17 +21,16 @@ import numpy.typing as npt
 
 from models.algebra import Array, Index, Mask, Numbers
 
-__all__ = ["MARKS", "PAD", "UNREAD", "WHOLE", "decimals"]
 Words = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]
 Places = npt.NDArray[np.int8]
 Digits = tuple[Words, Places, Mask]
 """The integer without its point, the digits behind it or `NO_POINT`, and whether they are digits and one point."""
 
-POINT, OTHER, MINUS, PLUS, EXPONENT, BLANK, LINE_END = 0x10, 0x80, 0x81, 0x82, 0x83, 0xC0, 0xC1  # blanks last
-KNOWN = {b".": POINT, b"-": MINUS, b"+": PLUS, b"eE": EXPONENT, b" \t\v\f\r": BLANK, b"\n": LINE_END}
+KNOWN = {b".": 0x10, b"-": 0x81, b"+": 0x82, b"eE": 0x83, b" \t\v\f\r": 0xC0, b"\n": 0xC1}  # blanks last
 KNOWN |= {b"%d" % digit: digit for digit in range(10)}
-MARKS = bytes(next((mark for known, mark in KNOWN.items() if byte in known), OTHER) for byte in range(256))
+MARKS = bytes(next((mark for known, mark in KNOWN.items() if byte in known), 0x80) for byte in range(256))
+MINUS, PLUS, EXPONENT, BLANK, LINE_END = (MARKS[byte] for byte in b"-+e \n")
 PAD = 24  # bytes needed in front of the first token: its words begin before it
 BLOCK = 1 << 14  # tokens at a time: their words stay in the cache
 
@@ -40,15 +39,13 @@ NO_POINT = -1  # in the place of the count of digits behind it
 POWERS = 10.0 ** np.arange(23)  # all exact
 SCALES = np.concatenate([[1.0], POWERS, [-1.0], -POWERS])  # by SIGN + digits behind the point
 SIGN = np.array([1, len(POWERS) + 2], dtype=np.int8)  # of positive and of negative numbers
-FAR = 50  # powers of ten beyond which a number is left unread
-LOW = 0xFFFFFFFF
-SAFE = 1843  # below, the first of three words leaves the integer below 2^64
+LARGEST_POWER = 50  # powers of ten beyond which a number is left unread
 
 
 def _tens() -> tuple[Words, Numbers]:
-    """The first 64 bits of 10^k, k = -FAR .. FAR, and what their last one counts, as an exponent of 2, plus 63."""
+    """The first 64 bits of 10^k up to the largest powers, and what their last one counts as a power of 2, plus 63."""
     bits, exponents = [], []
-    for k in range(-FAR, FAR + 1):
+    for k in range(-LARGEST_POWER, LARGEST_POWER + 1):
         n = 10 ** abs(k)
         size = n.bit_length()
         bits.append((n << 64) >> size if k >= 0 else (1 << size + 63) // n)
@@ -57,7 +54,7 @@ def _tens() -> tuple[Words, Numbers]:
 
 
 TENS, EXPONENTS = _tens()
-UNREAD, WHOLE, FRACTION = 0, 1, 2  # forms of a number: to be read otherwise, digits alone, with a point or exponent
+UNREAD, WHOLE = 0, 1  # forms of a number: to be read otherwise, digits alone; 2 with a point or exponent
 
 
 def windows(text: bytes) -> Words:
@@ -89,7 +86,7 @@ def decimals(marks: bytes, starts: Index, ends: Index) -> tuple[Array, Bytes]:
         np.left_shift(plain.view(np.uint8), behind != NO_POINT, out=form[block])
     unread = (form == UNREAD).nonzero()[0]
     first = mark.take(starts[unread])
-    unread = unread[(first < OTHER) | (first == MINUS) | (first == PLUS)]
+    unread = unread[(first < MARKS[0]) | (first == MINUS) | (first == PLUS)]  # a digit, a point or a sign
     most = max(BLOCK // 2, 1)  # twice as many at once, and the system is asked for memory all the time
     for begin in range(0, len(unread), most):
         chunk = unread[begin : begin + most]
@@ -117,12 +114,12 @@ def _longer(window: Words, mark: Bytes, starts: Index, ends: Index) -> tuple[Arr
     if len(long := (length > 16).nonzero()[0]):
         before = _eight(words(window, ends[long] - 16, length[long] - 16))
         w[long], behind[long], fine[long] = _joined(before, (w[long], behind[long], fine[long]), 16)
-        fine[long] &= before[0] < SAFE
+        fine[long] &= before[0] < 1843  # the integer is below 2^64
     shift = np.where(sign == MINUS, -exponent, exponent) - np.maximum(behind, 0)
-    plain &= fine & (length <= 24) & (np.abs(shift) <= FAR)
+    plain &= fine & (length <= 24) & (np.abs(shift) <= LARGEST_POWER)
     bits, certain = _scaled(w, shift)
     bits |= negative.astype(np.uint64) << 63
-    return bits.view(float), (plain & certain) * np.uint8(FRACTION)
+    return bits.view(float), (plain & certain) * np.uint8(2)
 
 
 def _scaled(w: Words, shift: Index) -> tuple[Words, Mask]:
@@ -130,15 +127,16 @@ def _scaled(w: Words, shift: Index) -> tuple[Words, Mask]:
     # too large by 1 just below a power of two, where nothing is certain then
     top = w.astype(float).view(np.int64) >> 52
     w = w << (1086 - top).view(np.uint64)
-    p = TENS.take(shift + FAR, mode="clip")
-    a, b, c, d = w >> 32, w & LOW, p >> 32, p & LOW
+    p = TENS.take(shift + LARGEST_POWER, mode="clip")
+    low = np.uint64(0xFFFFFFFF)
+    a, b, c, d = w >> 32, w & low, p >> 32, p & low
     ad, bc = a * d, b * c
-    middle = (b * d >> 32) + (ad & LOW) + (bc & LOW)
+    middle = (b * d >> 32) + (ad & low) + (bc & low)
     high = a * c + (ad >> 32) + (bc >> 32) + (middle >> 32)
     short = 1 - (high >> 63)
     high <<= short
     rest = high & 0x7FF
-    exponent = EXPONENTS.take(shift + FAR, mode="clip") + top - short.view(np.int64)
+    exponent = EXPONENTS.take(shift + LARGEST_POWER, mode="clip") + top - short.view(np.int64)
     bits = (high >> 11) + (rest > 0x400) + (exponent << 52).view(np.uint64)
     return bits, (rest - 0x3FD > 3) & (high >> 63 > 0)  # half is 0x400
 

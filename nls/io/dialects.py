@@ -1,4 +1,4 @@
-"""The dialects of graph text files, and which one a file is in; formats without tags are in `nls.io` itself.
+"""The dialects of graph text files, and which one a file is in; the table of all formats is `nls.io.formats`.
 
     g2o       VERTEX_SE2 id x y theta                     EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33
               VERTEX_SE3:QUAT id x y z qx qy qz qw        EDGE_SE3:QUAT i j x y z qx qy qz qw and 21 entries
@@ -32,9 +32,6 @@ the noise formats of GTSAM's 2-D reader.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
 
 from factors.bearing import Bearing
 from factors.between import Between
@@ -45,11 +42,9 @@ from factors.prior import Prior
 from models import SE2, SE3, R
 from models.advice import Advice
 from models.algebra import Index
-from models.errors import GraphFileError, OptionError
-from nls.io.records import Element, Format, Record
+from models.errors import GraphFileError
+from nls.io.records import Dialect, Element, Record
 from nls.io.text import Text, printable
-
-__all__ = ["FORMATS", "G2O", "SUFFIXES", "format_of"]
 
 POSES = ("pose", "pose")
 POSE_AND_POINT = ("pose", "point")
@@ -98,7 +93,7 @@ SWITCHES = (
     Record(b"VERTEX_SWITCH", SE2, (), Element(R(1), "value"), switched=True),
     Record(b"EDGE_SWITCH_PRIOR", SE2, (), Element(R(2), "value information"), switched=True),
 )
-G2O = Format(
+G2O = Dialect(
     "g2o",
     G2O_PLANE + G2O_SPACE + SWITCHES,
     "information",
@@ -116,22 +111,15 @@ TORO_PLANE = (
     Record(b"VERTEX2", SE2, ("pose",), POSE2),
     Record(b"EDGE2", SE2, POSES, STEP2, Between, entries=TORO_ORDER),
 )
-TORO = Format(
+TORO = Dialect(
     "toro",
-    (
-        *TORO_PLANE,
-        Record(b"VERTEX3", SE3, ("pose",), ANGLES),
-        Record(b"EDGE3", SE3, POSES, ANGLES, Between),
-    ),
+    (*TORO_PLANE, Record(b"VERTEX3", SE3, ("pose",), ANGLES), Record(b"EDGE3", SE3, POSES, ANGLES, Between)),
     "information",
     "information, in the plane in the order I11 I12 I22 I33 I13 I23",
 )
-GRAPH = Format("graph", TORO_PLANE, "covariance", "covariance in the order of TORO")
-ISAM_PLANE = (
-    Record(b"EDGE2", SE2, POSES, STEP2, Between),
-    Record(b"LANDMARK", SE2, POSE_AND_POINT, POINT2, Landmark),
-)
-ISAM = Format(
+GRAPH = Dialect("graph", TORO_PLANE, "covariance", "covariance in the order of TORO")
+ISAM_PLANE = (Record(b"EDGE2", SE2, POSES, STEP2, Between), Record(b"LANDMARK", SE2, POSE_AND_POINT, POINT2, Landmark))
+ISAM = Dialect(
     "isam",
     (
         *ISAM_PLANE,
@@ -144,7 +132,7 @@ ISAM = Format(
     ignored_tags=(b"SOLVE", b"VERTEX", b"POSE3D_TRUE", b"EDGE3_TRUE", b"EDGE2_TRUE", b"POSE3D_INIT", b"EDGE3_INIT"),
     apart=True,
 )
-ISAM_COVARIANCE = Format(
+ISAM_COVARIANCE = Dialect(
     "isam-covariance",
     ISAM_PLANE,
     "covariance",
@@ -152,74 +140,18 @@ ISAM_COVARIANCE = Format(
     aliases=((b"ODOMETRY", b"EDGE2"),),
     apart=True,
 )
-FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
-SUFFIXES = {
-    f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", "npz", "json", "tum", "kitti", "csv", "ply")
-}
+TAGGED = {dialect.name: dialect for dialect in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
 READINGS = {  # dialects by tag
-    tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.ignored_tags}
-    for known in FORMATS.values()
+    tag: {name for name, format in TAGGED.items() if tag in format.tags or tag in format.ignored_tags}
+    for known in TAGGED.values()
     for tag in (*known.tags, *known.ignored_tags)
 }
-SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
 Tags = dict[bytes, Index]
 
 
-def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
-    """The name itself when it is one of these.
-
-    Raises
-    ------
-    OptionError
-    """
-    if not isinstance(name, str) or name not in allowed:
-        raise OptionError("dialect", name, "one of " + ", ".join(allowed))
-    return name
-
-
-def format_of(
-    path: str | Path, named: str | None, suffixes: dict[str, str], how: str, option: str = "output file"
-) -> str:
-    """The format of a file to write: the one that was named, else the one its suffix stands for.
-
-    Raises
-    ------
-    OptionError
-        A suffix that stands for none, or, as ``.graph``, for several.
-    """
-    if named is not None:
-        return named
-    suffix = Path(str(path).lower().removesuffix(".gz")).suffix
-    if suffix not in suffixes:
-        several = "; *.graph may be toro or graph, information or covariance" if suffix == ".graph" else ""
-        raise OptionError(option, str(path), f"a name ending in {', '.join(suffixes)}, or {how}{several}")
-    return suffixes[suffix]
-
-
-class LineOptions(NamedTuple):
-    """Options of `nls.load` about lines of graph text files."""
-
-    repair_information: bool = False
-    ignore_tags: Sequence[str] = ()
-    drop_absent: bool = False
-
-
-def refuse_needless(path: str, format: str, options: LineOptions) -> None:
-    """Refuse options about `SUBJECTS` a format does not have.
-
-    Raises
-    ------
-    OptionError
-    """
-    for option, value in options._asdict().items():
-        if value:
-            allowed = f"{type(value)()!r}: {path} is in the format {format}, which has no {SUBJECTS[option]}"
-            raise OptionError(option, value, allowed)
-
-
-def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part: bool = False) -> tuple[Format, str]:
+def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part: bool = False) -> tuple[Dialect, str]:
     """The dialect of a file by its tags, and why; a part of a file whose dialect is named may have no known tag.
 
     Raises
@@ -228,14 +160,14 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part:
         No tag of a graph, tags of several dialects, or tags that leave several readings: with the choices.
     """
     if dialect != "auto":
-        format = FORMATS[dialect]
+        format = TAGGED[dialect]
         if not part and not any(tag in format.tags for tag in tags):
             raise _no_graph(text, tags, comments, [format])
         return format, "as asked for"
     candidates = {tag: READINGS[tag] for tag in tags if tag in READINGS}
     if all(tag in ISAM.ignored_tags for tag in candidates):
-        raise _no_graph(text, tags, comments, list(FORMATS.values()))
-    left = set(FORMATS)
+        raise _no_graph(text, tags, comments, list(TAGGED.values()))
+    left = set(TAGGED)
     for tag, names in candidates.items():
         if not left & names:
             raise text.error(
@@ -250,9 +182,9 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part:
     if len(left) == 1:
         (name,) = left
         deciding = min(candidates, key=lambda tag: len(candidates[tag])).decode()
-        return FORMATS[name], f"by its tag {deciding}" if name != "g2o" else "by its tags"
+        return TAGGED[name], f"by its tag {deciding}" if name != "g2o" else "by its tags"
     first = min(candidates, key=lambda tag: int(tags[tag][0]))
-    choices = "; ".join(f"{name}: {format.says}" for name, format in FORMATS.items() if name in left)
+    choices = "; ".join(f"{name}: {format.says}" for name, format in TAGGED.items() if name in left)
     raise text.error(
         f"{first.decode()} lines have several readings, and no other tag of the file tells which ({choices})",
         int(tags[first][0]),
@@ -261,10 +193,10 @@ def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto", part:
 
 
 def _listed(names: set[str]) -> str:
-    return " or ".join(name for name in FORMATS if name in names)
+    return " or ".join(name for name in TAGGED if name in names)
 
 
-def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) -> GraphFileError:
+def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Dialect]) -> GraphFileError:
     """The error for a file without any line of a graph."""
     unknown, advice = [tag for tag in tags if tag != b"FIX"], []
     log = "LOG" if text.path == "<stdin>" else shlex.quote(text.path)

@@ -23,20 +23,6 @@ from models.errors import GraphFileError, OptionError
 from models.listing import some
 from nls.io.bounded_text import BoundedText
 
-__all__ = [
-    "descriptor",
-    "graph_file",
-    "names_folder",
-    "new_folder",
-    "read_bytes",
-    "read_text",
-    "refuse_absent",
-    "title_of",
-    "unreadable",
-    "write_bytes",
-    "write_folder",
-]
-
 GRAPH_FILES = ("graph.npz", "graph.g2o")  # of a folder, the first one counts
 CHUNK = 1 << 20
 GZIP = b"\x1f\x8b"
@@ -45,7 +31,7 @@ CARRIAGE_RETURN = rb"\r(?!\n)"  # alone
 OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
 
 
-def read_bytes(path: str | Path, limit: float | None = None, archive: bool = False) -> bytes:
+def read_bytes(path: str | Path, archive: bool = False) -> bytes:
     """Content of a text file, unpacked where it is gzip-compressed, without a byte-order mark.
 
     Lines end in a newline or a carriage return, or both; where one ends in a carriage return alone, all end in newlines
@@ -54,7 +40,6 @@ def read_bytes(path: str | Path, limit: float | None = None, archive: bool = Fal
     Parameters
     ----------
     path : a file, a pipe or a device.
-    limit : of the memory that reading takes, bytes; half of the machine's when omitted.
     archive : whether it may be an archive of arrays instead, whose bytes stay as they are.
 
     Raises
@@ -62,13 +47,13 @@ def read_bytes(path: str | Path, limit: float | None = None, archive: bool = Fal
     GraphFileError
         It cannot be read, or is not text.
     ResourceLimitError
-        The text is too much, see `nls.io.bounded_text`; no more than the limit is read.
+        The text is too much, see `nls.io.bounded_text`; no more than half of the machine's memory is taken.
     """
     name = _name(path)
     try:
         with open(path, "rb") as file:
-            BoundedText(f"{name}: has", limit).refuse_above(os.fstat(file.fileno()).st_size)
-            return read_stream(file, name, limit, archive)
+            BoundedText(f"{name}: has").refuse_above(os.fstat(file.fileno()).st_size)
+            return read_stream(file, name, archive)
     except IsADirectoryError as error:
         raise GraphFileError("is a folder; expected a file", name) from error
     except OSError as error:
@@ -89,7 +74,7 @@ def read_text(path: str | Path) -> str:
         raise GraphFileError(f"is no text in UTF-8: {error.reason}; save it as UTF-8", _name(path)) from error
 
 
-def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: bool = False) -> bytes:
+def read_stream(file: BinaryIO, name: str, archive: bool = False) -> bytes:
     """The content of an open file or pipe; the name is for messages, the rest as for `read_bytes`.
 
     Raises
@@ -100,9 +85,9 @@ def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: 
     first = file.read(CHUNK)
     if first[:2] != GZIP:
         chunks = chain([first], iter(partial(file.read, CHUNK), b""))
-        return _content(chunks, BoundedText(f"{name}: has", limit), name, archive)
+        return _content(chunks, BoundedText(f"{name}: has"), name, archive)
     try:
-        return _content(_unpacked(first, file, name), BoundedText(f"{name}: unpacks to", limit), name, archive)
+        return _content(_unpacked(first, file, name), BoundedText(f"{name}: unpacks to"), name, archive)
     except EOFError as error:
         raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
     except zlib.error as error:

@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,25 +39,20 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.lines import turns
-from nls.io.misspelt_tags import refuse_misspelt
-from nls.io.records import at_origin, fixed_offsets
+from nls.io.records import at_origin, fixed_offsets, turns
 from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused_lines import appended, keep_unknown, note_comments, refuse_edges
+from nls.io.unused_lines import appended, note_comments, set_aside, without_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["read_pyfg"]
 FILE = "a PyFactorGraph file"
-LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
 
-@dataclass(frozen=True)
-class Tag:
+class Tag(NamedTuple):
     """One kind of line: its measurement, and how many names stand before it."""
 
     factor: Callable[..., Factor] | None  # None for a vertex
@@ -82,10 +77,10 @@ class Tag:
         return " ".join(columns + [f"{self.noise} of covariance"] * (self.factor is not None))
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
 
+    tag: str
     kinds: tuple[str, ...]
     numbers: list[Numbers]
     lines: Index
@@ -131,50 +126,38 @@ def read_pyfg(
     """
     check_convention(convention)
     text = Text(data, path)
-    words = {tag: lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
+    words, comments = without_comments(text)
     tags = {printable(tag): lines for tag, lines in words.items()}
     dialect = _dialect(text, tags)
-    comments = sum(len(lines) for tag, lines in text.tags.items() if tag.startswith(b"#"))
     report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
     report.tags = {tag: len(lines) for tag, lines in tags.items()}
     known = {name.encode(): tag.words for name, tag in dialect.items()}
-    if unknown := {tag: lines for tag, lines in words.items() if tag not in known}:
-        refuse_misspelt(text, unknown, known, FIRST)
-    refuse_edges(text, unknown, ignore_tags, known)
-    keep_unknown(text, unknown, report)
-    note_comments(report, comments)
+    unknown = {tag: lines for tag, lines in words.items() if tag not in known}
+    set_aside(text, unknown, known, ignore_tags, report, first=FIRST)
+    note_comments(report, len(comments))
 
-    vertices: dict[str, list[tuple[LieGroup, Batch]]] = {}
-    for name, tag in dialect.items():
-        if tag.factor is None and name in tags:
-            for batch in _batches(text, name, tag, tags[name]):
-                vertices.setdefault(batch.kinds[0], []).append((tag.space, batch))
-    values = Values()
-    for kind, parts in vertices.items():
-        space, batch = parts[0]
-        if len(parts) > 1:
-            line = max(int(block.lines[0]) for _, block in parts)
-            raise text.error(f"kind {kind} is in {space} and in {parts[1][0]}, expected one", line)
-        number = batch.numbers[0]
-        text.once(number, batch.lines, f"vertex {kind}")
-        values.stacks |= Values({kind: (space, batch.table, number)}).stacks
-        if space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
+    graph, values, first = FactorGraph(), Values(), dict[str, int]()
+    angles: tuple[list[tuple[str, Index, Array]], ...] = [], []  # of measurements, of vertices
+    batches = ((tag, batch) for name, tag in dialect.items() for batch in _batches(text, name, tag, tags.get(name)))
+    for tag, batch in batches:
+        lines = batch.lines
+        angles[tag.factor is None].extend([(batch.tag, lines, batch.table[:, 2:3])] * (tag.space is SE2))
+        if tag.factor is not None:
+            factor = _factor(text, tag, batch, values, convention)
+            report.factor_times.append((graph.add(factor), batch.times))
+            report.sources.append(Source(path, lines + 1))
+            continue
+        (kind,), (number,) = batch.kinds, batch.numbers
+        if kind in first:
+            spaces = f"{values.stacks[kind].manifold} and in {tag.space}"
+            raise text.error(f"kind {kind} is in {spaces}, expected one", max(first[kind], int(lines[0])))
+        first[kind] = int(lines[0])
+        text.once(number, lines, f"vertex {kind}")
+        values.stacks |= Values({kind: (tag.space, batch.table, number)}).stacks
+        if tag.space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
             report.vertex_times[kind] = batch.times
-
-    graph = FactorGraph()
-    angles_by_tag = [
-        ("VERTEX_SE2", block.lines, block.table[:, 2:3]) for of in vertices.values() for s, block in of if s is SE2
-    ]
-    report.notes += turns(angles_by_tag)
-    measured = []
-    for name, tag in dialect.items():
-        if tag.factor is not None and name in tags:
-            for batch in _batches(text, name, tag, tags[name]):
-                measured += [(name, batch.lines, batch.table[:, 2:3])] if tag.space is SE2 else []
-                factor = _factor(text, tag, batch, values, convention)
-                report.factor_times.append((graph.add(factor), batch.times))
-                report.sources.append(Source(path, batch.lines + 1))
-    for message in turns(measured):
+    report.notes += turns(angles[True])
+    for message in turns(angles[False]):
         report.warn(message)
     return graph, values, report
 
@@ -191,8 +174,10 @@ def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
     raise text.error("mixes the plane and space; expected one dimension in a file", line)
 
 
-def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
-    """Lines of a tag, one batch per combination of kinds."""
+def _batches(text: Text, name: str, tag: Tag, lines: Index | None) -> Iterator[Batch]:
+    """Lines of a tag, one batch per combination of kinds; nothing of a tag that is not there."""
+    if lines is None:
+        return
     lead = 1 + tag.timed + tag.names
     wide = tag.space.size + tag.noise
     count = text.first[lines + 1] - text.first[lines] - 1
@@ -207,14 +192,14 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     for k, pair in enumerate(pairs):
         mine = np.flatnonzero(pair_of.reshape(-1) == k)
         kinds = tuple(word.decode() for word in pair.tolist())
-        yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
+        yield Batch(name, kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 
 
-def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], Numbers]:
+def _names(text: Text, lines: Index, column: int, longest: int = 40) -> tuple[npt.NDArray[np.bytes_], Numbers]:
     """Names such as A17 as their letters (n,) and numbers (n,)."""
     tokens = text.first[lines] + column
     lengths = text.ends[tokens] - text.starts[tokens]
-    C = text.characters(tokens, min(int(lengths.max(initial=1)), LONGEST))
+    C = text.characters(tokens, min(int(lengths.max(initial=1)), longest))
     letter = ((C | 32) >= ord("a")) & ((C | 32) <= ord("z"))
     digit = (C >= ord("0")) & (C <= ord("9"))
     head = np.argmin(np.column_stack([letter, np.zeros(len(C), dtype=bool)]), axis=1)  # letters in front
@@ -222,11 +207,11 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     leading_zero = np.take_along_axis(C, np.minimum(head, C.shape[1] - 1)[:, None], axis=1)[:, 0] == ord("0")
     column_of = np.arange(C.shape[1])
     tail = (column_of >= head[:, None]) & (column_of < lengths[:, None])
-    bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > LONGEST) | (leading_zero & (digits > 1))
+    bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > longest) | (leading_zero & (digits > 1))
     bad |= (tail & ~digit).any(axis=1)
 
     def problem(k: int) -> str:
-        word = printable(text.token(int(tokens[k])), LONGEST)
+        word = printable(text.token(int(tokens[k])), longest)
         return f"name '{word}': expected letters and a number of at most {DIGITS} digits, such as A17"
 
     text.refuse(bad, lines, problem)
@@ -270,8 +255,10 @@ def _halved(space: LieGroup, convention: str) -> bool:
     return space is SE3 and convention in ("g2o", "graphslam")
 
 
-def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> bytes:
-    """The bytes of a PyFactorGraph text file.
+def pyfg_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None = None
+) -> tuple[bytes, list[str]]:
+    """The bytes of a PyFactorGraph text file, and no notes.
 
     Reading, writing and reading again gives the same numbers, bit for bit.
 
@@ -288,7 +275,7 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         A factor, space or name the format has no line for; variables held fixed.
     """
     refuse_held(str(path), graph, FILE)
-    known = LoadReport(str(path), "pyfg", "", "") if report is None else report
+    known = LoadReport(str(path), form, "", "") if report is None else report
     factor_times = {id(factor): times for factor, times in known.factor_times}
     space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}
     dialect = SPACE if space else PLANE
@@ -311,8 +298,8 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         name, table = _measured(str(path), factor, values, dialect)
         times = factor_times.get(id(factor), np.zeros(len(factor)))
         out += _lines(name, times, list(factor.keys), table)
-    out += appended(report, "pyfg")
-    return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape")
+    out += appended(report, form)
+    return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape"), []
 
 
 def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:

@@ -1,7 +1,5 @@
 """The reader of graph text files of every dialect: from its records to a graph, start values and a report.
 
-Formats without tags (BAL, PyFactorGraph) are told apart in `nls.io` itself, `_parsed`, and have readers of their own.
-
 Vertices may stand anywhere, in any order, or not at all. Then poses are chained along the edges and points placed where
 they were first seen. Nothing is repaired unless asked for: what cannot be right is an error with its line.
 """
@@ -14,30 +12,49 @@ from collections.abc import Sequence
 import numpy as np
 
 from factors.base import Factor
+from factors.between import Between
+from factors.between_sensors import BetweenSensors
 from factors.conventions import check_convention
 from factors.keys import Keys
+from factors.noise import Isotropic
 from factors.position import Position
+from factors.prior import Prior
 from factors.robust import DCS, Robust
+from factors.sighting import Sighting
 from models import SE2, LieGroup
 from models.algebra import Array, Index
 from models.listing import several
 from nls.graph import FactorGraph
-from nls.io.dialects import LineOptions, choose, refuse_needless
-from nls.io.gtsam_keys import id_text, with_letters
-from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines, turns
-from nls.io.misspelt_tags import refuse_misspelt
-from nls.io.records import KINDS, Format, Record, spaces_of
+from nls.io.dialects import choose
+from nls.io.formats import Reading, refuse_needless
+from nls.io.records import (
+    KINDS,
+    UNIT_ROUNDED,
+    Dialect,
+    Lines,
+    Record,
+    among,
+    by_number,
+    joined,
+    read_lines,
+    spaces_of,
+    turns,
+)
 from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles, by_role, present
-from nls.io.start import started, unstarted
 from nls.io.switches import Switches
 from nls.io.text import Text, printable
-from nls.io.unused_lines import keep, keep_unknown, note_comments, refuse_edges
+from nls.io.unused_lines import keep, note_comments, set_aside, without_comments
+from nls.io.variable_names import id_text, with_letters
 from nls.io.weights import matrix, noise_of, repaired
+from nls.posegraph import says_poses
 from nls.stages import stage
+from nls.starts.dead_reckoning import chain
+from nls.starts.landmarks import locate_points
 from nls.values import Stack, Values
 
-__all__ = ["read_graph"]
+POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
+NO_VERTICES = "no vertices in the file"
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -58,7 +75,7 @@ def read_graph(
     ----------
     data, path : the bytes, and their name for messages.
     convention : residual of pose measurements.
-    dialect : one of `nls.io.dialects.FORMATS`, or ``auto``.
+    dialect : one of `nls.io.dialects.TAGGED`, or ``auto``.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
     before : lines of the file before these bytes.
     start : without vertices, chain the poses; otherwise the values are none, of the spaces that the edges name.
@@ -74,21 +91,17 @@ def read_graph(
     check_convention(convention)
     with stage("read words"):
         text = Text(data, path, before)
-        tags = dict(text.tags)
-    comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
+        tags, comments = without_comments(text)
     format, reason = choose(text, tags, comments, dialect, part=not start)
     if format.matrix != "information":
-        refuse_needless(path, format.name, LineOptions(repair_information))
+        refuse_needless(path, format.name, Reading(repair_information=repair_information))
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
     group = _dimension(text, tags, records)
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
     known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
-    if strays := {t: n for t, n in unknown.items() if t not in format.ignored_tags}:
-        refuse_misspelt(text, strays, known)
-    refuse_edges(text, strays, ignore_tags, known)
-    keep_unknown(text, unknown, report, format.ignored_tags)
+    set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
     note_comments(report, len(comments))
 
     lines: dict[bytes, list[Index]] = {}
@@ -180,7 +193,7 @@ class _Offsets:
             keep(self.text, lines, report)
 
 
-def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
+def _matrices(text: Text, block: Lines, format: Dialect, repair: bool, report: LoadReport) -> Array:
     """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
     M = matrix(block.record, block.numbers[:, block.record.element.width :], format.matrix)
     if repair:
@@ -206,7 +219,7 @@ def _factor(
     matrices: Array,
     offsets: _Offsets | Switches,
     roles: Roles,
-    format: Format,
+    format: Dialect,
     convention: str,
     group: LieGroup,
     report: LoadReport,
@@ -285,3 +298,79 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
         )
     fixed = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]
     return [keys for keys in fixed if len(keys)]
+
+
+def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
+    """Values of every vertex the edges name.
+
+    Raises
+    ------
+    GraphFileError
+        A point that its measurements do not place; poses beyond the largest number.
+    """
+    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
+    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
+    for factor, _ in bound:
+        if isinstance(factor, Prior):  # a pose, place or point that is known
+            known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
+            values[factor.keys[0]] = known
+    if len(roles.poses):
+        values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
+        report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
+    if len(roles.points):
+        values = _placed(text, bound, roles, values)
+        report.notes.append(f"{NO_VERTICES}: {several(len(roles.points), 'point')} placed by the measurements")
+    if count := len(roles.mounts):
+        places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
+        report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
+    if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
+        line = int(min(block.at.min() for _, block in bound))
+        raise text.error("the poses chained along the edges grow beyond the largest number", line)
+    return values
+
+
+def unstarted(roles: Roles, group: LieGroup) -> Values:
+    """No values, of the kinds that the edges name."""
+    spaces, ids = spaces_of(group), roles.all_ids()
+    return Values({k: (spaces[role], spaces[role].identity(0), []) for role, k in KINDS.items() if len(ids[k])})
+
+
+def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:
+    """A measured difference of poses as one of the vehicles: O z O^-1 where a sensor at an estimated place O saw it."""
+    if says_poses(factor):
+        return [factor] if factor.keys[0].kind == POSE else []
+    if not isinstance(factor, BetweenSensors):
+        return []
+    i, j, mount = factor.keys
+    O = values[mount]
+    return [Between(i, j, group.compose(group.compose(O, factor.z), group.inverse(O)), Isotropic())]
+
+
+def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values) -> Values:
+    """Points from a prior, else from where they were seen, else along measured differences of points."""
+    before = values.stack(POINT)
+    prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
+    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Sighting)])
+    joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
+    for numbers in prior:
+        sightings.fix(Keys(POINT, numbers))
+    try:
+        values = locate_points(sightings, values)
+    except np.linalg.LinAlgError as error:
+        line = int(min(block.at.min() for _, block in bound))
+        raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
+    moved = (values.stack(POINT).X != before.X).any(axis=1)
+    complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Sighting) and f.locates]
+    located_ids = np.concatenate([before.numbers[moved], *prior, *complete])
+    if joined.factors:
+        if len(located_ids):
+            joined.fix(Keys(POINT, np.unique(located_ids)))
+        values = chain(joined, values)
+        located_ids = np.concatenate([located_ids, *(keys.numbers for f in joined.factors for keys in f.keys)])
+    lost = roles.points[~np.isin(roles.points, located_ids)]
+    if len(lost):
+        raise text.error(
+            f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices",
+            roles.first_line(("point",), int(lost[0])),
+        )
+    return values

@@ -11,8 +11,6 @@ from nls.graph import FactorGraph
 from nls.io.native.structure import type_name
 from nls.io.records import at_origin, fixed_offsets
 
-__all__ = ["other_files", "refuse_held", "unwritable"]
-
 NATIVE = Advice("native")
 
 

@@ -9,17 +9,16 @@ import numpy as np
 from models.advice import Advice
 from models.algebra import Index, Numbers
 from models.listing import several
-from nls.io.gtsam_keys import id_text
-from nls.io.lines import Lines, among, by_number, different, joined
-from nls.io.records import KINDS, Format
+from nls.io.records import KINDS, Dialect, Lines, among, by_number, different, joined
 from nls.io.report import LoadReport
 from nls.io.text import Text, printable
 from nls.io.unused_lines import keep
+from nls.io.variable_names import id_text
 
 ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 
 
-def by_role(format: Format, vertices: list[Lines], edges: list[Lines]) -> list[Lines]:
+def by_role(format: Dialect, vertices: list[Lines], edges: list[Lines]) -> list[Lines]:
     """The edges, with lines of a tag for points apart that are about poses, where the format has a record of these."""
     of_poses = {r.tag: r for r in format.records if r.foreign and r.slots == ("either",)}
     out: list[Lines] = []

@@ -18,7 +18,7 @@ import numpy as np
 
 from models.algebra import Array, Index
 from models.listing import several, some
-from nls.io.lines import NONE, Lines, among, by_number, joined
+from nls.io.records import NONE, Lines, among, by_number, joined
 from nls.io.report import LoadReport
 from nls.io.text import Text
 from nls.io.unused_lines import keep

@@ -12,11 +12,12 @@ from models import SE3, SO3, Manifold
 from models.algebra import Array
 from models.errors import OptionError
 from nls.covariance import Marginals
+from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
-__all__ = ["values_table", "write_covariances"]
+__all__ = ["values_text", "write_covariances"]
 
 EMPTY = ("unmeasured", "free")  # what has no covariance
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -26,7 +27,9 @@ STORED: dict[Manifold, tuple[str, ...]] = {
 }  # whose stored form is not that of their steps
 
 
-def values_table(values: Values, report: LoadReport | None = None) -> bytes:
+def values_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
+) -> tuple[bytes, list[str]]:
     """CSV with the kind, the number, the time where it is known, and the numbers of every variable, m and rad.
 
     Columns are those of all kinds together; cells that a kind does not have are empty. Numbers read back bit for bit.
@@ -34,9 +37,10 @@ def values_table(values: Values, report: LoadReport | None = None) -> bytes:
     Examples
     --------
     >>> from models import SE2, R
-    >>> from nls import Values, kinds
+    >>> from nls import FactorGraph, Values, kinds
     >>> x, l = kinds("x", "l")
-    >>> print(values_table(Values({x: (SE2, [[1, 2, 0.5]]), l: (R(2), [[3, 4]], [7])})).decode())
+    >>> values = Values({x: (SE2, [[1, 2, 0.5]]), l: (R(2), [[3, 4]], [7])})
+    >>> print(values_text("values.csv", "csv", FactorGraph(), values, None)[0].decode())
     kind,number,x,y,yaw
     x,0,1.0,2.0,0.5
     l,7,3.0,4.0,
@@ -50,7 +54,7 @@ def values_table(values: Values, report: LoadReport | None = None) -> bytes:
         known = stack.kind in times
         time = [[repr(t)] for t in times[stack.kind].tolist()] if known else [[""] * timed] * len(stack)
         lines += _rows(stack, time, _names(stack.manifold), list(columns), stack.X)
-    return ("\n".join(lines) + "\n").encode()
+    return ("\n".join(lines) + "\n").encode(), []
 
 
 def write_covariances(

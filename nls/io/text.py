@@ -27,8 +27,6 @@ from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals
 from nls.io.files import read_bytes
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["Text", "plain_lines", "plain_table", "refuse_late"]
-
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = rb"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?"
 INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither
@@ -38,12 +36,10 @@ NAMES = {
     "\ufeff": "byte-order mark (U+FEFF)",
     "\udca0": "no-break space of Latin-1 (byte A0)",
 }
-READ = 1000  # bytes of a line that are looked at for an error
 QUOTED = 80  # characters of a line in an error
 WORDS = rf".{{{QUOTED // 2},{QUOTED - 4}}}(?=[\s,])"
 BLOCK = 1 << 15  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
-FEW, SHORT = 16, 64  # first words of a format: how many, how long
-PER_TAG = 700  # bytes of memory for every line of a first word of its own
+SHORT = 64  # bytes of the first words of a format
 
 
 def printable(word: bytes, most: int | None = None) -> str:
@@ -131,7 +127,7 @@ class Text:
 
     def error(self, message: str, line: int, advice: Sequence[Advice] = ()) -> GraphFileError:
         """An error at a line counted from 0; it names a character of the line that only looks like a blank."""
-        start = self.line(line)[:READ]
+        start = self.line(line)[:1000]  # that much is looked at
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
         return GraphFileError(message, self.path, self.first_number + line, _quoted(printable(start.strip())), advice)
@@ -191,7 +187,7 @@ class Text:
         length = self.ends.take(heads) - starts
         window = windows(self._bytes)
         lines_of_tag: dict[bytes, Index] = {}
-        while len(lines) and len(lines_of_tag) < FEW and length[0] <= SHORT:
+        while len(lines) and len(lines_of_tag) < 16 and length[0] <= SHORT:
             same, first = length == length[0], int(length[0])
             for k in range(first, 0, -8):
                 word = window[starts + (k - 8)] >> max(0, 64 - 8 * k)  # of these eight bytes, those of the tag
@@ -199,7 +195,7 @@ class Text:
             lines_of_tag[self.token(int(heads[0]))] = lines[same]
             other_lines = (~same).nonzero()[0]
             lines, heads, starts, length = (array.take(other_lines) for array in (lines, heads, starts, length))
-        if (needed := float(PER_TAG * len(lines))) > default_limit():
+        if (needed := 700.0 * len(lines)) > default_limit():  # bytes, for a line with a first word of its own
             raise ResourceLimitError(
                 f"{self.path}: {len(lines):,} lines with first words of many kinds, to tell them apart takes "
                 f"{gigabytes(needed)} of memory, the limit is {gigabytes(default_limit())}; expected tags of a graph",

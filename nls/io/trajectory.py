@@ -26,31 +26,36 @@ from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.io.text import plain_table, refuse_late
-from nls.io.unused_lines import measurements_left_out, note_comments
+from nls.io.unused_lines import note_comments
 from nls.values import Stack, Values
 
-__all__ = ["TRAJECTORIES", "load_trajectory", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
-
-TRAJECTORIES = ("tum", "kitti")
-ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
+__all__ = ["load_kitti", "load_tum", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
 
 
-def load_trajectory(path: str | Path, format: str, convention: str = "g2o") -> tuple[Values, LoadReport]:
-    """The poses of a trajectory, ``tum`` or ``kitti``, as variables x, and a report with its times.
+def load_tum(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
+    """No measurements, the poses of a TUM trajectory as variables x, and a report with their times.
 
     Raises
     ------
     GraphFileError
-        As for `read_tum` and `read_kitti`.
+        As for `read_tum`.
     """
-    report = LoadReport(str(path), format, "3-D", convention, reason="by its name")
-    if format == "tum":
-        report.vertex_times["x"], X, comments = _tum(path)
-    else:
-        X, comments = _kitti(path)
-    report.tags = {"poses": len(X)}
+    times, X, comments = _tum(path)
+    return _loaded(path, "tum", convention, X, comments, {"x": times})
+
+
+def load_kitti(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
+    """No measurements, the poses of a KITTI trajectory as variables x, and a report; errors of `read_kitti`."""
+    return _loaded(path, "kitti", convention, *_kitti(path), {})
+
+
+def _loaded(
+    path: str | Path, form: str, convention: str, X: Array, comments: int, times: dict[str, Array]
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """The poses and the report on them."""
+    report = LoadReport(str(path), form, "3-D", convention, {"poses": len(X)}, reason="by its name", vertex_times=times)
     note_comments(report, comments)
-    return Values({"x": (SE3, X)}), report
+    return FactorGraph(), Values({"x": (SE3, X)}), report
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:
@@ -129,12 +134,13 @@ def _kitti(path: str | Path) -> tuple[Array, int]:
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    rotations = off <= 1e-3  # files of six digits are off by 1e-6
 
     def problem(k: int) -> str:
-        why = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
+        why = f"R R' is off the identity by {off[k]:.3g}" if not rotations[k] else "its determinant is -1"
         return f"no rotation matrix: {why}"
 
-    text.refuse(~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0), lines, problem)
+    text.refuse(~rotations | (np.linalg.det(R) < 0), lines, problem)
     return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 
@@ -226,4 +232,4 @@ def trajectory_text(
         notes.append("a kitti file holds no times")
     if left := len(values) - len(stack):
         notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
-    return data, [*notes, *measurements_left_out("trajectory", graph)]
+    return data, notes

@@ -27,9 +27,7 @@ from factors.robust import Robust
 from models.algebra import Array, Mask
 from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
-from nls.io.records import Format, Record
-
-__all__ = ["repaired"]
+from nls.io.records import Dialect, Record
 
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,
@@ -64,7 +62,7 @@ def noise_of(record: Record, kind: str, M: Array, measured: Array, convention: s
     return NOISES[kind](M)
 
 
-def entries(record: Record, format: Format, factor: Factor, W: Array, measured: Array) -> Array:
+def entries(record: Record, format: Dialect, factor: Factor, W: Array, measured: Array) -> Array:
     """Matrix entries (n, k) of the lines of a factor with the whitener W; the inverse of `noise_of`.
 
     Raises
@@ -102,9 +100,7 @@ def refuse_robust(factor: Factor) -> None:
     """
     if isinstance(factor.noise, Robust):
         raise GraphError(
-            f"{factor!r} has a robust kernel, which files of this kind have no place for",
-            factor.keys,
-            factor.name,
+            f"{factor!r} has a robust kernel, which files of this kind have no place for", factor.keys, factor.name
         )
 
 

@@ -14,31 +14,29 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from models import SE2, SE3, LieGroup, R
+from models import SE2, SE3, LieGroup, Manifold, R
 from models.advice import Advice
 from models.algebra import Array, Numbers
 from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.io.gtsam_keys import VertexIds
-from nls.io.lines import joined
-from nls.io.records import Format, Record, a_file, at_origin, fixed_offsets, spaces_of
+from nls.io.dialects import TAGGED
+from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, joined, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
+from nls.io.variable_names import VertexIds
 from nls.io.weights import entries
 from nls.values import Values
-
-__all__ = ["refuse_unwritable_graph"]
 
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
 def graph_text(
-    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> tuple[bytes, list[str]]:
     """The bytes of a graph text file, and what they leave out, in words.
 
@@ -47,18 +45,18 @@ def graph_text(
     Parameters
     ----------
     path : the file, for messages.
+    form : the name of the dialect.
     graph, values : what to write: poses of kind x, points l, places of sensors o.
     report : of the file that the graph was read from; where that is of the same format, the numbers of its lines are
         written again, and its unused lines appended, as they were.
-    format : the dialect.
 
     Raises
     ------
     GraphError
         Something this dialect has no line for, or that would be read back as something else.
     """
-    content = _Content(str(path), graph, values, report, format)
-    out = content.offsets.lines(format)
+    content = _Content(str(path), form, graph, values, report)
+    out = content.offsets.lines(content.format)
     for tag, numbers, held, columns in content.vertices:
         lines = _lines(tag, [numbers], columns)
         if held.any():
@@ -70,13 +68,13 @@ def graph_text(
         edges = [edges[k] for k in np.argsort(at, kind="stable")]  # letters took factors apart
     out += edges
     left = content.unwritten
-    only = f"{format.name} files hold measurements only: the values of {several(left, 'variable')} are not in it"
-    text = "\n".join([*out, *appended(report, format.name)]) + "\n"
+    only = f"{form} files hold measurements only: the values of {several(left, 'variable')} are not in it"
+    text = "\n".join([*out, *appended(report, form)]) + "\n"
     return text.encode("utf-8", "surrogateescape"), [only] if left else []
 
 
 def refuse_unwritable_graph(
-    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> None:
     """Refuse what `graph_text` refuses, without its text, which takes ten times as long; parameters as there.
 
@@ -84,11 +82,11 @@ def refuse_unwritable_graph(
     ------
     GraphError
     """
-    _Content(str(path), graph, values, report, format)
+    _Content(str(path), form, graph, values, report)
 
 
 class _Content:
-    """What a file says, as numbers; everything that it cannot say is refused here.
+    """The numbers of a file; what it cannot say is refused here.
 
     Attributes
     ----------
@@ -98,104 +96,145 @@ class _Content:
     unwritten : variables that the format has no line for.
     """
 
-    def __init__(
-        self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
-    ) -> None:
-        known = report.statements if report is not None and report.format == format.name else []
+    def __init__(self, path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport | None) -> None:
+        self.path, self.graph, self.values, self.format, self.file = path, graph, values, TAGGED[form], a_file(form)
+        known = report.statements if report is not None and report.format == form else []
         statements = {id(statement.noise): statement for statement in known}
         stated = [statements.get(id(factor.noise)) for factor in graph.factors]
-        apart = format.apart or any(s is not None and format.tags[s.tag].apart for s in stated)
-        vertex_ids = VertexIds(graph, values, report)
-        group = _dimension(path, graph, values, format, vertex_ids, apart)
-        fixed = _fixed(path, graph, values, format)
-        self.offsets = _Offsets(appended(report, format.name), group)
-        self.edges = [
-            table
-            for factor, statement in zip(graph.factors, stated, strict=True)
-            for table in _edges(path, factor, values, group, format, vertex_ids, self.offsets, statement)
-        ]
-        _refuse_conventions(path, graph, values)
-        _refuse_mounts(path, graph, values, vertex_ids.roles)
+        self.ids = VertexIds(graph, values, report)
+        self.group = SE3 if {SE3, R(3)} & {stack.manifold for stack in values.stacks.values()} else SE2
+        self._refuse_kinds()
+        self._refuse_clash(self.format.apart or any(s is not None and self.format.tags[s.tag].apart for s in stated))
+        fixed = self._fixed()
+        self.offsets = _Offsets(appended(report, form), self.group)
+        self.edges = [t for f, statement in zip(graph.factors, stated, strict=True) for t in self._edges(f, statement)]
+        self._refuse_conventions()
+        self._refuse_mounts()
         self.vertices: list[tuple[bytes, Numbers, np.ndarray, Array]] = []
         self.unwritten, start = 0, 0
         for kind, stack in values.stacks.items():
             held = fixed[start : start + len(stack)]
             start += len(stack)
-            record = format.record(vertex_ids.roles[kind], group)
+            record = self.format.record(self.ids.roles[kind], self.group)
             if record is None:
                 self.unwritten += len(stack)
                 continue
             try:
-                ids = vertex_ids.of(Keys(kind, stack.numbers))
+                ids = self.ids.of(Keys(kind, stack.numbers))
                 self.vertices.append((record.tag, ids, held, record.element.encode(stack.X)))
             except SingularGeometryError as error:
                 raise GraphError(f"{path}: variables {kind}: {error}") from error
 
+    def _refuse_kinds(self) -> None:
+        """Refuse a kind in another space than the format has for it."""
+        spaces = {kind: spaces_of(self.group)[role] for kind, role in self.ids.roles.items()}
+        for stack in self.values.stacks.values():
+            if spaces.get(stack.kind) is not stack.manifold:
+                expected = ", ".join(f"{k} in {space}" for k, space in spaces.items())
+                raise GraphError(
+                    f"{self.path}: variables {stack.kind} in {stack.manifold} have no line in {self.file}, which holds "
+                    f"poses, points and places of sensors of one dimension: here {expected}; build the graph with "
+                    "these kinds, or kinds of one or two letters, or let `nls convert` rename one kind of poses and "
+                    "one of points",
+                    advice=[NATIVE],
+                )
 
-def _dimension(
-    path: str, graph: FactorGraph, values: Values, format: Format, vertex_ids: VertexIds, apart: bool
-) -> LieGroup:
-    """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
-    kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
-    group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
-    spaces = {kind: spaces_of(group)[role] for kind, role in vertex_ids.roles.items()}
-    for kind, manifold in kinds.items():
-        if spaces.get(kind) is not manifold:
-            expected = ", ".join(f"{k} in {space}" for k, space in spaces.items())
+    def _refuse_clash(self, apart: bool) -> None:
+        """Refuse a number twice where kinds share a numbering, and FIX lines, which have one, where they do not."""
+        variables = [Keys(stack.kind, stack.numbers) for stack in self.values.stacks.values()]
+        ids = [self.ids.of(keys) for keys in variables]
+        unique, times = np.unique(joined(ids), return_counts=True)
+        if (times > 1).any() and apart:
+            refuse_held(self.path, self.graph, f"{self.file} with numbers of points of their own")
+        elif (times > 1).any():
+            number = int(unique[np.argmax(times > 1)])
+            clash = [keys[n == number] for keys, n in zip(variables, ids, strict=True) if number in n]
             raise GraphError(
-                f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
-                f"points and places of sensors of one dimension: here {expected}; build the graph with these kinds, "
-                "or kinds of one or two letters, or let `nls convert` rename one kind of poses and one of points",
+                f"{self.path}: {clash[0]!r} and {clash[1]!r} have one number; expected numbers of their own, as all "
+                f"vertices of {self.file} share one numbering",
+                clash,
+                advice=[Advice("renumber"), NATIVE],
+            )
+
+    def _fixed(self) -> np.ndarray:
+        for keys in self.graph.fixed:
+            self.values.stack(keys.kind)  # refuses a kind without values
+        fixed = fixed_variables(self.graph.fixed, self.values)
+        if not self.format.fix:
+            refuse_held(self.path, self.graph, self.file)
+        return fixed
+
+    def _refuse_conventions(self) -> None:
+        """A file is read with one convention, so it can hold no two; vectors have only one residual."""
+        poses = [f for f in self.graph.factors if self.values.gather(f)[0].space in (SE2, SE3)]
+        if len(conventions := {factor.convention for factor in poses}) > 1:
+            raise GraphError(
+                f"{self.path}: a graph file is read with one convention, these factors have "
+                f"{', '.join(sorted(conventions))}; give all the same one",
                 advice=[NATIVE],
             )
-    variables = [Keys(stack.kind, stack.numbers) for stack in values.stacks.values()]
-    ids = [vertex_ids.of(keys) for keys in variables]
-    unique, times = np.unique(joined(ids), return_counts=True)
-    if (times > 1).any() and apart:  # FIX lines have one numbering
-        refuse_held(path, graph, f"{a_file(format.name)} with numbers of points of their own")
-    elif (times > 1).any():
-        number = int(unique[np.argmax(times > 1)])
-        clash = [keys[n == number] for keys, n in zip(variables, ids, strict=True) if number in n]
-        raise GraphError(
-            f"{path}: {clash[0]!r} and {clash[1]!r} have one number; expected numbers of their own, as all vertices of "
-            f"{a_file(format.name)} share one numbering",
-            clash,
-            advice=[Advice("renumber"), NATIVE],
-        )
-    return group
 
+    def _refuse_mounts(self) -> None:
+        """A place of a sensor that no measurement uses as one would be read back as a pose."""
+        for kind in (kind for kind in self.values.stacks if self.ids.roles[kind] == "mount"):
+            used = [k.numbers for f in self.graph.factors for k in f.keys[1:] if k.kind == kind]
+            numbers = self.values.stacks[kind].numbers
+            if len(lost := Keys(kind, numbers[~np.isin(numbers, joined(used))])):
+                message = f"{lost[[0]]!r} is no offset of any measurement: a file would say it is a pose"
+                raise GraphError(f"{self.path}: {message}", [lost], advice=[NATIVE])
 
-def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.ndarray:
-    for keys in graph.fixed:
-        values.stack(keys.kind)  # refuses a kind without values
-    fixed = fixed_variables(graph.fixed, values)
-    if not format.fix:
-        refuse_held(path, graph, a_file(format.name))
-    return fixed
+    def _edges(self, factor: Factor, statement: Statement | None) -> list[tuple[bytes, list[Numbers], Array]]:
+        """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
+        try:
+            model, _ = self.values.gather(factor)
+        except GraphError as error:
+            raise named(self.path, factor, error) from error
+        fixed = fixed_offsets(factor)
+        n, any_ = len(factor), [self.group.identity()]
+        record = self._record(factor, model.manifolds, fixed, b"" if statement is None else statement.tag)
+        if record is None:
+            why = ""
+            if fixed and self._record(factor, model.manifolds, []):
+                why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
+            raise unwritable(self.path, factor, self.file, why)
+        numbers = None if statement is None else statement.numbers_of(factor, record.tag)
+        if numbers is None:
+            try:
+                measured = record.element.encode(model.z)
+                numbers = np.hstack([measured, entries(record, self.format, factor, model.W, measured)])
+            except SingularGeometryError as error:
+                message = f"{self.path}: {factor!r}: {error}"
+                raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
+            except GraphError as error:
+                raise named(self.path, factor, error) from error
+        ids = [self.ids.of(keys) for keys in factor.keys]
+        parameters = np.full((n, record.parameters), -1, dtype=np.int64)
+        stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
+        offset = [np.broadcast_to(O, (n, self.group.size)) for O in stated]
+        if statement is not None and statement.parameters.shape == parameters.shape:
+            parameters = statement.parameters
+            offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
+        if record.switched:
+            switch, prior = [parameters[:, 0]], offset[0][:, 1:]
+            tables = [(VERTEX, switch, offset[0][:, :1]), (PRIOR, switch, prior)]
+            return [*tables, (record.tag, ids + switch, numbers)]
+        ids += [self.offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
+        return [(record.tag, ids, numbers)]
 
-
-def _refuse_conventions(path: str, graph: FactorGraph, values: Values) -> None:
-    """A file is read with one convention, so it can hold no two; vectors have only one residual."""
-    conventions = {f.convention for f in graph.factors if values.gather(f)[0].space in (SE2, SE3)}
-    if len(conventions) > 1:
-        raise GraphError(
-            f"{path}: a graph file is read with one convention, these factors have {', '.join(sorted(conventions))}; "
-            "give all the same one",
-            advice=[NATIVE],
-        )
-
-
-def _refuse_mounts(path: str, graph: FactorGraph, values: Values, roles: dict[str, str]) -> None:
-    """A place of a sensor that no measurement uses as one would be read back as a pose."""
-    for kind in (kind for kind in values.stacks if roles[kind] == "mount"):
-        used = [k.numbers for f in graph.factors for k in f.keys[1:] if k.kind == kind]
-        numbers = values.stacks[kind].numbers
-        if len(lost := Keys(kind, numbers[~np.isin(numbers, joined(used))])):
-            raise GraphError(
-                f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose",
-                [lost],
-                advice=[NATIVE],
-            )
+    def _record(
+        self, factor: Factor, manifolds: tuple[Manifold, ...], fixed: list[Array], tag: bytes = b""
+    ) -> Record | None:
+        """The record that can say this factor, that of a tag first; offsets of nothing with a parameter or not."""
+        records = sorted((r for r in self.format.records if not r.foreign or r.tag == tag), key=lambda r: r.tag != tag)
+        roles = [self.ids.roles[keys.kind] for keys in factor.keys]
+        for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
+            for record in records:
+                if record.holds(factor, manifolds, offsets) and all(
+                    role in (("pose", "mount") if slot == "either" else (slot,))
+                    for role, slot in zip(roles, record.slots, strict=True)
+                ):
+                    return record
+        return None
 
 
 class _Offsets:
@@ -230,7 +269,7 @@ class _Offsets:
             self.free = next(k for k in count() if k not in self.rows and k not in self.used_ids)
         return number
 
-    def lines(self, format: Format) -> list[str]:
+    def lines(self, format: Dialect) -> list[str]:
         """The parameter lines."""
         if not self.rows:
             return []
@@ -238,76 +277,6 @@ class _Offsets:
         assert record is not None
         X = np.frombuffer(b"".join(self.rows.values())).reshape(-1, self.group.size)
         return _lines(record.tag, [np.array(list(self.rows), dtype=np.int64)], X)
-
-
-def _edges(
-    path: str,
-    factor: Factor,
-    values: Values,
-    group: LieGroup,
-    format: Format,
-    vertex_ids: VertexIds,
-    offsets: _Offsets,
-    statement: Statement | None,
-) -> list[tuple[bytes, list[Numbers], Array]]:
-    """Tags, ids and numbers of the lines of one factor, those of its switches before its own."""
-    try:
-        model, _ = values.gather(factor)
-    except GraphError as error:
-        raise named(path, factor, error) from error
-    fixed = fixed_offsets(factor)
-    n, any_ = len(factor), [group.identity()]
-    tag = b"" if statement is None else statement.tag
-    record = _record(factor, model.manifolds, format, fixed, vertex_ids.roles, tag)
-    if record is None:
-        why = ""
-        if fixed and _record(factor, model.manifolds, format, [], vertex_ids.roles):
-            why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
-        raise unwritable(path, factor, a_file(format.name), why)
-    numbers = None if statement is None else statement.numbers_of(factor, record.tag)
-    if numbers is None:
-        try:
-            measured = record.element.encode(model.z)
-            numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
-        except SingularGeometryError as error:
-            message = f"{path}: {factor!r}: {error}"
-            raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
-        except GraphError as error:
-            raise named(path, factor, error) from error
-    ids = [vertex_ids.of(keys) for keys in factor.keys]
-    parameters = np.full((n, record.parameters), -1, dtype=np.int64)
-    stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
-    offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
-    if statement is not None and statement.parameters.shape == parameters.shape:
-        parameters = statement.parameters
-        offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
-    if record.switched:
-        switch, prior = [parameters[:, 0]], offset[0][:, 1:]
-        tables = [(VERTEX, switch, offset[0][:, :1]), (PRIOR, switch, prior)]
-        return [*tables, (record.tag, ids + switch, numbers)]
-    ids += [offsets.ids(np.ascontiguousarray(O), parameters[:, k]) for k, O in enumerate(offset)]
-    return [(record.tag, ids, numbers)]
-
-
-def _record(
-    factor: Factor,
-    manifolds: tuple[object, ...],
-    format: Format,
-    fixed: list[Array],
-    roles: dict[str, str],
-    tag: bytes = b"",
-) -> Record | None:
-    """The record whose lines can say this factor, that of a tag first; offsets of nothing with a parameter or not."""
-    records = sorted((r for r in format.records if not r.foreign or r.tag == tag), key=lambda r: r.tag != tag)
-    kinds = [keys.kind for keys in factor.keys]
-    for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
-        for record in records:
-            if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
-                roles[kind] in (("pose", "mount") if slot == "either" else (slot,))
-                for kind, slot in zip(kinds, record.slots, strict=True)
-            ):
-                return record
-    return None
 
 
 def _lines(tag: bytes, ids: list[Numbers], numbers: Array) -> list[str]:

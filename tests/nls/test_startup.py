@@ -73,13 +73,12 @@ def test_help_does_not_wait_for_numpy(words: str) -> None:
 
 def test_the_choices_of_the_command_line_are_those_of_the_library() -> None:
     from factors import conventions, robust, sonar_factors
-    from nls import gauge, io, linear, metrics, optimizers, starts
+    from nls import gauge, linear, metrics, optimizers, starts
     from nls.cli.outliers import PREFIX
     from nls.robust.kernels import LOSSES
 
     assert (choices.ALIGNMENTS, choices.GAUGES) == (metrics.ALIGNMENTS, gauge.GAUGES)
-    assert (choices.CONVENTIONS, choices.DIALECTS) == (conventions.CONVENTIONS, io.DIALECTS)
-    assert choices.FORMATS == (*io.DIALECTS[1:], *io.POSES_ONLY)
+    assert choices.CONVENTIONS == conventions.CONVENTIONS
     registries = linear.SOLVERS, optimizers.OPTIMIZERS, starts.STARTS
     assert (choices.SOLVERS, choices.OPTIMIZERS, choices.STARTS) == tuple(map(tuple, registries))
     assert (choices.KERNELS, choices.GNC) == (tuple(robust.KERNELS), tuple(f"{PREFIX}{loss}" for loss in LOSSES))

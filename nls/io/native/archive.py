@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 import zipfile
 import zlib
@@ -15,11 +16,7 @@ from numpy.lib import format as npy
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.text import printable
 
-__all__ = ["archived", "arrays_of"]
-
 Arrays = dict[str, npt.NDArray[np.generic]]
-RATIO, SLACK = 64, 1 << 20  # that an archive may unpack to: so many times its bytes, and more
-LARGEST = 0x10FFFF  # number of a character
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every array: the same graph is the same file
 KINDS = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_, "U": np.str_}
 DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
@@ -52,13 +49,9 @@ def arrays_of(data: bytes, path: str, noun: str = "npz file") -> Arrays:
             if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in members):
                 raise ValueError("it is packed in a way that NumPy does not write")
             claimed = sum(info.file_size for info in members)
-            if claimed > RATIO * len(data) + SLACK:
-                raise ResourceLimitError(
-                    f"{path}: claims to unpack to {claimed:,} bytes, the limit for its {len(data):,} is "
-                    f"{RATIO * len(data) + SLACK:,}",
-                    claimed,
-                    RATIO * len(data) + SLACK,
-                )
+            if claimed > (limit := 64 * len(data) + (1 << 20)):
+                size = f"{claimed:,} bytes, the limit for its {len(data):,} is {limit:,}"
+                raise ResourceLimitError(f"{path}: claims to unpack to {size}", claimed, limit)
             return {i.filename.removesuffix(".npy"): _array(_content(archive, i), i.filename) for i in members}
     except DAMAGES as error:
         raise GraphFileError(f"is a damaged {noun}: {printable(str(error).encode(), 200)}", path) from error
@@ -95,7 +88,7 @@ def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
         count *= length
     if count * dtype.itemsize != len(rest):
         raise ValueError(f"{name!r:.60} says {count} numbers of {dtype}, and has {len(rest)} bytes")
-    if dtype.kind == "U" and (np.frombuffer(rest, dtype.byteorder.replace("|", "=") + "u4") > LARGEST).any():
+    if dtype.kind == "U" and (np.frombuffer(rest, dtype.byteorder.replace("|", "=") + "u4") > sys.maxunicode).any():
         raise ValueError(f"{name!r:.60} holds numbers that are no characters")
     array = np.frombuffer(rest, dtype) if rest else np.zeros(0, dtype)
     return array.reshape(shape, order="F" if columns_first else "C").astype(KINDS[dtype.kind], order="K")

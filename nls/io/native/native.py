@@ -24,8 +24,6 @@ from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.io.report import LoadReport, Source
 from nls.values import Values
 
-__all__ = ["name_of_space", "native_bytes", "read_native", "space_named"]
-
 FORMAT, VERSION = "leadline graph", 1
 PARTS = ("values", "fixed", "factors")
 STRUCTURE = "structure"  # the array of an archive that says what the others are
@@ -35,15 +33,17 @@ VECTORS = re.compile(r"R\(([1-9][0-9]{0,4})\)")
 MEASURED = re.compile(r"\(([^(),]+(?:, [^(),]+){0,99})\)")
 
 
-def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, form: str) -> bytes:
-    """The bytes of a native file.
+def native_bytes(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
+) -> tuple[bytes, list[str]]:
+    """The bytes of a native file, and no notes.
 
     Parameters
     ----------
     path : for messages.
+    form : ``npz`` or ``json``.
     graph, values : what to write.
     report : of the file that the graph was read from, whose times of poses and keys of GTSAM are kept.
-    form : ``npz`` or ``json``.
 
     Raises
     ------
@@ -71,10 +71,10 @@ def native_bytes(path: str | Path, graph: FactorGraph, values: Values, report: L
         "factors": {str(k): encoded(factor) for k, factor in enumerate(graph.factors)},
     }
     if form == "json":
-        return (json_of(plain) + "\n").encode()
+        return (json_of(plain) + "\n").encode(), []
     arrays: dict[str, Any] = {}
     structure = json_of(without_arrays(plain, arrays))
-    return archived({STRUCTURE: np.array(structure), **arrays})
+    return archived({STRUCTURE: np.array(structure), **arrays}), []
 
 
 def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:

@@ -27,8 +27,6 @@ from models.errors import GraphError, LeadlineError, OptionError
 from models.options import did_you_mean
 from models.sensors.camera import Camera
 
-__all__ = ["MISMATCHES", "decoded", "encoded", "register", "type_name"]
-
 Plain = Any  # None, a truth, a number, a text, an array, or tuples and dictionaries of them
 MISMATCHES = (TypeError, ValueError, AttributeError, IndexError, KeyError, OverflowError)  # of arguments of any kind
 F = TypeVar("F", bound=type[Factor])

@@ -11,10 +11,6 @@ import numpy as np
 
 from models.errors import GraphFileError
 
-__all__ = ["json_of", "plain_of", "without_arrays"]
-
-DEEPEST = 40  # of brackets in brackets
-LONGEST = 1 << 20  # of an axis of an array without numbers
 STRING = r'"(?:[^"\\]|\\.)*"'
 KEY = re.compile(rf"({STRING})\s*:|{STRING}|[{{}}]")  # keys, other strings, ends of dictionaries
 
@@ -121,8 +117,8 @@ def _repeated(text: str) -> tuple[str, int]:
 
 
 def _plain(node: Any, arrays: dict[str, Any], depth: int) -> Any:
-    if depth > DEEPEST:
-        raise ValueError(f"more than {DEEPEST} brackets in brackets")
+    if depth > 40:
+        raise ValueError("more than 40 brackets in brackets")
     if isinstance(node, list):
         array = np.array(node)
         if array.dtype.kind not in "fib":
@@ -136,7 +132,7 @@ def _plain(node: Any, arrays: dict[str, Any], depth: int) -> Any:
         return arrays.pop(node["array"])
     if node.keys() == {"shape"}:
         shape = _plain(node["shape"], arrays, depth + 1)
-        if not isinstance(shape, np.ndarray) or shape.ndim != 1 or np.prod(shape) != 0 or shape.max() > LONGEST:
+        if not isinstance(shape, np.ndarray) or shape.ndim != 1 or np.prod(shape) != 0 or shape.max() > 1 << 20:
             raise ValueError(f"expected the shape of an array without numbers, got {node['shape']!r:.60}")
         return np.zeros(shape)
     if node.keys() == {"tuple"}:

@@ -13,6 +13,8 @@ import numpy as np
 from models.algebra import Array, Numbers
 from models.errors import GraphError
 from models.listing import several
+from nls.graph import FactorGraph
+from nls.io.report import LoadReport
 from nls.missions.charts.chart import Chart
 from nls.missions.charts.crs import Projection
 from nls.values import Values
@@ -31,7 +33,9 @@ def points_text(chart: Chart, projection: Projection | None = None) -> bytes:
     return ply_text(parts, f"x easting, y northing of {projection.name}, z up, m")
 
 
-def cloud_text(path: str | Path, values: Values) -> tuple[bytes, list[str]]:
+def cloud_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
+) -> tuple[bytes, list[str]]:
     """Positions of all poses and points, those of the plane at z = 0, and what is left out.
 
     Raises

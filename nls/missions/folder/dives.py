@@ -24,7 +24,7 @@ from models.algebra import Array, Numbers
 from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
-from nls.io.renumbering import with_keys
+from nls.io.variable_names import with_keys
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
 from nls.missions.folder.read import read_mission

@@ -10,8 +10,8 @@ from pathlib import Path
 from models.advice import Advice
 from models.errors import GraphFileError
 from models.listing import some
-from nls.io.dialects import SUFFIXES
 from nls.io.files import unreadable
+from nls.io.formats import suffixes
 from nls.io.report import LoadReport
 from nls.io.unused_lines import note_comments
 from nls.missions.folder.columns import ALONE, BESIDE, COLUMNS, LOG, TRACK, needed, optional
@@ -95,10 +95,10 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
     if not files & {*TRACK, *LOG, "pressure", *ALONE}:
         contents = f"it has {_listed(sorted(files) + other_files)}" if files or other_files else "it is empty"
-        suffixes = {name: Path(name.removesuffix(".gz")).suffix for name in other_files}
-        graphs = [name for name, suffix in suffixes.items() if suffix in SUFFIXES and suffix != ".csv"]
+        endings = {name: Path(name.removesuffix(".gz")).suffix for name in other_files}
+        graphs = [name for name, suffix in endings.items() if suffix in suffixes() and suffix != ".csv"]
         advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
-        logs = [name for name, suffix in suffixes.items() if suffix in (".csv", ".txt", ".bag", ".mcap")]
+        logs = [name for name, suffix in endings.items() if suffix in (".csv", ".txt", ".bag", ".mcap")]
         if logs and not advice:
             advice = [Advice("import", (shlex.quote(os.path.join(folder, logs[0])),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)

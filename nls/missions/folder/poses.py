@@ -22,9 +22,9 @@ from models.algebra import Array, Numbers
 from models.errors import OptionError
 from models.options import did_you_mean
 from nls.io import load
-from nls.io.dialects import SUFFIXES
 from nls.io.files import GRAPH_FILES
-from nls.io.trajectory import TRAJECTORIES, lifted, load_trajectory, track_of
+from nls.io.formats import Reading, suffix_of, suffixes
+from nls.io.trajectory import lifted, track_of
 from nls.missions.folder.columns import ANGLES, PLACE, UPRIGHT, suffixed
 from nls.missions.folder.table import Table
 
@@ -85,13 +85,14 @@ def read_poses(path: str | Path, folder_files: Sequence[str] = FILES) -> Poses:
             cure = f"a folder with {' or '.join(folder_files)}, as nls solve {shlex.quote(str(path))} -o OUT writes"
             raise OptionError("folder of poses", str(path), cure)
         path = file
-    form = Path(str(path).lower().removesuffix(".gz")).suffix[1:]
-    if form in TRAJECTORIES:
-        values, report = load_trajectory(path, form)
+    row = suffixes().get(suffix_of(path))
+    if row is not None and row.poses_alone:
+        _, values, report = row.read(Reading(), path)
         return Poses(str(path), np.asarray(values.stack("x").X), report.vertex_times.get("x") if len(values) else None)
-    if form == "csv":
+    if suffix_of(path) == ".csv":
         return _table(path)
-    if f".{form}" not in (known := [name for name in SUFFIXES if name != ".ply"]):
+    known = [name for name in suffixes() if name != ".ply"]
+    if suffix_of(path) not in known:
         raise OptionError("file of poses", str(path), f"a folder, or a file ending in {', '.join(known)}")
     _, values, report = load(path)
     stack = track_of(path, values)

@@ -10,8 +10,8 @@ import pytest
 
 import nls
 from models import SE2
-from nls.io.renumbering import with_known_kinds
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
+from nls.io.variable_names import with_known_kinds
 from tests.nls.cli.shell import Shell
 from tests.nls.io.g2o_files import PLANE, SPACE
 from tests.nls.io.io_files import FILES, ISAM_APART_2, TORO_2

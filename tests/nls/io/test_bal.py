@@ -130,12 +130,3 @@ def test_known_cost_and_gradient(data: Path) -> None:
     assert graph.chi2(values) / 2 == pytest.approx(850912.460680839605629, rel=1e-14)
     system = graph.linearize(values)
     assert np.linalg.norm(system.A.T @ system.b) == pytest.approx(2.39615629098822921515e7, rel=1e-11)
-
-
-def test_public_files_go_round(data: Path, tmp_path: Path) -> None:
-    files = sorted((data / "bal").glob("*.txt*"), key=lambda file: file.stat().st_size)
-    assert len(files) >= 4
-    for file in files[:2]:
-        before = read_bal(read_bytes(file), str(file))
-        save(tmp_path / "out.txt", before[0], before[1], dialect="bal")
-        same(before, read_bal(read_bytes(tmp_path / "out.txt"), "out.txt"))

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from factors import Between, Covariance, Information, SqrtInformation
-from models import SE2, SE3
+from models import SE3
 from models.manifolds.euler import quaternion_from_angles, to_se3
-from nls import GraphFileError, OptionError, Values, kinds, load
+from nls import OptionError, Values, kinds, load
 from nls.io import DIALECTS
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import CONVENTIONS, assert_refused, read, write
@@ -117,20 +117,6 @@ def test_entries_in_the_order_of_each_dialect() -> None:
     assert covariance[1].noise.matrix[0].tolist() == [[0.4, 0.05], [0.05, 0.3]]  # type: ignore[attr-defined]
 
 
-def test_square_root_information_and_covariance_say_the_same() -> None:
-    """chi2 of one file written in both ways, against the formula."""
-    R = np.array([[20.0, 1, 2], [0, 30, 3], [0, 0, 40]])
-    C = np.linalg.inv(R.T @ R)
-    entries = " ".join(map(repr, C[np.triu_indices(3)].tolist()))
-    e = np.array([0.3, -0.2, 0.1])
-    here = Values({x: (SE2, [[0, 0, 0], [1 + e[0], e[1], 0.05 + e[2]]])})
-    a = read(ODOMETRY, dialect="isam")[0].chi2(here)
-    b = read(f"ODOMETRY 0 1 1 0 0.05 {entries}\n", dialect="isam-covariance")[0].chi2(here)
-    r = np.array([[np.cos(0.05), np.sin(0.05), 0], [-np.sin(0.05), np.cos(0.05), 0], [0, 0, 1]]) @ e  # z^-1 h
-    assert a == pytest.approx(np.sum((R @ r) ** 2), rel=1e-12)
-    assert b == pytest.approx(a, rel=1e-9)
-
-
 @for_all(dialect=["toro", "isam"], convention=CONVENTIONS)
 def test_noise_of_angles_is_turned_to_first_order(dialect: str, convention: str) -> None:
     """chi2 near the measurement is that of small errors of roll, pitch and yaw, whatever the convention."""
@@ -212,12 +198,3 @@ def test_files_that_are_no_graph(tmp_path: Path) -> None:
     ):
         error = assert_refused(line, words, load, write(tmp_path, content, "some.dat"))
         assert ("expected lines such as EDGE_SE2" in str(error)) == (line is not None and words != "zero byte")
-
-
-def test_public_files_that_are_no_graph(data: Path) -> None:
-    for name in (
-        *("range-only/Plaza2_.mat", "victoria-park/GPS.txt", "mrclam6/Barcodes.dat"),
-        *("underwater-caves/cones.csv", "underwater-holoocean/underwater_data.txt.gz"),
-    ):
-        with pytest.raises(GraphFileError, match=r"is a MATLAB file|is no graph"):
-            load(data / name)

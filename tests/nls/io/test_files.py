@@ -14,7 +14,6 @@ from nls.io.files import read_bytes, read_text, write_bytes, write_folder
 from tests.combinations import for_all
 from tests.nls.io.disk import small_disk
 from tests.nls.io.g2o_files import PLANE, write
-from tests.nls.missions.folder.mission_files import TINY, folder
 
 Captured = pytest.CaptureFixture[str]
 
@@ -144,16 +143,6 @@ def test_no_output_is_left_half_done(tmp_path: Path, capsys: Captured) -> None:
         out, lines = failing(command, file, *options[:-1], name)
         assert (out, len(lines)) == ("", 1)
         assert lines[0].startswith(f"nls: {name}: cannot be written: ")
-
-
-def test_the_solution_of_a_mission_has_no_half_file(tmp_path: Path, capsys: Captured) -> None:
-    mission, out = folder(tmp_path / "mission", TINY), tmp_path / "solved"
-    with small_disk(100):
-        assert main(["solve", str(mission), "-o", str(out)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert all(line.startswith(f"nls: {out}{os.sep}") and ": cannot be written: " in line for line in lines)
-    assert len(lines) >= 3
-    assert not out.exists()
 
 
 def test_a_text_is_utf_8(tmp_path: Path) -> None:

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from factors import Information
-from models import SE2
 from nls import GraphError, GraphFileError, GraphWarning, OptionError, kinds, load
 from nls.io.read import read_graph
 from nls.plot.trajectory import closures
 from tests.combinations import for_all
-from tests.nls.graphs import distance
 from tests.nls.io.g2o_files import (
     CONVENTIONS,
     INFORMATION_2,
@@ -69,12 +67,6 @@ FIX 900 -4
     assert lines[1] == "FIX 900"
     assert "#" not in "".join(lines)
     assert lines[-2:] == report.ignored
-
-
-def test_the_report_states_the_tags(tmp_path: Path) -> None:
-    _, _, report = load(write(tmp_path, SPACE))
-    assert re.search(r"3-D, convention g2o\n +VERTEX_SE3:QUAT +3\n +EDGE_SE3:QUAT +3", str(report))
-    assert (report.vertices_given, report.notes) == (True, [])
 
 
 # ---- what is wrong has its line
@@ -138,26 +130,6 @@ def test_every_mistake_has_its_line(case: list[str]) -> None:
 
 
 # ---- what is unusual and right
-
-
-def test_several_ids_per_fix() -> None:
-    graph, values, _ = read(PLANE + "FIX 0 3 1\nFIX 3\n")
-    assert graph.linearize(values).cols == ["x2: x", "x2: y", "x2: yaw"]
-    result = graph.optimize(values)
-    assert np.array_equal(result.values[x[[0, 1, 3]]], values[x[[0, 1, 3]]])
-
-
-@for_all(text=[PLANE, SPACE])
-def test_without_vertices_the_poses_are_chained(text: str) -> None:
-    graph, values, report = read("\n".join(line for line in text.splitlines() if line.startswith("EDGE")))
-    group = values.stacks["x"].manifold
-    n = 4 if group is SE2 else 3
-    assert not report.vertices_given
-    assert report.notes == [f"no vertices in the file: {n} poses chained along the edges"]
-    X = group.identity(1)
-    for k in range(n - 1):
-        X = np.concatenate([X, group.compose(X[-1:], np.asarray(graph.factors[0].z)[k : k + 1])])  # type: ignore[attr-defined]
-    assert distance(group, X, values[x]) < 1e-12  # type: ignore[arg-type]
 
 
 def test_vertices_alone_and_a_wrong_convention() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gzip
 from pathlib import Path
 
@@ -11,11 +10,7 @@ import numpy as np
 import nls
 from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, RangeAzimuth
 from factors.base import Factor
-from factors.robust import Cauchy
-from nls.cli import outliers
-from nls.cli.preparation import prepare
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.io_files import ALL
 from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
@@ -79,37 +74,6 @@ def test_the_line_is_that_of_the_measurement(name: str, tmp_path: Path) -> None:
     measured = measured[1:3] if dialect == "bal" else measured
     measured += [k + 1 for k, line in enumerate(lines) if ":PRIOR" in line]
     assert sorted(np.concatenate([source.lines for source in report.sources])) == sorted(measured)
-
-
-def test_lines_and_the_graph_without_the_rejected(tmp_path: Path) -> None:
-    pairs = [(i, i + step) for step in (1, 2) for i in range(8 - step)]
-    edges = [f"EDGE_SE2 {i} {j} {j - i} 0 0 {INFORMATION_2}" for i, j in pairs]
-    edges.insert(9, f"EDGE_SE2 1 6 9 9 0 {INFORMATION_2}")
-    priors = ["EDGE_PRIOR_SE2 0 0 0 0 4 0 0 4 0 4"]
-    lines = [*(f"VERTEX_SE2 {k} {k} 0 0" for k in range(8)), "", *edges[:4], *priors, *edges[4:]]
-    path = tmp_path / "wrong.g2o"
-    path.write_text("\n".join(lines))
-    graph, values, report = nls.load(path)
-    found = nls.gnc(graph, values)
-    assert [rejected.factor for rejected in found.rejected] == ["Between(x1, x6)"]
-    rest, after = outliers.without_rejected(graph, found, report)
-    assert (len(graph) - len(rest), report.format, after.notes is report.notes) == (1, after.format, True)
-    for measured, lines_of in ((graph, report), (rest, after)):
-        for number, factor in enumerate(measured.factors):
-            for k in range(len(factor)):
-                line = lines[int(lines_of.place(number, k).rpartition(":")[2]) - 1]
-                assert line.split()[1 : 1 + len(factor.keys)] == variables(factor, k, "g2o")
-    ((number, k),) = [(n, k) for n, w in enumerate(found.weights) for k in np.flatnonzero(w == 0)]
-    assert report.place(number, k) == f"{path}:{lines.index(edges[9]) + 1}"
-
-
-def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
-    path = tmp_path / "graph.g2o"
-    path.write_text(ALL["every tag of the plane"][1])
-    graph, values, report = nls.load(path)
-    options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
-    for other in (prepare(graph, values, report, options), graph.robust(Cauchy(1.0))):
-        assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
 
 
 @for_all(elevation=["hinge", "prior", "free"])

@@ -13,20 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from nls import GraphFileError, LeadlineError, ResourceLimitError, load
 from nls.io import bounded_text, files
 from nls.io.bounded_text import PER_BYTE, PER_WORD
 from nls.io.files import read_bytes
-from nls.io.text import PER_TAG, Text
+from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
 from nls.linear import limits
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.io_files import ISAM_2, PLANE, PYFG, SPACE
-from tests.nls.missions.folder.mission_files import folder
 
 N = 1 << 15
 CHUNK, BASE = 1 << 12, 1 << 17  # bytes read at once here; that any call takes: messages, short arrays
@@ -118,17 +117,6 @@ def test_every_reader_keeps_to_what_is_stated(reader: str, file: Path) -> None:
         assert used < stated(data), (name, used, stated(data))
 
 
-@given(st.lists(st.tuples(st.sampled_from(list(PARTS)), st.integers(1, N)), min_size=1, max_size=5), st.booleans())
-@settings(max_examples=15)
-def test_any_mixture_keeps_to_it(tmp_path_factory: pytest.TempPathFactory, parts: Any, packed: bool) -> None:
-    file = tmp_path_factory.mktemp("any") / "f.g2o"
-    data = b"".join(PARTS[name][:size] for name, size in parts)
-    file.write_bytes(gzip.compress(data) if packed else data)
-    for reader in ("graph", "pyfg", "tum", "table of a mission"):
-        used, _ = peak(READERS[reader], file)
-        assert used < stated(data), (reader, used, stated(data))
-
-
 @for_all(reader=READERS)
 def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blanks and comments of 25 times what is allowed, packed or not: no more is read than that."""
@@ -143,18 +131,10 @@ def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pyte
             assert used < PER_BYTE * bounded_text.SLACK + 32 * CHUNK, (name, used)
 
 
-def test_a_bomb_in_the_folder_of_a_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded_text, "SLACK", 1 << 12)
-    place = folder(tmp_path)
-    (place / "contacts.csv").write_bytes(b"\n" * N)
-    with pytest.raises(ResourceLimitError, match=r"contacts\.csv: has [0-9,]+ bytes or more of blanks"):
-        load(place)
-
-
 @given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
 def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.DataObject) -> None:
     text = b"".join(words)
-    pieces, rest, content, count = bounded_text.BoundedText("f: has", 0.0), text, 0, 0
+    pieces, rest, content, count = bounded_text.BoundedText("f: has"), text, 0, 0
     while rest:
         size = data.draw(st.integers(1, len(rest)))
         content += pieces._content(rest[:size])
@@ -177,13 +157,15 @@ def test_the_limits_to_the_byte(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
             read_bytes(file)
     file.write_bytes(content + b"\n" + b"1 " * 500)
     needed = PER_BYTE * 1005 + PER_WORD * (501 + 1 + 1)
-    assert len(read_bytes(file, limit=needed)) == 1005
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed)
+    assert len(read_bytes(file)) == 1005
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed - 1)
     for data in (file.read_bytes(), gzip.compress(file.read_bytes())):
         file.write_bytes(data)
         with pytest.raises(
             ResourceLimitError, match=r"f\.g2o: .* 1,005 bytes or more, .* takes 0\.0000583 GB"
         ) as caught:
-            read_bytes(file, limit=needed - 1)
+            read_bytes(file)
         assert (caught.value.needed, caught.value.limit) == (needed, needed - 1)
 
 
@@ -201,7 +183,7 @@ def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(Text(data).tags) == 2000
     used = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert used < PER_BYTE * len(data) + (PER_TAG + PER_WORD) * 2000
+    assert used < PER_BYTE * len(data) + (700 + PER_WORD) * 2000
     monkeypatch.setattr("nls.io.text.default_limit", lambda: 1e6)
     with pytest.raises(ResourceLimitError, match=r"<text>: 1,984 lines with first words of many kinds, .* 0\.00139 GB"):
         assert Text(data).tags
@@ -216,14 +198,6 @@ def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None
             used, message = peak(read, file)
             assert f"a word of {5 * CHUNK:,} bytes or more, the limit is {4 * CHUNK:,}" in message
             assert used < 16 * CHUNK + BASE
-
-
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
-def test_a_device_without_end() -> None:
-    for read in READERS.values():
-        used, message = peak(read, Path("/dev/zero"))
-        assert message.startswith("/dev/zero:1: has a zero byte")
-        assert used < 4 * CHUNK + BASE
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
@@ -260,4 +234,4 @@ def test_the_limit_is_that_of_every_solve(file: Path, monkeypatch: pytest.Monkey
         with pytest.raises(ResourceLimitError, match=r"the limit is 0\.0000100 GB"):
             read(file)
     with pytest.raises(GraphFileError, match="has a zero byte"):
-        read_bytes(Path("/dev/zero"), limit=1e12)
+        read_bytes(Path("/dev/zero"))

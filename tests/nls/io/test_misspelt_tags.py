@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 from pathlib import Path
 
@@ -11,9 +10,9 @@ import pytest
 from nls import GraphFileError, load
 from nls.io.bal import read_bal
 from nls.io.files import read_bytes
-from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
+from nls.io.unused_lines import refuse_misspelt
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, assert_refused, cases, read, same, write
@@ -135,17 +134,6 @@ def mixed(text: str) -> bytes:
     """Every line ends in another way than the one before."""
     ends = [b"\r", b"\r\n", b"\n"]
     return b"".join(line.encode() + ends[k % 3] for k, line in enumerate(text.splitlines()))
-
-
-@for_all(name=["poses of the plane", "every tag of space", "toro, plane", "isam, space", "pyfg"])
-def test_a_graph_with_any_line_ends(name: str, tmp_path: Path) -> None:
-    dialect, text = ALL[name]
-    expected = read_any(text.encode(), dialect)
-    for data in (*(text.encode().replace(b"\n", end) for end in ENDS), mixed(text), mixed("# one\n\n" + text)):
-        for packed in (data, gzip.compress(data)):
-            found = load(write(tmp_path, packed), dialect=dialect)
-            same(expected, found)
-            assert found[2].tags == expected[2].tags
 
 
 def test_an_error_behind_carriage_returns_has_its_line(tmp_path: Path) -> None:
