@@ -25,12 +25,13 @@ from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.renumbering import with_keys
+from nls.missions.folder.acoustic import refuse_moved_beacons, without_known_beacons
+from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
 from nls.missions.folder.read import read_mission
 from nls.missions.folder.report import MissionReport
-from nls.missions.folder.rows import add_rows
-from nls.missions.folder.shared_beacons import refuse_moved_beacons, without_known_beacons
+from nls.missions.folder.rows import Assembly
 from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
@@ -221,8 +222,8 @@ def _add_closures(graph: FactorGraph, report: DivesReport, k: int, values: Value
         if (missing := ~np.isin(poses_of_rows, poses)).any():
             row = int(np.argmax(missing))
             raise table.at(row, f"{column} is {table.integers(column)[row]}; the track of that dive has no such pose")
-    rows = np.ones(len(table), dtype=bool)
-    add_rows(graph, report, table, rows, closures(table, x[numbers[0]], x[numbers[1]]))
+    mission = Assembly({}, report, Calibrations(None), {}, graph)
+    mission.add_rows(table, np.ones(len(table), dtype=bool), closures(table, x[numbers[0]], x[numbers[1]]))
 
 
 # --- where a dive is that no file of its own places -------------------------------------------------------------------

@@ -19,9 +19,6 @@ from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
 
-__all__ = ["Timeline", "Times", "leave_out", "measured_times", "poses_of_rows", "united"]
-
-AROUND = 5  # rows of a log, over which poses are counted
 SAME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
 NUMBERED = ("anchor", "truth", *TIMED)  # files that may name poses
@@ -99,13 +96,62 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
     return np.asarray(t[keep])
 
 
+def poses_of_log(
+    tables: dict[str, Table], times: Times, logs: dict[str, Array], locked: Array, notes: list[str]
+) -> tuple[Numbers, Array]:
+    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
+    one at each of the times of other files.
+
+    The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
+
+    Parameters
+    ----------
+    tables, times : of the mission, see `measured_times`.
+    logs : times of the rows by the names of their files.
+    locked : times of the DVL with bottom lock.
+    notes : get one where that is not all of the DVL's.
+
+    Raises
+    ------
+    GraphFileError
+        Logs that have less than a second in common, or more than a graph holds; a pose that is not within all logs.
+    """
+    t_v = logs["dvl.csv"]
+    late, early = float(locked[0] - t_v[0]), float(t_v[-1] - locked[-1])
+    if late or early:
+        logs = {"dvl.csv with bottom lock": locked} | {name: t for name, t in logs.items() if name != "dvl.csv"}
+    begin, end = max(t[0] for t in logs.values()), min(t[-1] for t in logs.values())
+    ranges = ", ".join(f"{name} {float(t[0])!r} to {float(t[-1])!r} s" for name, t in logs.items())
+    if (table := tables.get("poses")) is None:
+        if end - begin > 10_000_000:  # s: four months, or times that are no seconds
+            raise GraphFileError(
+                f"the logs last {end - begin:.6g} s, with a pose a second too many for a graph: {ranges}; are "
+                "these seconds? poses.csv says when there are poses",
+                tables["dvl"].path,
+            )
+        b = begin + np.arange(max(0, int(end - begin) + 2))
+        b = b[b <= end]  # 12.46 + 68.0 is more than 80.46 by a rounding
+        if len(b) < 2:
+            raise GraphFileError(f"the logs have less than a second in common: {ranges}", tables["dvl"].path)
+        if late or early:
+            notes.append(f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out")
+        b = united(b, end, times, tables)
+        return np.arange(len(b)), b
+    numbers, b = table.unique("i", "pose"), table.rising("time_s")
+    out = (b < begin) | (b > end)
+    table.refuse_rows(out, lambda k: f"pose {numbers[k]} is at {float(b[k])!r} s, not within all logs: {ranges}")
+    if len(b) < 2:
+        raise table.at(0, "one pose; a track has at least two")
+    return numbers, b
+
+
 def poses_of_rows(t: Array, b: Array) -> Array:
     """Root of how many poses (n,) at times b there are for a row of a log at rising times t, 1 or more.
 
     Poses between rows are interpolated, and each counts as a measurement of its own. Where they are denser than the
-    rows, counted over `AROUND` of these, their sigmas grow by this. Together they say no more than the rows do.
+    rows, counted over five of these, their sigmas grow by this. Together they say no more than the rows do.
     """
-    reach = AROUND / 2 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+    reach = 2.5 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
     rows, poses = (
         np.searchsorted(times, b + reach, side="right") - np.searchsorted(times, b - reach) for times in (t, np.sort(b))
     )

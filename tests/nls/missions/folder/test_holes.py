@@ -13,9 +13,8 @@ from models import euler
 from models.algebra import Array
 from models.manifolds.so3 import rotation3
 from nls import GraphFileError
-from nls.missions import MissionReport
+from nls.missions.folder.attitude import holes_of
 from nls.missions.folder.columns import COLUMNS
-from nls.missions.folder.holes import holes_of
 from nls.missions.folder.table import Table, csv_text
 from tests.nls.io.g2o_files import assert_refused
 from tests.nls.missions.folder.mission_files import RAW, folder, raw
@@ -121,10 +120,10 @@ def test_poses_in_one_hole_count_with_all_their_covariances(tmp_path: Path) -> N
     (tmp_path / "depth.csv").write_bytes(csv_text(COLUMNS["depth"], t, y[:, :1]))
     table = Table(tmp_path / "depth.csv", COLUMNS["depth"])
     b = np.array([1.0, 5.0, 5.5, 7.7, 9.0, 10.0, 15.0, 20.5, 21.0])
-    report = MissionReport("m", "mission", "3-D", "log")
-    found = holes_of(table, t, y, b, "are here", report)
+    notes: list[str] = []
+    found = holes_of(table, t, y, b, "are here", notes)
     assert b[found.inside].tolist() == [5.5, 7.7, 9.0, 20.5, 21.0]
-    assert report.notes == ["depth.csv:13: 2 holes, 7 s in all, the longest between 5 and 10 s: 5 of 9 poses are here"]
+    assert notes == ["depth.csv:13: 2 holes, 7 s in all, the longest between 5 and 10 s: 5 of 9 poses are here"]
     a = np.flatnonzero(found.density[:, 0])
     assert t[a].tolist() == [5.0, 20.0]
     assert found.density[a[1], 0] == pytest.approx(2 * 25 / np.sqrt(2.0))
