@@ -20,8 +20,6 @@ from models.options import did_you_mean
 from nls.io.report import Source
 from nls.missions.folder.table import Table
 
-__all__ = ["NAMES", "Calibrations", "Compass", "wide"]
-
 Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
 
 NAMES = {  # of a calibration: what it is

@@ -21,8 +21,6 @@ from nls.missions.folder.rows import Assembly
 from nls.missions.folder.timeline import Timeline
 from nls.values import Values
 
-__all__ = ["CLOCKED", "rates_by_time", "shift_clocks", "total", "twists"]
-
 CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
 

@@ -15,7 +15,6 @@ from nls.missions.folder.rows import one_row
 from nls.missions.folder.table import Table
 
 SURFACE = 1.0  # m: waves and weather
-__all__ = ["depths_of"]
 
 
 def depths_of(tables: dict[str, Table], report: MissionReport) -> tuple[Table, Array, Array]:

@@ -35,8 +35,6 @@ from nls.missions.folder.rows import Assembly
 from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
-__all__ = ["Dive", "DivesReport", "read_dives"]
-
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
 LARGEST = 2**63 - 1
 (x,) = kinds("x")

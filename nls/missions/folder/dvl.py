@@ -69,8 +69,6 @@ from nls.missions.folder.rows import Assembly, noise_of, one_row
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import poses_of_log, poses_of_rows
 
-__all__ = ["bottom_lock", "integrated"]
-
 SCALE, YAW = "dvl_scale", "dvl_yaw_rad"
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 

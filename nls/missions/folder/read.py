@@ -1,4 +1,4 @@
-"""A mission folder as a graph, its start and a report; and the choice between integrated odometry and a raw log."""
+"""A mission folder as a graph, its start and a report; `TRACKS` has the file that says the way, and its reader."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from nls.missions.folder.acoustic import Acoustics
 from nls.missions.folder.calibration import Calibrations, Compass
 from nls.missions.folder.clocks import shift_clocks
 from nls.missions.folder.contacts import add_contacts, add_unnamed_contacts, are_named
+from nls.missions.folder.dvl import integrated
 from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
 from nls.missions.folder.folder import read_tables
 from nls.missions.folder.report import MissionReport
@@ -28,6 +29,7 @@ from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
+TRACKS = (("odometry", odometry), ("path", reckoned), ("motion", walking), ("dvl", integrated))
 x, l = kinds("x", "l")
 
 
@@ -92,7 +94,7 @@ def graph_of(
     calibrations = Calibrations(tables.get("calibration"))
     mission = Assembly(tables, report, calibrations, measured_times(tables, calibrations))
     report.elsewhere, graph = tables.get("dive_closures"), mission.graph
-    numbers = _track(mission)
+    numbers = next(add_track for table, add_track in TRACKS if table in tables)(mission)
     compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
     report.compass = compass is not None
     report.truth = true_values(tables, numbers, report)
@@ -122,16 +124,6 @@ def graph_of(
     if not named:
         start = add_unnamed_contacts(mission, timeline, start, elevation)
     return graph, start
-
-
-def _track(mission: Assembly) -> Numbers:
-    """Numbers of the poses, rising; adds the factors between and at them, from the files that say them."""
-    for table, add_track in (("odometry", odometry), ("path", reckoned), ("motion", walking)):
-        if table in mission.tables:
-            return add_track(mission)
-    from nls.missions.folder.dvl import integrated
-
-    return integrated(mission)
 
 
 def _start(

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from nls.missions.checks.findings import Explained, Implausible, TableError
     from nls.missions.folder.table import Table
 
-__all__ = ["MissionReport"]
-
 
 @dataclass
 class MissionReport(LoadReport):

@@ -26,7 +26,6 @@ from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable, refuse_late
 from nls.missions.folder.columns import BOUNDS, LARGEST, OF_ENDS, SMALLEST
 
-__all__ = ["Table", "csv_text"]
 LONGEST = 100  # characters of a name that is compared with the names of columns
 UPRIGHT = np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 

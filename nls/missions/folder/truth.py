@@ -12,8 +12,6 @@ from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
 from nls.values import Values
 
-__all__ = ["compare_landmarks", "true_values"]
-
 x, l = kinds("x", "l")
 
 

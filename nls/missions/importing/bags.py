@@ -21,8 +21,6 @@ from models.errors import GraphFileError
 from nls.io.files import refuse_absent
 from nls.missions.importing.text_log import Log, Missing, blanked
 
-__all__ = ["Bag", "BagLog", "is_bag", "refuse_no_log"]
-
 SUFFIXES = (".bag", ".mcap", ".db3")
 LONGEST = 36  # entries of an array that are columns: a covariance, but no scan and no picture
 RECORDED = "bag_time"

@@ -12,11 +12,9 @@ from models.algebra import Array, Mask
 from models.errors import GraphFileError
 from models.options import did_you_mean, is_number, is_whole
 from nls.missions.folder.columns import BOUNDS, GEODETIC, LARGEST, MAY_BE_0, SMALLEST
+from nls.missions.importing.headers import dimension, known_units, mission_unit
 from nls.missions.importing.templates import example
 from nls.missions.importing.text_log import Missing
-from nls.missions.importing.units import dimension, known_units, mission_unit
-
-__all__ = ["WHOLE", "Cell", "none_words", "read_cell", "sigma_words", "sigmas_out", "stand_for_none"]
 
 KEYS = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones

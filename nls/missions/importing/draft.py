@@ -11,13 +11,10 @@ import numpy as np
 from models.visible import CONTROLS
 from nls.missions.folder.columns import ANGLES, COLUMNS, GEODETIC, OPTIONAL, PLACE, VELOCITY
 from nls.missions.importing.bags import Bag, is_bag, refuse_no_log
-from nls.missions.importing.guess import guess, guesses, plain
+from nls.missions.importing.headers import guess, guesses, header_unit, mission_unit, plain
 from nls.missions.importing.quantities import LARGEST
 from nls.missions.importing.templates import NOISE, example
 from nls.missions.importing.text_log import Log, TextLog
-from nls.missions.importing.units import header_unit, mission_unit
-
-__all__ = ["draft"]
 
 REMARKS = {
     "fan_rad": "its whole width in azimuth, and its height in elevation",

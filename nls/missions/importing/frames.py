@@ -20,8 +20,6 @@ from models.manifolds.euler import angles_from_quaternion, quaternion_from_angle
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.missions.folder.columns import ANGLES, ARM, PLACE, VELOCITY, suffixed
 
-__all__ = ["FRAMES", "angles_of", "axes", "turn"]
-
 WORLD = {"NED": np.eye(3), "ENU": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), "NWU": np.diag([1.0, -1, -1])}
 BODY = {"FRD": np.eye(3), "FLU": np.diag([1.0, -1, -1])}
 BODY_OF = {"NED": "FRD", "ENU": "FLU", "NWU": "FLU"}  # that goes with a world, unless said otherwise

@@ -30,8 +30,6 @@ from nls.missions.importing.dates import check_format, is_date
 from nls.missions.importing.frames import FRAMES, axes
 from nls.missions.importing.text_log import SEPARATORS, Missing
 
-__all__ = ["Mapping", "Section", "read_mapping", "required"]
-
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
 GROUPS |= {f"sigma_{name}": suffixed(columns) for name, columns in GROUPS.items()}
 ROTATIONS = {"quaternion": (4, "x, y, z, w"), "rotation": (9, "a matrix row by row")}

@@ -13,14 +13,10 @@ from nls.missions.folder.columns import ANGLES
 from nls.missions.importing.cell import Cell, sigma_words, sigmas_out
 from nls.missions.importing.dates import EXAMPLE
 from nls.missions.importing.frames import angles_of, axes, turn
-from nls.missions.importing.guess import guess, nearest, plain
+from nls.missions.importing.headers import guess, mission_unit, nearest, plain
 from nls.missions.importing.mapping import Section, required
-from nls.missions.importing.quantities import FULL_TURN, convert_column, hemispheres
+from nls.missions.importing.quantities import DAY, FULL_TURN, WEEK, Stamps, convert_column, hemispheres, stamps
 from nls.missions.importing.text_log import MISSING, Log, blanked, is_number
-from nls.missions.importing.times import DAY, WEEK, Stamps, stamps
-from nls.missions.importing.units import mission_unit
-
-__all__ = ["Rows", "rows_of"]
 
 TIMES = ("time_s", "time_i_s", "time_j_s")
 WORDS = ("name", "kernel")

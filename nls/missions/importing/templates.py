@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from nls.missions.folder.columns import COLUMNS, LOG, TRACK, optional
-from nls.missions.importing.units import mission_unit
-
-__all__ = ["NOISE", "example", "templates"]
+from nls.missions.importing.headers import mission_unit
 
 ABOUT = {
     "sonar": "the imaging sonar: one row; its name in quotation marks where it has a comma",

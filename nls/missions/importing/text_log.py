@@ -20,9 +20,7 @@ from models.errors import GraphFileError
 from models.options import did_you_mean
 from nls.io.files import read_bytes
 from nls.io.text import NUMBER
-from nls.missions.importing.units import dimension
-
-__all__ = ["MISSING", "Log", "Missing", "TextLog", "blanked", "is_number"]
+from nls.missions.importing.headers import dimension
 
 Missing = tuple[str | float, ...]  # words and numbers of cells that stand for none
 
