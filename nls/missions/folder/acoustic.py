@@ -109,10 +109,8 @@ class Acoustics:
             components, sigmas = None, np.hstack([table.positive(*sigmas_xy), sigmas])
         used = np.isin(ids, self.numbers)
         if not used.all():
-            self._report.notes.append(
-                f"beacons.csv has {int((~used).sum())} of {len(ids)} beacons that nothing measures, the first is "
-                f"{ids[~used][0]}: not used"
-            )
+            rest = f"of {len(ids)} beacons that nothing measures, the first is {ids[~used][0]}: not used"
+            self._report.notes.append(f"beacons.csv has {int((~used).sum())} {rest}")
         if not used.any():
             return
         rows = np.flatnonzero(used)
@@ -160,10 +158,8 @@ class Acoustics:
             at = depth[np.minimum(np.searchsorted(self._timeline.numbers, poses), len(depth) - 1)]
             to = self.places[np.minimum(np.searchsorted(self.numbers, beacon), len(self.numbers) - 1), 2]
             if (unknown := np.isnan(to)).any():
-                self._report.notes.append(
-                    f"no depth of beacon {beacon[unknown][0]} in beacons.csv: the speed of sound is taken at the depth "
-                    "of the vehicle"
-                )
+                reason = "the speed of sound is taken at the depth of the vehicle"
+                self._report.notes.append(f"no depth of beacon {beacon[unknown][0]} in beacons.csv: {reason}")
             c = Profile(profile).mean(at, np.where(unknown, at, to))
         return c * (t - wait) / ways, c * sigma / ways
 
@@ -194,10 +190,8 @@ class Acoustics:
     def _ship(self, table: Table, poses: Numbers, rows: Mask) -> tuple[Index, Mask]:
         """The number of the pose of the ship (n,) of every row, and which rows (n,) have one."""
         if (ship := self._tables.get("ship")) is None:
-            raise table.at_names(
-                "has no column beacon, so the ship measured the vehicle; write ship.csv with the poses of its "
-                "transceiver, or name the beacon"
-            )
+            cure = "write ship.csv with the poses of its transceiver, or name the beacon"
+            raise table.at_names(f"has no column beacon, so the ship measured the vehicle; {cure}")
         t_s = ship.rising("time_s")
         rpy = np.unwrap(ship.attitude(*ANGLES), axis=0)
         p = np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")])

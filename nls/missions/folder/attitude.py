@@ -108,16 +108,14 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     t_a = ahrs.rising("time_s")
     if ahrs.has("yaw_rad") or "motion" in tables:
         if gyro is not None:
-            raise GraphFileError(
-                "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
-            )
+            cure = "leave gyro.csv out, or that column"
+            raise GraphFileError(f"gives the yaw, and ahrs.csv has a column yaw_rad; {cure}", gyro.path)
         angles = [ahrs.attitude(name) if ahrs.has(name) else np.zeros((len(ahrs), 1)) for name in ANGLES]
         rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value(CLOCK)
         return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
-        raise GraphFileError(
-            "has no column 'yaw_rad', and there is no gyro.csv; one of the two says how the yaw goes", ahrs.path
-        )
+        cure = "one of the two says how the yaw goes"
+        raise GraphFileError(f"has no column 'yaw_rad', and there is no gyro.csv; {cure}", ahrs.path)
     tilt = np.unwrap(ahrs.attitude(*ANGLES[:2]), axis=0)
     t, w = gyro.rising("time_s"), gyro.measured("wx_rad_s", "wy_rad_s", "wz_rad_s")
     roll, pitch = (np.interp(t, t_a, angle) for angle in tilt.T)
@@ -244,10 +242,8 @@ def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, notes: lis
     if len(a):
         k = int(np.argmax(T))
         many = f"{len(a)} holes, {T.sum():.6g} s in all, the longest" if len(a) > 1 else "a hole"
-        notes.append(
-            f"{table.place(int(a[k]) + 1)}: {many} between {t[a[k]]:.6g} and {t[a[k] + 1]:.6g} s: "
-            f"{int(inside.sum())} of {len(b)} poses {effect}"
-        )
+        reason = f"{many} between {t[a[k]]:.6g} and {t[a[k] + 1]:.6g} s: {int(inside.sum())} of {len(b)} poses {effect}"
+        notes.append(f"{table.place(int(a[k]) + 1)}: {reason}")
     return Holes(inside, density, sigma)
 
 

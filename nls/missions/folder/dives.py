@@ -36,7 +36,6 @@ from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
-LARGEST = 2**63 - 1
 (x,) = kinds("x")
 Read = tuple[FactorGraph, Values, MissionReport]
 
@@ -134,19 +133,13 @@ def _names(folders: Sequence[str | Path]) -> list[str]:
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
     """Refuse dives whose x and y are not from one place on the Earth."""
-    known = [report for report in reports if report.plane is not None]
-    for report in known[1:]:
-        if repr(report.plane) != repr(known[0].plane):
-            raise GraphFileError(
-                f"its origin is {_place(report)}, that of {known[0].path} is {_place(known[0])}; give all dives one "
-                "origin.csv, and x and y from there",
-                str(Path(report.path, "origin.csv")),
-            )
-
-
-def _place(report: MissionReport) -> str:
-    """Latitude and longitude of an origin."""
-    return "" if report.plane is None else f"{report.plane.lat!r}, {report.plane.lon!r} deg"
+    known = [(report.path, plane) for report in reports if (plane := report.plane) is not None]
+    for path, plane in known[1:]:
+        if repr(plane) != repr(known[0][1]):
+            own, first = (f"{p.lat!r}, {p.lon!r} deg" for p in (plane, known[0][1]))
+            cure = "give all dives one origin.csv, and x and y from there"
+            message = f"its origin is {own}, that of {known[0][0]} is {first}; {cure}"
+            raise GraphFileError(message, str(Path(path, "origin.csv")))
 
 
 def _stride(starts: Sequence[Values], path: str) -> int:
@@ -158,7 +151,7 @@ def _stride(starts: Sequence[Values], path: str) -> int:
         if kind not in SHARED and len(stack)
     )
     stride = int("1" + "0" * len(str(largest)))
-    if stride * len(starts) > LARGEST:
+    if stride * len(starts) >= 2**63:
         raise GraphFileError(f"pose {largest} leaves no numbers for other dives; number poses from 0", path)
     return stride
 
@@ -211,9 +204,8 @@ def _add_closures(graph: FactorGraph, report: DivesReport, k: int, values: Value
     first, poses = np.zeros(len(table), dtype=np.int64), values.stack(x).numbers
     for row, name in enumerate(table.text_of("dive")):
         if name not in others:
-            raise table.at(
-                row, f"dive is {name!r}; expected one of the others that are solved with it: {', '.join(others)}"
-            )
+            expected = f"expected one of the others that are solved with it: {', '.join(others)}"
+            raise table.at(row, f"dive is {name!r}; {expected}")
         first[row] = others[name]
     numbers = [table.integers("i") + dive.first, table.integers("j") + first]
     for column, poses_of_rows in zip("ij", numbers, strict=True):

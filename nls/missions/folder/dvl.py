@@ -77,11 +77,8 @@ def bottom_lock(dvl: Table, notes: list[str]) -> Mask:
     """Which rows (n,) see the bottom, by all columns that say so; notes count those that a column rules out."""
     valid = np.ones(len(dvl), dtype=bool)
     if not (dvl.has("valid") or dvl.has("beams")):
-        raise GraphFileError(
-            "has no column 'valid' and none 'beams'; expected valid, 1 where the DVL had bottom lock, else 0, or "
-            "beams, how many of its beams saw the bottom",
-            dvl.path,
-        )
+        cure = "expected valid, 1 where the DVL had bottom lock, else 0, or beams, how many of its beams saw the bottom"
+        raise GraphFileError(f"has no column 'valid' and none 'beams'; {cure}", dvl.path)
     if dvl.has("valid"):
         valid &= dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
     if dvl.has("beams"):
@@ -174,9 +171,8 @@ def _within_gate(dvl: Table, v: Array, valid: Mask, gate: float, notes: list[str
     median = np.median(np.lib.stride_tricks.sliding_window_view(beside, 5, axis=0), axis=-1)
     near = np.ones(len(v), dtype=bool)
     near[valid] = (np.abs(v[valid] - median) <= gate).all(axis=1)
-    return _locked(
-        dvl, valid, near, f"a velocity further than gate_v_m_s, {gate:g} m/s, from the median of 5 rows", notes
-    )
+    rest = f"{gate:g} m/s, from the median of 5 rows"
+    return _locked(dvl, valid, near, f"a velocity further than gate_v_m_s, {rest}", notes)
 
 
 def _through_water(
@@ -192,10 +188,8 @@ def _through_water(
         return v, valid, sigma
     rows = f"{dvl.place(int(np.argmax(alone)))}: {int(alone.sum())} rows without bottom lock have"
     if both.sum() < 2:
-        notes.append(
-            f"{rows} a velocity through the water that is not used: fewer than two rows have both, so the current is "
-            "not known"
-        )
+        reason = "fewer than two rows have both, so the current is not known"
+        notes.append(f"{rows} a velocity through the water that is not used: {reason}")
         return v, valid, sigma
     d = apply(R[both], v[both] - through[both])
     current, spread = d.mean(axis=0), float(np.sqrt(d.var(axis=0, ddof=1).max()))
@@ -204,10 +198,8 @@ def _through_water(
     length = np.bincount(run[alone], minlength=run[-1] + 1)
     sigma = np.where(alone, np.sqrt(sigma**2 + spread**2 * length[run]), sigma)
     north, east, down = current.tolist()
-    notes.append(
-        f"{rows} the velocity through the water and the current, north {north:.3g}, east {east:.3g}, down {down:.3g} "
-        f"m/s, of the {int(both.sum())} rows with both (sigma of one {spread:.2g} m/s)"
-    )
+    rest = f"down {down:.3g} m/s, of the {int(both.sum())} rows with both (sigma of one {spread:.2g} m/s)"
+    notes.append(f"{rows} the velocity through the water and the current, north {north:.3g}, east {east:.3g}, {rest}")
     return v, valid | alone, sigma
 
 

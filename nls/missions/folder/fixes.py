@@ -52,10 +52,8 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
     table.refuse_rows(np.abs(lat) > 90, lambda k: f"lat_deg is {float(lat[k])!r}; expected degrees, -90 to 90")
     if plane is None:
         first = ",".join(repr(number) for number in lat_lon[0].tolist())
-        raise table.at_names(
-            "has latitudes, and no file says where x = y = 0 is; write origin.csv with one row of lat_deg,lon_deg, "
-            f"such as {first}"
-        )
+        cure = f"write origin.csv with one row of lat_deg,lon_deg, such as {first}"
+        raise table.at_names(f"has latitudes, and no file says where x = y = 0 is; {cure}")
     p = plane.local(*lat_lon.T)
     far = np.linalg.norm(p, axis=1)
     if (beyond := ~(far <= REACH)).any():

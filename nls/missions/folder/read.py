@@ -107,10 +107,8 @@ def graph_of(
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
     first = add_anchor(mission, numbers, compass, anchored)
     if not (named := are_named(tables)) and not alone:
-        raise tables["contacts"].at_names(
-            "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or solve "
-            "the dives one by one"
-        )
+        reason = "landmarks of several dives are told apart by their numbers; add it, or solve the dives one by one"
+        raise tables["contacts"].at_names(f"has no column 'landmark': {reason}")
     points = add_contacts(mission, timeline, elevation) if named else np.zeros(0, dtype=np.int64)
     if named:
         compare_landmarks(report, points)

@@ -61,9 +61,8 @@ class Assembly:
                 try:
                     kernels[word] = None if word == NO_KERNEL else kernel_from_text(word)
                 except (OptionError, NoiseModelError) as error:
-                    raise table.at(
-                        row, f"kernel is {word!r}; expected one such as huber:1.345, or none: {error}"
-                    ) from error
+                    expected = f"expected one such as huber:1.345, or none: {error}"
+                    raise table.at(row, f"kernel is {word!r}; {expected}") from error
         column = np.array(words)
         for word, kernel in kernels.items():
             if len(some := index[column[index] == word]):

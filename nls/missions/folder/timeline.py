@@ -82,10 +82,8 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
         return b
     for name in NUMBERED:
         if (table := tables.get(name)) is not None and table.has("i"):
-            raise table.at_names(
-                f"names poses by i, but the times of {next(iter(times))}.csv add poses; write poses.csv, with i and "
-                "time_s of every pose"
-            )
+            cure = "write poses.csv, with i and time_s of every pose"
+            raise table.at_names(f"names poses by i, but the times of {next(iter(times))}.csv add poses; {cure}")
     t = np.sort(np.concatenate([b, *(rows.ravel() for rows in times.values())]))
     t = t[(t >= b[0]) & (t <= end)]
     close = np.flatnonzero(np.diff(t) < SAME)
@@ -124,11 +122,8 @@ def poses_of_log(
     ranges = ", ".join(f"{name} {float(t[0])!r} to {float(t[-1])!r} s" for name, t in logs.items())
     if (table := tables.get("poses")) is None:
         if end - begin > 10_000_000:  # s: four months, or times that are no seconds
-            raise GraphFileError(
-                f"the logs last {end - begin:.6g} s, with a pose a second too many for a graph: {ranges}; are "
-                "these seconds? poses.csv says when there are poses",
-                tables["dvl"].path,
-            )
+            rest = f"a second too many for a graph: {ranges}; are these seconds? poses.csv says when there are poses"
+            raise GraphFileError(f"the logs last {end - begin:.6g} s, with a pose {rest}", tables["dvl"].path)
         b = begin + np.arange(max(0, int(end - begin) + 2))
         b = b[b <= end]  # 12.46 + 68.0 is more than 80.46 by a rounding
         if len(b) < 2:

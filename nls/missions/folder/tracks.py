@@ -89,9 +89,8 @@ def _times_of_poses(poses: Table, numbers: Numbers) -> Array:
     ids, t = poses.unique("i", "pose"), poses.rising("time_s")
     poses.known("i", numbers, "nothing measures this pose; leave it out")
     if len(missing := np.setdiff1d(numbers, ids)):
-        raise poses.at(
-            len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
-        )
+        cure = "give a time for every pose"
+        raise poses.at(len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; {cure}")
     return t[np.argsort(ids)]
 
 

@@ -96,10 +96,8 @@ def refuse_mixed(folder: str | Path, files: Collection[str]) -> None:
     for name in COLUMNS:
         for file in (path / f"{name}.csv", path / f"{name}.csv.gz"):
             if file.exists() and file.name not in files:
-                raise GraphFileError(
-                    "is of another mission, which would be mixed with this one; remove it, or give another folder",
-                    str(file),
-                )
+                cure = "remove it, or give another folder"
+                raise GraphFileError(f"is of another mission, which would be mixed with this one; {cure}", str(file))
 
 
 def mission_files(
@@ -115,11 +113,8 @@ def mission_files(
     factors = [factor for factor in graph.factors if len(factor)]  # what measures nothing needs no file
     if held := [keys for keys in graph.fixed if len(keys)]:
         first = next(iter(held[0]))
-        raise GraphError(
-            f"write_mission: {first!r} is fixed, which no file of a mission says; hold it by a factor instead: an "
-            "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
-            [first],
-        )
+        rest = "it by a factor instead: an anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw"
+        raise GraphError(f"write_mission: {first!r} is fixed, which no file of a mission says; hold {rest}", [first])
     tables, factors = _positioned(factors)
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
@@ -174,9 +169,8 @@ def _file_of(factor: Factor, mount: Array) -> str:
     for name, kind in (("odometry", XYH), ("zpr", ZPR), ("anchor", Prior), ("anchor", Position), ("anchor", Heading)):
         if isinstance(factor, kind):
             return name
-    raise _no_file(
-        factor, "files hold XYH, ZPR, Heading, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor"
-    )
+    rest = "ZPR, Heading, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor"
+    raise _no_file(factor, f"files hold XYH, {rest}")
 
 
 def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns]]) -> Numbers:
@@ -193,8 +187,9 @@ def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns
         if len(stray := np.setdiff1d(unique_ids, poses)):
             raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
         if name in ("zpr", "anchor") and (count > 1).any():
+            expected = "expected once"
             raise GraphError(
-                f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
+                f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; {expected}"
             )
     return poses
 
@@ -209,9 +204,8 @@ def _times(poses: Numbers, times: npt.ArrayLike) -> Columns:
     """The rows of poses.csv, in the order of time."""
     t = np.asarray(times, dtype=float)
     if t.shape != poses.shape or len(np.unique(t)) < len(t):
-        raise GraphError(
-            f"write_mission: times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
-        )
+        reason = f"times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
+        raise GraphError(f"write_mission: {reason}")
     order = np.argsort(t)
     return {"i": poses[order], "time_s": t[order]}
 
@@ -251,11 +245,8 @@ def _with_headings(zpr: dict[str, Any], compass: list[Heading]) -> Columns:
     wrong = [*unique[count > 1], *np.setxor1d(unique, zpr["i"])]
     if wrong:
         h = next((h for h in compass if wrong[0] in h.keys[0].numbers), compass[0])
-        raise _no_file(
-            h,
-            f"zpr.csv has a depth and a heading for every pose, once: not for x{wrong[0]}; one of a large sigma says "
-            "nothing",
-        )
+        cure = "one of a large sigma says nothing"
+        raise _no_file(h, f"zpr.csv has a depth and a heading for every pose, once: not for x{wrong[0]}; {cure}")
     rows = first[np.searchsorted(unique, zpr["i"])]
     return zpr | {name: headings[name][rows] for name in COMPASS}
 

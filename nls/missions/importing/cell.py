@@ -17,7 +17,7 @@ from nls.missions.importing.templates import example
 from nls.missions.importing.text_log import Missing
 
 KEYS = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
-FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
+FINITE = 1e300  # numbers below are numbers of 64 bits
 NUMBERS = {"sign": "1 or -1", "scale": "a finite number other than 0"}  # else a finite number
 ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
 
@@ -115,11 +115,9 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     scale, offset = float(value.get("scale", 1)), float(value.get("offset", 0))
     if "row" in value:
         row = value["row"]
-        if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > WHOLE:
-            raise refuse(
-                f"row is {row!r:.30}; expected the number of the first row, such as {{ row = 0 }}, also with scale "
-                "and offset"
-            )
+        if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > 2**53:
+            expected = "expected the number of the first row, such as { row = 0 }, also with scale and offset"
+            raise refuse(f"row is {row!r:.30}; {expected}")
         return Cell(row=row, scale=scale, offset=offset)
     names = value.get("column", ())
     names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()

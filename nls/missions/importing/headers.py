@@ -112,9 +112,8 @@ def convert(numbers: Array, unit: str, column: str) -> Array:
         minutes = np.fmod(numbers, 100)
         if (bad := np.abs(minutes) >= 60).any():
             k = int(np.argmax(bad))
-            raise ValueError(
-                k, f"{numbers[k]:.10g} has {abs(minutes[k]):.6g} minutes, expected less than 60 (ddmm.mmmm)"
-            )
+            expected = "expected less than 60 (ddmm.mmmm)"
+            raise ValueError(k, f"{numbers[k]:.10g} has {abs(minutes[k]):.6g} minutes, {expected}")
         numbers = np.trunc(numbers / 100) + minutes / 60
     size = factor(unit, column)
     return numbers if size == 1.0 else numbers * size

@@ -24,7 +24,6 @@ from nls.missions.folder.columns import COLUMNS, needed
 from nls.missions.folder.table import csv_text
 from nls.missions.folder.write import refuse_mixed
 from nls.missions.importing.bags import Bag, is_bag, refuse_no_log
-from nls.missions.importing.cell import WHOLE as LARGEST
 from nls.missions.importing.dates import NANOSECONDS, iso, parse_zero
 from nls.missions.importing.mapping import Mapping, Section
 from nls.missions.importing.quantities import DAY, WEEK
@@ -139,11 +138,8 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
         write = "time_s = { column = ..., offset = SECONDS }"
         if fits:
             write = f'`date = "{iso(midnight)[:10]}"`, as they are of the {"day" if of_day else "week of GPS"},'
-        raise section.error(
-            "time_s",
-            f"the times of [{section.table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
-            f"write {write} in [{section.table}] of the mapping",
-        )
+        rest = f"those of [{next(iter(since))}] are since 1970; write {write} in [{section.table}] of the mapping"
+        raise section.error("time_s", f"the times of [{section.table}] have a zero of their own, {rest}")
     if mapping.time_zero is not None:
         zero = parse_zero(mapping.time_zero)
         if zero is None:
@@ -221,7 +217,7 @@ def _columns(part: Rows, zero: int, origin: LocalPlane | None) -> dict[str, npt.
 def _refuse_whole(section: Section, merged: dict[str, Array]) -> None:
     """Refuse a number of a pose or a landmark that is not whole, and times that are constants."""
     for name in WHOLE:
-        if name in merged and (bad := (merged[name] != np.rint(merged[name])) | (np.abs(merged[name]) > LARGEST)).any():
+        if name in merged and (bad := (merged[name] != np.rint(merged[name])) | (np.abs(merged[name]) > 2**53)).any():
             k = int(np.argmax(bad))
             raise section.error(name, f"{name} is {float(merged[name][k])!r}; expected whole numbers, up to 2^53")
     timed = [section.cells[name] for name in TIMES if name in section.cells]
@@ -311,19 +307,16 @@ class Logs:
                 given = section.options.get(option)
                 if given is not None and given != section.mapping.tree.get(option):
                     log = given if option == "file" else "a log"
-                    raise section.error(
-                        option,
-                        f"[{section.table}] uses no column of {log}; name one of its columns, or leave {option} out",
-                    )
+                    cure = f"name one of its columns, or leave {option} out"
+                    raise section.error(option, f"[{section.table}] uses no column of {log}; {cure}")
             return Log("", "", [], [], np.zeros(1, dtype=np.intp))
         named = section.options.get("file")
         if named is not None:
             if Path(named).name not in self.paths:
                 near = did_you_mean(Path(named).name, self.paths)
                 given = ", ".join(self.paths.values())
-                raise section.error(
-                    "file", f"{named!r} is not among the logs that are given{near or ';'} given: {given}"
-                )
+                rest = f"is not among the logs that are given{near or ';'} given: {given}"
+                raise section.error("file", f"{named!r} {rest}")
             return self._log(section, Path(named).name)
         if len(self.paths) == 1:
             return self._log(section, next(iter(self.paths)))

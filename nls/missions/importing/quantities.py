@@ -117,9 +117,8 @@ def _refuse_size(section: Section, column: str, numbers: Array, converted: Array
     if unit and none.any() and _unit_by_size(column, converted[~none], bool(unsaid))[1] in ("", "deg"):
         special = [int(number) for number in np.unique(numbers[none])]
         write = f"`missing = {special[0] if len(special) == 1 else special}` in [{section.table}] of the mapping"
-        raise section.error(
-            column, f"{name!r} is {some(special)} in {none.sum()} rows, which loggers write for none; write {write}"
-        )
+        rest = f"which loggers write for none; write {write}"
+        raise section.error(column, f"{name!r} is {some(special)} in {none.sum()} rows, {rest}")
     if unit:
         expected = "radians" if own == "rad" and unsaid else "degrees"
         write = f'{column} = {{ column = "{name}", unit = "{unit}" }}'
@@ -151,10 +150,8 @@ def hemispheres(section: Section, column: str, cell: Cell, log: Log, numbers: Ar
     words = [word.lower() for word in log.words(letters[0], cell.missing)]
     for k, word in enumerate(words):
         if word not in sides and word not in MISSING:
-            expected = ", ".join(sides)
-            raise log.error(
-                k, f"{letters[0]}: {word[:40]!r} is no side; expected {expected}; correct {column} in the mapping"
-            )
+            cure = f"expected {', '.join(sides)}; correct {column} in the mapping"
+            raise log.error(k, f"{letters[0]}: {word[:40]!r} is no side; {cure}")
         if sides.get(word) == -1 and numbers[k] < 0:
             cure = f'write {column} = "{name}", as its sign says the side'
             raise log.error(k, f"{name} is negative and {letters[0]} is {word!r}; {cure}")
@@ -251,11 +248,8 @@ def _unit(section: Section, log: Log, column: str, numbers: Array, notes: list[s
             fast = unit == "day" or low > LATEST or step < 5e-4  # s: no table is as fast, and as many days are 43 s
             if low <= numbers[0] < high and fast and not (unit and keys == 'unit = "day"'):
                 write = f'`{column} = {{ column = "{name}", {keys} }}`'
-                raise section.error(
-                    column,
-                    f"{name!r} begins with {numbers[0]:.10g}, in steps of {step:.3g}: {count}; write {write} in "
-                    f"[{section.table}] of the mapping",
-                )
+                reason = f"{count}; write {write} in [{section.table}] of the mapping"
+                raise section.error(column, f"{name!r} begins with {numbers[0]:.10g}, in steps of {step:.3g}: {reason}")
     if not unit:
         size = _size(numbers)
         unit = next((unit for limit, unit in BY_SIZE if size >= limit), "s")
