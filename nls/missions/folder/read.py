@@ -13,7 +13,6 @@ from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.missions.folder.acoustic import Acoustics
 from nls.missions.folder.calibration import Calibrations, Compass
-from nls.missions.folder.clocks import shift_clocks
 from nls.missions.folder.contacts import add_contacts, add_unnamed_contacts, are_named
 from nls.missions.folder.dvl import integrated
 from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
@@ -21,7 +20,7 @@ from nls.missions.folder.folder import read_tables
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.rows import Assembly
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import Timeline, measured_times
+from nls.missions.folder.timeline import Timeline, measured_times, shift_clocks
 from nls.missions.folder.tracks import odometry, reckoned, walking
 from nls.missions.folder.truth import compare_landmarks, true_values
 from nls.missions.starts.placing import along_measurements, place_beacons, turn_to, turn_to_measurements

@@ -16,9 +16,9 @@ from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import ARM, MAY_BE_0
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import Times
 
 NO_KERNEL = "none"
+Times = dict[str, Array]  # of the rows (n, k) of files, s; closures.csv has two a row
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,9 @@ from nls.io.report import Source
 from nls.missions.folder.attitude import CLOCK, attitude_of, headings, holes_of
 from nls.missions.folder.columns import ANGLES, ARM, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.missions.folder.depth import depths_of
-from nls.missions.folder.rows import Assembly, columns_together, noise_of, one_row
+from nls.missions.folder.rows import Assembly, Times, columns_together, noise_of, one_row
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import SAME, Times, poses_of_rows, united
+from nls.missions.folder.timeline import SAME, poses_of_rows, united
 from nls.sparse.components import connected
 
 AXES = {  # tables of what is measured along the axes of the vehicle

@@ -143,12 +143,8 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
     if mapping.time_zero is not None:
         zero = parse_zero(mapping.time_zero)
         if zero is None:
-            raise mapping.error(
-                "",
-                "time_zero",
-                f"{mapping.time_zero!r} is not possible; expected a time of ISO 8601 such as "
-                '"2020-05-01T12:00:00Z", or seconds since 1970',
-            )
+            expected = 'expected a time of ISO 8601 such as "2020-05-01T12:00:00Z", or seconds since 1970'
+            raise mapping.error("", "time_zero", f"{mapping.time_zero!r} is not possible; {expected}")
         if not since:
             raise mapping.error("", "time_zero", "no time of the logs is since 1970; leave time_zero out")
     elif since:
