@@ -67,7 +67,7 @@ def log(
 
 def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:
     """NEES over 20 flights with 10 s without attitude and 20 s without depth: it was above 100 in both."""
-    yaw, tilt, z, end, gone = [], [], [], [], []
+    yaw, tilt, z, end, gone, rest = [], [], [], [], [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         files, truth = log(rng, [(30.05, 40.05)], [(60.0, 80.0)])
@@ -77,12 +77,14 @@ def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:
         e = euler.from_se3(values[x]) - truth
         square = e**2 / np.diagonal(Sigma, axis1=1, axis2=2)
         yaw.append(square[31:41, 2].mean())
+        rest.append(np.delete(square[:, 2], np.s_[29:43]).mean())
         tilt.append(square[31:41, :2].mean())
         z.append(square[61:80, 5].mean())
         gone.append(Sigma[[35, 70], [2, 5], [2, 5]])
         for k, found in ((50, end), (90, end)):
             found.append(e[k, 3:5] @ np.linalg.solve(Sigma[k, 3:5, 3:5], e[k, 3:5]))
     assert 0.1 < np.mean(yaw) < 1.3
+    assert 0.93 < np.mean(rest) < 1.07  # 1,540 poses in all: no reading of the heading counts twice
     assert 0.05 < np.mean(tilt) < 1.3
     assert 0.002 < np.mean(z) < 1.3
     assert 0.2 < np.mean(end) < 3.3  # 2 and the second order of a heading known to 0.12 rad

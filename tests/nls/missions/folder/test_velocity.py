@@ -90,23 +90,11 @@ def test_the_way_through_the_water_and_the_current_go_on(tmp_path: Path) -> None
     assert sigma < 0.2
     legs, spread = 10, 0.02  # the whole of the loss: its 49 rows have the error of the current in common
     assert sigma * np.sqrt(legs) == pytest.approx(spread * 10, rel=0.25)
+    with pytest.raises(GraphFileError, match=r"water_valid is '2'; expected 0 or 1"):
+        nls.load(folder(tmp_path / "odd", log({"valid": 1 * ~lost, **water, "water_valid": 2})))
     blind = {**water, "water_valid": 1 * lost}
     distance, _, report = way(
         tmp_path / "alone", log({"vx_m_s": np.where(lost, 0, speed), "valid": 1 * ~lost, **blind})
     )
     assert distance == pytest.approx(40.0)
     assert "is not used: fewer than two rows have both" in str(report.notes)
-
-
-def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
-    through = {"water_vx_m_s": 1.0, "water_vy_m_s": 0.0, "water_vz_m_s": 0.0}
-    for k, (columns, problem) in enumerate(
-        (
-            ({}, r"dvl\.csv: has no column 'valid' and none 'beams'"),
-            ({"beams": -1}, r"dvl\.csv:2: beams is -1; expected how many see the bottom"),
-            ({"beams": 2}, r"dvl\.csv: 0 of 201 rows are valid"),
-            ({"valid": 1 * (np.arange(201) < 9), **through, "water_valid": 2}, r"water_valid is '2'; expected 0 or 1"),
-        )
-    ):
-        with pytest.raises(GraphFileError, match=problem):
-            nls.load(folder(tmp_path / str(k), log(columns)))
