@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from factors import XYH, Between, Diagonal, Heading, Position
@@ -58,22 +56,20 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
     far = np.linalg.norm(p, axis=1)
     if (beyond := ~(far <= REACH)).any():
         k = int(np.argmax(beyond))
-        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in _elsewhere(plane, *lat_lon[k]))
+        a, b = lat_lon[k]
+        meant = {
+            "lat_deg, lon_deg exchanged": (b, a),
+            "lon_deg times -1": (a, -b),
+            "lat_deg times -1": (-a, b),
+            "lat_deg, lon_deg read in rad": (np.degrees(a), np.degrees(b)),
+        }
+        near = {
+            how: np.linalg.norm(plane.local(*np.array(at)[:, None])) for how, at in meant.items() if abs(at[0]) <= 90
+        }
+        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in near.items() if d <= REACH)
         why = ", so one of the two files is wrong" if hints else ""
         raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km{hints}{why}")
     return p
-
-
-def _elsewhere(plane: LocalPlane, lat: float, lon: float) -> Iterator[tuple[str, float]]:
-    """How a latitude and a longitude may be meant that are near the origin then, and how far they are, m."""
-    for how, (a, b) in {
-        "lat_deg, lon_deg exchanged": (lon, lat),
-        "lon_deg times -1": (lat, -lon),
-        "lat_deg times -1": (-lat, lon),
-        "lat_deg, lon_deg read in rad": (np.degrees(lat), np.degrees(lon)),
-    }.items():
-        if abs(a) <= 90 and (d := float(np.linalg.norm(plane.local(np.array([a]), np.array([b]))))) <= REACH:
-            yield how, d
 
 
 def add_anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anchored: bool) -> Pose | None:

@@ -97,8 +97,7 @@ def graph_of(
     compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
     report.compass = compass is not None
     report.truth = true_values(tables, numbers, report)
-    open_ended = not {"odometry", "poses"} & tables.keys()
-    timeline = Timeline(numbers, report.vertex_times.get("x"), mission.times, open_ended, report)
+    timeline = Timeline(mission, numbers)
     add_fixes(mission, timeline)
     add_closures(mission, timeline)
     acoustics = Acoustics(mission, timeline, _depths(graph, numbers))

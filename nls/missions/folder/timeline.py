@@ -17,8 +17,6 @@ with the twist xi of the vehicle by dead reckoning, that of the ship by ship.csv
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from factors.base import Factor
@@ -168,68 +166,62 @@ def poses_of_rows(t: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(1.0, poses / np.maximum(rows, 1))))
 
 
-@dataclass(frozen=True)
 class Timeline:
     """The poses of a mission and their times.
 
+    Parameters
+    ----------
+    mission : whose report has the times of the poses, where a file says them, and gets notes on rows left out.
+    numbers : (n,) of the poses, rising.
+
     Attributes
     ----------
-    numbers : (n,) of the poses, rising.
     times : (n,) of the poses, s, in the order of their numbers; None where no file says them.
-    rows : the times of the files, see `measured_times`.
-    open : whether rows outside the track are left out, as of a raw log without poses.csv, and not refused.
-    report : gets notes on what is left out.
     """
 
-    numbers: Numbers
-    times: Array | None
-    rows: Times
-    open: bool
-    report: MissionReport = field(repr=False)
+    def __init__(self, mission: Assembly, numbers: Numbers) -> None:
+        self._mission, self.numbers = mission, numbers
+        self.times = mission.report.vertex_times.get("x")
 
     def poses(self, name: str, table: Table) -> tuple[Numbers, Mask]:
         """Poses (n, 1 or 2) of the rows of a file, and which rows (n,) have some; the others are left out.
+
+        Rows outside the track are left out of a raw log without poses.csv, and elsewhere refused.
 
         Raises
         ------
         GraphFileError
             No such pose; no pose at that time; no row within the track.
         """
-        if name not in self.rows:
+        if name not in self._mission.times:
             columns = ("i", "j") if name == "closures" else ("i",)
             problem = "no such pose in the track"
             numbers = np.stack([table.known(column, self.numbers, problem) for column in columns], axis=1)
             return numbers, np.ones(len(table), dtype=bool)
         if self.times is None:
             raise table.at_names("has times, but no pose has one; add poses.csv, with i and time_s of every pose")
-        t = self.rows[name]
-        order = np.argsort(self.times)
-        rising = self.times[order]
-        nearest = np.abs(rising[_nearest(rising, t)] - t)
-        away: Mask = np.any(nearest >= SAME, axis=1)
-        if away.any():
-            self._outside(table, t, away, rising, self.numbers[order])
-        return self.numbers[order][_nearest(rising, t)], ~away
-
-    def _outside(self, table: Table, t: Array, away: Mask, rising: Array, numbers: Numbers) -> None:
-        """Refuse rows that are not at the time of a pose, or say that they are left out."""
-        k = int(np.argmax(away))
-        time = round(float(t[k][np.abs(rising[_nearest(rising, t[k])] - t[k]) >= SAME][0]), 6)
-        span = f"{float(rising[0])!r} to {float(rising[-1])!r} s"
-        if not self.open:
-            near = int(_nearest(rising, np.array([time]))[0])
-            raise table.at(
-                k,
-                f"no pose is at {time!r} s; the nearest is pose {numbers[near]} at {float(rising[near])!r} s. Add a "
-                "pose at this time to poses.csv"
-                + ("" if "odometry.csv" in self.report.tags else ", or leave poses.csv out"),
-            )
-        leave_out(table, away, bool(away.all()), time, f"the track, {span}", self.report)
+        t, order, tables = self._mission.times[name], np.argsort(self.times), self._mission.tables
+        rising, numbers = self.times[order], self.numbers[order]
+        nearest = _nearest(rising, t)
+        far = np.abs(rising[nearest] - t) >= SAME
+        if (away := np.any(far, axis=1)).any():
+            k = int(np.argmax(away))
+            time = round(float(t[k][far[k]][0]), 6)
+            if {"odometry", "poses"} & tables.keys():
+                near = int(_nearest(rising, np.array([time]))[0])
+                cure = "Add a pose at this time to poses.csv"
+                cure += "" if "odometry" in tables else ", or leave poses.csv out"
+                pose = f"the nearest is pose {numbers[near]} at {float(rising[near])!r} s"
+                raise table.at(k, f"no pose is at {time!r} s; {pose}. {cure}")
+            span = f"the track, {float(rising[0])!r} to {float(rising[-1])!r} s"
+            leave_out(table, away, bool(away.all()), time, span, self._mission.report)
+        return numbers[nearest], ~away
 
     def at(self, numbers: Numbers) -> Array:
         """Times (n,) of poses, s; a GraphFileError where there are none."""
         if self.times is None:
-            raise GraphFileError("no pose has a time; add poses.csv, with i and time_s of every pose", self.report.path)
+            problem = "no pose has a time; add poses.csv, with i and time_s of every pose"
+            raise GraphFileError(problem, self._mission.report.path)
         return self.times[np.searchsorted(self.numbers, numbers)]
 
 

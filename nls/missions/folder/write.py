@@ -139,7 +139,12 @@ def mission_files(
     if compass:
         rows["zpr"] = [_with_headings(_joined(rows["zpr"]), compass)]
     if times is not None:
-        rows["poses"] = [_times(poses, times)]
+        t = np.asarray(times, dtype=float)
+        if t.shape != poses.shape or len(np.unique(t)) < len(t):
+            reason = f"times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
+            raise GraphError(f"write_mission: {reason}")
+        order = np.argsort(t)
+        rows["poses"] = [{"i": poses[order], "time_s": t[order]}]
     ordered = {name: rows[name] for name in COLUMNS if name in rows}
     return {f"{name}.csv": _table_text(name, parts) for name, parts in (ordered | tables).items()}
 
@@ -153,8 +158,7 @@ def _file_of(factor: Factor, mount: Array) -> str:
         No file has columns for it.
     """
     kinds = [keys.kind for keys in factor.keys]
-    observes_landmark = isinstance(factor, RangeAzimuth | Elevation)
-    expected = ["x", "l"] if observes_landmark else ["x"] * len(kinds)
+    expected = ["x", "l"] if isinstance(factor, RangeAzimuth | Elevation) else ["x"] * len(kinds)
     if kinds != expected:
         raise _no_file(factor, f"its variables are {kinds}, expected {expected}")
     if factor.kernel is not None:
@@ -187,10 +191,8 @@ def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns
         if len(stray := np.setdiff1d(unique_ids, poses)):
             raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
         if name in ("zpr", "anchor") and (count > 1).any():
-            expected = "expected once"
-            raise GraphError(
-                f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; {expected}"
-            )
+            problem = f"x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
+            raise GraphError(f"write_mission: {problem}")
     return poses
 
 
@@ -198,16 +200,6 @@ def _poses(rows: list[Columns]) -> Numbers:
     """Numbers of the poses in the rows of a table."""
     numbers = [np.asarray(row[column]) for row in rows for column in ("i", "j") if column in row]
     return np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
-
-
-def _times(poses: Numbers, times: npt.ArrayLike) -> Columns:
-    """The rows of poses.csv, in the order of time."""
-    t = np.asarray(times, dtype=float)
-    if t.shape != poses.shape or len(np.unique(t)) < len(t):
-        reason = f"times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
-        raise GraphError(f"write_mission: {reason}")
-    order = np.argsort(t)
-    return {"i": poses[order], "time_s": t[order]}
 
 
 def _anchors(factors: list[Factor]) -> tuple[list[Columns], list[Heading]]:
@@ -330,7 +322,8 @@ def _positioned(factors: list[Factor]) -> tuple[dict[str, list[Columns]], list[F
         Factors of one table with other columns; noise with correlations; a kernel where there is no column for it.
     """
     tables: dict[str, list[Columns]] = {}
-    others, headings = [], [factor.keys for factor in factors if isinstance(factor, Heading)]
+    others: list[Factor] = []
+    headings = [factor.keys for factor in factors if isinstance(factor, Heading)]
     for factor in factors:
         kinds = [keys.kind for keys in factor.keys]
         if isinstance(factor, Position) and kinds == ["x"] and factor.keys not in headings:

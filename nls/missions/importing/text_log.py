@@ -293,7 +293,7 @@ def blanked(words: list[str], missing: Missing) -> list[str]:
     texts = {str(value).lower() for value in missing}
     values = [float(value) for value in missing if not isinstance(value, str)]
     with np.errstate(over="ignore"):
-        numbers = {*values, *np.float32(values).tolist()}
+        numbers = {*values, *np.array(values, dtype=np.float32).tolist()}
 
     def is_none(word: str) -> bool:
         return word.lower() in texts or (is_number(word) and float(word.replace(",", ".")) in numbers)
