@@ -227,10 +227,9 @@ class Acoustics:
         if len(unknown):
             names = listed([str(number) for number in unknown])
             beacons = f"beacon {names} is" if len(unknown) == 1 else f"beacons {names} are"
-            self._report.notes.append(
-                f"{beacons} not in beacons.csv: estimated, with a start below the vehicle. On a track of one depth "
-                "ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
-            )
+            level = "On a track of one depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
+            start = "estimated, with a start below the vehicle"
+            self._report.notes.append(f"{beacons} not in beacons.csv: {start}. {level}")
 
 
 def _mount(table: Table) -> Array | None:
@@ -326,12 +325,9 @@ def refuse_moved_beacons(dives: Sequence[tuple[FactorGraph, MissionReport]]) -> 
                 away = np.where(np.isfinite(sigma), survey[0] - other[0], 0.0)
                 if (np.abs(away) > 5 * sigma).any():
                     path, _, line = place.rpartition(":")
-                    raise GraphFileError(
-                        f"beacon {beacon} is {np.linalg.norm(away):.4g} m from where {where} has it; the same number "
-                        "is the same beacon, so give another one a number of its own",
-                        path,
-                        int(line),
-                    )
+                    cure = "the same number is the same beacon, so give another one a number of its own"
+                    apart = f"beacon {beacon} is {np.linalg.norm(away):.4g} m from where {where} has it"
+                    raise GraphFileError(f"{apart}; {cure}", path, int(line))
             known[beacon].append((survey, place))
 
 

@@ -226,11 +226,9 @@ def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, notes: lis
         d = _from_the_middle(t, y, float(L))
         rows = a[length == L]
         if not len(d):
-            raise table.at(
-                int(rows[0]) + 1,
-                f"no row in the {t[rows[0] + 1] - t[rows[0]]:.6g} s before this one, and no time as long without such "
-                "a hole to tell how far the vehicle turns or dives in it; cut the log in two here",
-            )
+            none = f"no row in the {t[rows[0] + 1] - t[rows[0]]:.6g} s before this one"
+            rest = "no time as long without such a hole to tell how far the vehicle turns or dives in it"
+            raise table.at(int(rows[0]) + 1, f"{none}, and {rest}; cut the log in two here")
         most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[rows + 1] - y[rows]) / 2)
         density[rows] = 2 * most / np.sqrt(t[rows + 1] - t[rows])[:, None]
 

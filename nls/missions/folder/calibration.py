@@ -63,9 +63,8 @@ class Calibrations:
         for row, name in enumerate(table.text_of("name")):
             value, sigma = numbers[row].tolist()
             if name not in NAMES:
-                raise table.at(
-                    row, f"no calibration is called {name!r}{did_you_mean(name, NAMES)}; one of " + ", ".join(NAMES)
-                )
+                near = f"{did_you_mean(name, NAMES)}; one of {', '.join(NAMES)}"
+                raise table.at(row, f"no calibration is called {name!r}{near}")
             if name in self._rows:
                 raise table.at(row, f"{name} was given before, on line {int(table.lines[self._rows[name][2]]) + 1}")
             if sigma < 0:

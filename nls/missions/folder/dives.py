@@ -144,12 +144,8 @@ def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
 
 def _stride(starts: Sequence[Values], path: str) -> int:
     """The least power of ten above all numbers that are a dive's own."""
-    largest = max(
-        int(stack.numbers.max())
-        for values in starts
-        for kind, stack in values.stacks.items()
-        if kind not in SHARED and len(stack)
-    )
+    own = [stack for values in starts for kind, stack in values.stacks.items() if kind not in SHARED and len(stack)]
+    largest = max(int(stack.numbers.max()) for stack in own)
     stride = int("1" + "0" * len(str(largest)))
     if stride * len(starts) >= 2**63:
         raise GraphFileError(f"pose {largest} leaves no numbers for other dives; number poses from 0", path)
@@ -243,12 +239,11 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
             _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
             T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
-            raise GraphFileError(
-                f"nothing says where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv, "
-                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too; "
-                "give it one of these files",
-                report.path,
+            where = f"where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv"
+            rest = (
+                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too"
             )
+            raise GraphFileError(f"nothing says {where}, {rest}; give it one of these files", report.path)
         placed[k] = _moved(values, T)
     return placed
 

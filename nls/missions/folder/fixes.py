@@ -63,10 +63,9 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
             "lat_deg times -1": (-a, b),
             "lat_deg, lon_deg read in rad": (np.degrees(a), np.degrees(b)),
         }
-        near = {
-            how: np.linalg.norm(plane.local(*np.array(at)[:, None])) for how, at in meant.items() if abs(at[0]) <= 90
-        }
-        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in near.items() if d <= REACH)
+        places = {how: plane.local(*np.array(at)[:, None]) for how, at in meant.items() if abs(at[0]) <= 90}
+        near = {how: d for how, place in places.items() if (d := np.linalg.norm(place)) <= REACH}
+        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in near.items())
         why = ", so one of the two files is wrong" if hints else ""
         raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km{hints}{why}")
     return p

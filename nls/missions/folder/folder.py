@@ -103,9 +103,7 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
             advice = [Advice("import", (shlex.quote(os.path.join(folder, logs[0])),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, *BESIDE}):
-        compass = (
-            "; the headings of a compass go into zpr.csv, columns yaw_rad and sigma_yaw_rad" if "ahrs" in log else ""
-        )
+        compass = "; the headings of a compass go into zpr.csv, columns yaw_rad and sigma_yaw_rad" * ("ahrs" in log)
         cure = f"leave either the integrated odometry or the raw log{compass}"
         raise GraphFileError(f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; {cure}", folder)
     if {"depth", "pressure"} <= files:

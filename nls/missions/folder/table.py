@@ -210,13 +210,11 @@ class Table(Text):
         GraphFileError
         """
         numbers = self.floats(*names)
-        limits, expected = zip(
-            *(next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names), strict=True
-        )
-        bad = ~(np.abs(numbers) <= np.array(limits))
+        limits = [next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names]
+        bad = ~(np.abs(numbers) <= np.array([limit for limit, _ in limits]))
         if rows is not None:
             bad &= rows[:, None]
-        self._refuse(bad, numbers, names, expected)
+        self._refuse(bad, numbers, names, [expected for _, expected in limits])
         return numbers
 
     def within(self, limit: float, expected: str, *names: str) -> Array:

@@ -62,10 +62,9 @@ def odometry(mission: Assembly) -> Numbers:
     numbers = np.unique(np.concatenate([i, j]))
     pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
     if len(pieces) > 1:
-        report.warn(
-            f"odometry.csv leaves the track in {len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}: "
-            "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
-        )
+        parts = f"{len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}"
+        rest = "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
+        report.warn(f"odometry.csv leaves the track in {parts}: {rest}")
     again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
     if again:
         report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -125,17 +125,10 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
         raise refuse("no column of the log; expected { column = ... }")
     if len(names) > 1 and not (column.startswith("time_") or (column in GEODETIC and len(names) == 2)):
         raise refuse("several columns; only a date and a time are joined, and a latitude or longitude with its side")
-    return Cell(
-        names,
-        unit=str(unit),
-        scale=scale * (-1.0 if value.get("up") else float(value.get("sign", 1))),
-        offset=offset,
-        scaled="scale" in value,
-        missing=none_words(value.get("missing", ())),
-        up=value.get("up"),
-        equals=value.get("equals"),
-        above=value.get("above"),
-    )
+    scale *= -1.0 if value.get("up") else float(value.get("sign", 1))
+    cell = Cell(names, unit=str(unit), scale=scale, offset=offset, scaled="scale" in value)
+    others = {key: value[key] for key in ("up", "equals", "above") if key in value}
+    return replace(cell, missing=none_words(value.get("missing", ())), **others)
 
 
 def none_words(value: Any) -> Missing:

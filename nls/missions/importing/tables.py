@@ -262,11 +262,9 @@ def _refuse_sigmas(rows: Rows) -> None:
         if bad.any():
             k = int(np.argmax(bad))
             number, write = float(rows.numbers[column][k]), f"missing = NUMBER in [{section.table}] of the mapping"
-            raise log.error(
-                int(rows.rows[k]),
-                f"{cell.columns[0]!r} makes {column} {number!r}; expected {sigma_words(column)}; write {write} for a "
-                "number that stands for none, or one standard deviation for all rows",
-            )
+            cure = f"write {write} for a number that stands for none, or one standard deviation for all rows"
+            problem = f"{cell.columns[0]!r} makes {column} {number!r}; expected {sigma_words(column)}"
+            raise log.error(int(rows.rows[k]), f"{problem}; {cure}")
 
 
 def _order(rows: Rows) -> None:

@@ -84,9 +84,8 @@ class Log:
                 with suppress(ValueError):
                     return np.fromiter(map(float, words), float, len(words))
                 words = ["nan" if word.lower() in MISSING else word for word in words]
-        k = next(
-            k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
-        )
+        good = [word.lower() in MISSING or bool(NUMBER.fullmatch(word.encode())) for word in words]
+        k = good.index(False)
         cure = ", or rows = [1] for a row of units" if self.lines[k] == self.first else ""
         rest = f"in the mapping write missing = {words[k][:40]!r} where it stands for none{cure}"
         raise self.error(k, f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; {rest}")
@@ -240,13 +239,9 @@ class TextLog(Log):
                 if len(names) == len(next(_cells([first], sign))) and not any(is_number(name) for name in names):
                     return line
                 break
-        raise GraphFileError(
-            "the first line has numbers and names no columns; in a mapping, header = false calls them 1, 2, ..., and "
-            "skip = N leaves out lines before the names",
-            self.path,
-            kept[0] + 1,
-            first.strip(),
-        )
+        cure = "header = false calls them 1, 2, ..., and skip = N leaves out lines before the names"
+        problem = f"the first line has numbers and names no columns; in a mapping, {cure}"
+        raise GraphFileError(problem, self.path, kept[0] + 1, first.strip())
 
     def _split(self, kept: list[int], sign: str) -> list[list[str]]:
         """The cells of rows."""

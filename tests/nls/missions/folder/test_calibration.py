@@ -113,11 +113,7 @@ def test_solve_says_which_calibrations_the_data_determine(tmp_path: Path, capsys
         survey = Survey(0, straight=straight, arm=ARM, **OFF)
         survey.load(tmp_path / name, PRIOR, fixes=0)
         if fixes:
-            i = np.arange(0, 240, fixes)
-            rows = [[k, *survey.p[(3 + k) * 200, :2], survey.rpy[(3 + k) * 200, 2], 0.2, 0.2, 0.5] for k in i.tolist()]
-            names = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
-            lines = [names] + [f"{row[0]}," + ",".join(repr(float(item)) for item in row[1:]) for row in rows]
-            (tmp_path / name / "anchor.csv").write_text("\n".join(lines) + "\n")
+            (tmp_path / name / "anchor.csv").write_text(survey.anchor(np.arange(0, 240, fixes), 0.2))
         assert main(["solve", str(tmp_path / name), "--json", str(tmp_path / f"{name}.json")]) == 0
         out = capsys.readouterr().out
         reports[name] = json.loads((tmp_path / f"{name}.json").read_text())["mission"]["calibrations"]

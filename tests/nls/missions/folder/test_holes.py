@@ -17,7 +17,7 @@ from nls.missions.folder.attitude import holes_of
 from nls.missions.folder.columns import COLUMNS
 from nls.missions.folder.table import Table, csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import RAW, folder, raw
+from tests.nls.missions.folder.mission_files import folder, raw, tables
 
 (x,) = nls.kinds("x")
 LAST, RATE = 90.0, 200
@@ -29,13 +29,9 @@ FINE = np.linspace(0.0, LAST, int(LAST) * RATE + 1)
 def flight(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Roll, pitch, yaw, the velocity in body axes and the position of a vehicle that turns and dives at random."""
     phase = rng.uniform(0, 2 * np.pi, 5)
-    rpy = np.column_stack(
-        [
-            0.04 * np.sin(0.9 * FINE + phase[0]),
-            0.03 * np.sin(0.7 * FINE + phase[1]),
-            0.15 * np.sin(0.21 * FINE + phase[2]) + 0.08 * np.sin(0.37 * FINE + phase[3]),
-        ]
-    )
+    roll, pitch = 0.04 * np.sin(0.9 * FINE + phase[0]), 0.03 * np.sin(0.7 * FINE + phase[1])
+    yaw = 0.15 * np.sin(0.21 * FINE + phase[2]) + 0.08 * np.sin(0.37 * FINE + phase[3])
+    rpy = np.column_stack([roll, pitch, yaw])
     v = np.column_stack([np.full(len(FINE), 0.5), 0 * FINE, 0.1 * np.sin(0.15 * FINE + phase[4])])
     world = np.einsum("nij,nj->ni", rotation3(euler.quaternion_from_angles(rpy)), v)
     p = np.zeros((len(FINE), 3))
@@ -56,13 +52,13 @@ def log(
             at[name] = at[name][(t <= begin + 1e-6) | (t >= end - 1e-6)]
     k_v, k_a, k_z = at.values()
     sigmas = [SIGMA_TILT, SIGMA_TILT, SIGMA_YAW]
-    rows = {
-        "dvl": (FINE[k_v], v[k_v] + rng.normal(0, SIGMA_V, (len(k_v), 3)), np.ones(len(k_v), dtype=int)),
-        "ahrs": (FINE[k_a], rpy[k_a] + rng.normal(0, sigmas, (len(k_a), 3))),
-        "depth": (FINE[k_z], p[k_z, 2:] + rng.normal(0, SIGMA_Z, (len(k_z), 1))),
-        "noise": ([[SIGMA_V, 0.0, 0.05, *sigmas, SIGMA_Z]],),
-    }
-    return {name: csv_text(RAW[name], *r).decode() for name, r in rows.items()}, np.column_stack([rpy, p])[::RATE]
+    files = tables(
+        dvl=(FINE[k_v], v[k_v] + rng.normal(0, SIGMA_V, (len(k_v), 3)), np.ones(len(k_v), dtype=int)),
+        ahrs=(FINE[k_a], rpy[k_a] + rng.normal(0, sigmas, (len(k_a), 3))),
+        depth=(FINE[k_z], p[k_z, 2:] + rng.normal(0, SIGMA_Z, (len(k_z), 1))),
+        noise=([[SIGMA_V, 0.0, 0.05, *sigmas, SIGMA_Z]],),
+    )
+    return files, np.column_stack([rpy, p])[::RATE]
 
 
 def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:

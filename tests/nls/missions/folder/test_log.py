@@ -11,9 +11,8 @@ import nls
 from factors import XYH
 from models import SE3
 from nls import GraphFileError
-from nls.missions.folder.table import csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import RAW, folder, raw
+from tests.nls.missions.folder.mission_files import NOISE, folder, raw, tables
 
 (x,) = nls.kinds("x")
 
@@ -22,13 +21,8 @@ def log(t: np.ndarray, valid: np.ndarray | None = None) -> dict[str, str]:
     """1 m/s ahead at times t."""
     ones, zeros = np.ones((len(t), 1)), np.zeros((len(t), 3))
     valid = np.ones(len(t), dtype=int) if valid is None else valid.astype(int)
-    rows = {
-        "dvl": (t, np.hstack([ones, zeros[:, 1:]]), valid),
-        "ahrs": (t, zeros),
-        "depth": (t, 2 * ones),
-        "noise": ([[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]],),
-    }
-    return {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}
+    dvl = t, np.hstack([ones, zeros[:, 1:]]), valid
+    return tables(dvl=dvl, ahrs=(t, zeros), depth=(t, 2 * ones), noise=NOISE)
 
 
 def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
