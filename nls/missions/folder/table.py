@@ -214,7 +214,7 @@ class Table(Text):
         bad = ~(np.abs(numbers) <= np.array([limit for limit, _ in limits]))
         if rows is not None:
             bad &= rows[:, None]
-        self._refuse(bad, numbers, names, [expected for _, expected in limits])
+        self._refuse(bad, numbers, names, [str(expected) for _, expected in limits])
         return numbers
 
     def within(self, limit: float, expected: str, *names: str) -> Array:

@@ -191,6 +191,7 @@ placed.fixes | huber:1.345 | huber:-1 | 2 | kernel is 'huber:-1'
 placed.fixes | \n2.5, | \n2.6, | 3 | no pose is at 2.1 s; the nearest is pose 1 at 2.0 s. Add a pose at this time to pos
 placed.fixes | arm_z_m | i | 1 | has time_s and i
 placed.origin | 54.1 | 154.1 | 2 | lat
+placed.beacons | 54.1001,10.2001 | 10.2001,54.1001 | 2 | ; with lat_deg, lon_deg exchanged it is
 placed.beacons | 54.1001 | 91 | 2 | lat_deg is 91.0; expected degrees, -90 to 90
 placed.beacons | 54.1001 | 14.1001 | 2 | km from origin.csv; expected at most 1,000 km
 placed.beacons | beacon,lat | i,lat | 1 | unknown column 'i'

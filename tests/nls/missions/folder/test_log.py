@@ -59,6 +59,15 @@ def test_logs_too_short_and_too_long(tmp_path: Path) -> None:
         nls.load(folder(tmp_path / "m", log(np.array([0.0, 1e12, 1.7e12]))))
 
 
+def test_poses_denser_than_the_rows_of_a_log_say_no_more_than_these(tmp_path: Path) -> None:
+    files = log(np.arange(0.0, 30.1))
+    t = np.arange(0.0, 30.1, 0.25)
+    poses = "i,time_s\n" + "".join(f"{k},{s!r}\n" for k, s in enumerate(t.tolist()))
+    _, zpr, heading = nls.load(folder(tmp_path / "m", files, poses=poses))[0].factors[:3]
+    assert np.median(heading.noise.sigma) == pytest.approx(0.01 * 2, rel=0.05)  # type: ignore[attr-defined]
+    assert np.median(zpr.noise.sigmas, axis=0) == pytest.approx([0.05 * 2, 0.002 * 2, 0.002 * 2], rel=0.05)  # type: ignore[attr-defined]
+
+
 def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_path: Path) -> None:
     found = []
     for sigma_yaw in ("0.01", "0.3"):

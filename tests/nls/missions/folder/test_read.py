@@ -248,7 +248,8 @@ def test_a_track_in_pieces_and_landmarks_that_nothing_judges(tmp_path: Path) -> 
 def test_a_truth_of_times_is_interpolated_to_the_poses(tmp_path: Path) -> None:
     """The vehicle goes 1 m/s; its yaw crosses pi between two rows; the truth ends before the track."""
     truth = "time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n-1.5,0,0,3.0,-1.5,0,2\n4.5,0,0,-3.0,4.5,6,5\n"
-    report = nls.load(folder(tmp_path / "m", raw(), truth=truth))[2]
+    _, values, report = nls.load(folder(tmp_path / "m", raw(), truth=truth))
+    assert euler.from_se3(values[x[0]])[[3, 4, 2]] == pytest.approx([0.0, 1.5, 0.3])  # the heading is the compass's
     known = report.truth[x[[0, 4]]]
     turn = (2 * np.pi - 6.0) / 6.0  # rad/s, the short way
     assert euler.from_se3(known)[0] == pytest.approx([0, 0, 3.0 + 1.5 * turn, 0.0, 1.5, 2.75])
