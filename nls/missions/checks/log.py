@@ -17,9 +17,9 @@ from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.missions.checks.findings import Cause, Reading
-from nls.missions.folder.bottom_lock import bottom_lock
 from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import ANGLES, PLACE, VELOCITY
+from nls.missions.folder.dvl import bottom_lock
 from nls.missions.folder.table import Table
 
 __all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]

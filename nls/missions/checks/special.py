@@ -19,8 +19,8 @@ from models.algebra import Array, Index, Mask, wrap
 from nls.missions.checks.alone import FASTEST
 from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.log import Fixes, Log
-from nls.missions.folder.bottom_lock import bottom_lock
 from nls.missions.folder.columns import ANGLES, GEODETIC, VELOCITY
+from nls.missions.folder.dvl import bottom_lock
 from nls.missions.folder.table import Table
 
 __all__ = ["meant", "repeated", "special_values", "stale", "without"]

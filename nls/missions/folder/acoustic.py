@@ -8,7 +8,7 @@ The pose of the ship at a row of usbl.csv is a variable of kind ``s`` that is he
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -17,21 +17,19 @@ from factors.base import Factor
 from factors.keys import Kind, kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Index, Mask, Numbers
+from models.errors import GraphFileError
 from models.listing import some as listed
+from nls.graph import FactorGraph
+from nls.io.report import Source
 from nls.missions.folder.columns import ANGLES, PLACE, USBL, suffixed
-from nls.missions.folder.rows import Assembly, add_rows, arms, columns_together, horizontal
+from nls.missions.folder.fixes import horizontal
+from nls.missions.folder.report import MissionReport
+from nls.missions.folder.rows import Assembly, arms, columns_together
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline, leave_out, one_of
 
-__all__ = ["Acoustics", "Profile"]
-
 x, b, s = kinds("x", "b", "s")
-MOMENT = 0.5  # s, before and after, over which the ship moves
-SCALE = "sound_speed_scale"
-NOMINAL = 1500.0  # m/s
-NEAR = 1e-3  # m: depths that are one
-SLOWEST, FASTEST = 300.0, 3000.0  # m/s: of sound in air, and faster than in any water
-USBL_SCALE, USBL_YAW = "usbl_scale", "usbl_yaw_rad"
+SCALE, USBL_SCALE, USBL_YAW = "sound_speed_scale", "usbl_scale", "usbl_yaw_rad"
 
 
 class Acoustics:
@@ -59,17 +57,18 @@ class Acoustics:
         self._mission, self._timeline = mission, timeline
         self._report, self._tables = mission.report, mission.tables
         measured = {name: mission.tables[name] for name in ("ranges", "usbl") if name in mission.tables}
-        self._rows = {table: timeline.poses(name, table) for name, table in measured.items()}
-        beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
+        rows = {name: timeline.poses(name, table) for name, table in measured.items()}
+        beacons = [table.integers("beacon")[rows[n][1]] for n, table in measured.items() if table.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
         self.places = np.full((len(self.numbers), 3), np.nan)
         self._shifts: list[str] = []
         self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
-        self._beacons(self._tables.get("beacons"))
+        if "beacons" in self._tables:
+            self._beacons(self._tables["beacons"])
         if "ranges" in measured:
-            self._ranges(measured["ranges"], depth)
+            self._ranges(measured["ranges"], *rows["ranges"], depth)
         if "usbl" in measured:
-            self._usbl(measured["usbl"])
+            self._usbl(measured["usbl"], *rows["usbl"])
         self._unused()
 
     def shift(self) -> None:
@@ -98,37 +97,31 @@ class Acoustics:
         placed = bool(np.isfinite(self.places).all(axis=1).any())
         return ["beacons.csv"] * placed + ["ship.csv"] * bool(len(self.ship))
 
-    def _beacons(self, table: Table | None) -> None:
+    def _beacons(self, table: Table) -> None:
         """Priors of the beacons: their place, or their depth alone."""
-        if table is None:
-            return
         ids = table.unique("beacon", "beacon")
-        depths, sigma_z = table.measured("z_m"), table.positive("sigma_z_m")
-        sigmas_xy = suffixed(PLACE[:2])
-        names: tuple[str, ...] = ("z",)
-        z, sigmas = depths, sigma_z
+        z, sigmas, sigmas_xy = table.measured("z_m"), table.positive("sigma_z_m"), suffixed(PLACE[:2])
+        components: tuple[str, ...] | None = ("z",)
         if table.has("x_m") or table.has("lat_deg") or columns_together(table, *sigmas_xy):
-            z = np.hstack([horizontal(table, self._report.plane), depths])
+            z = np.hstack([horizontal(table, self._report.plane), z])
             if not columns_together(table, *sigmas_xy):
                 raise table.at_names("has places and no sigma_x_m and sigma_y_m, how well they are known")
-            names, sigmas = ("x", "y", "z"), np.hstack([table.positive(*sigmas_xy), sigma_z])
+            components, sigmas = None, np.hstack([table.positive(*sigmas_xy), sigmas])
         used = np.isin(ids, self.numbers)
         if not used.all():
-            self._report.notes.append(
-                f"beacons.csv has {int((~used).sum())} of {len(ids)} beacons that nothing measures, the first is "
-                f"{ids[~used][0]}: not used"
-            )
+            rest = f"of {len(ids)} beacons that nothing measures, the first is {ids[~used][0]}: not used"
+            self._report.notes.append(f"beacons.csv has {int((~used).sum())} {rest}")
         if not used.any():
             return
         rows = np.flatnonzero(used)
-        self.places[np.searchsorted(self.numbers, ids[rows]), 3 - len(names) :] = z[rows]
-        value = z[rows] if len(names) == 3 else np.column_stack([np.zeros((len(rows), 2)), z[rows]])
-        components = None if len(names) == 3 else names
+        value, first = np.zeros((len(rows), 3)), 2 if components else 0
+        value[:, first:] = z[rows]
+        self.places[np.searchsorted(self.numbers, ids[rows]), first:] = z[rows]
         prior = Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components)
         self._mission.add(prior, table.source(rows))
 
-    def _ranges(self, table: Table, depth: Array) -> None:
-        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
+    def _ranges(self, table: Table, poses: Numbers, rows: Mask, depth: Array) -> None:
+        calibrations = self._mission.calibrations
         beacon, mount = table.integers("beacon"), _mount(table)
         if one_of(table, ("range_m", "sigma_range_m"), ("travel_time_s", "sigma_travel_time_s")):
             for name in ("turn_around_s", "ways"):
@@ -138,44 +131,40 @@ class Acoustics:
             z, sigmas = table.positive("range_m")[:, 0], table.positive("sigma_range_m")[:, 0]
         else:
             z, sigmas = self._meters(table, poses[:, 0], beacon, depth)
-        scale, value = calibrations.variable(SCALE), calibrations.value(SCALE)
+        scale, size = calibrations.variable(SCALE), 1 + calibrations.value(SCALE)
+        pose, target = x[poses[:, 0]], b[beacon]
         if scale is None:
-            z, sigmas = z / (1 + value), sigmas / (1 + value)
-        pose, target, noise = x[poses[:, 0]], b[beacon], Diagonal(sigmas[:, None])
-        factor: Factor = Range(pose, target, z, noise, mount)
-        if scale is not None:
-            factor = ScaledRange(pose, target, scale, z, noise, mount)
-        add_rows(self._mission.graph, self._report, table, rows, factor)
+            factor: Factor = Range(pose, target, z / size, Diagonal((sigmas / size)[:, None]), mount)
+        else:
+            factor = ScaledRange(pose, target, scale, z, Diagonal(sigmas[:, None]), mount)
+        self._mission.add_rows(table, rows, factor)
 
     def _meters(self, table: Table, poses: Numbers, beacon: Numbers, depth: Array) -> tuple[Array, Array]:
         """Ranges (n,) and their standard deviations from travel times, m."""
         t, sigma = table.measured("travel_time_s")[:, 0], table.positive("sigma_travel_time_s")[:, 0]
         wait = table.measured("turn_around_s")[:, 0] if table.has("turn_around_s") else np.zeros(len(t))
         ways = table.integers("ways") if table.has("ways") else np.full(len(t), 2)
-        for wrong, message in (
-            (~np.isin(ways, (1, 2)), "ways is {ways}; expected 1, or 2 where the sound went there and back"),
-            (wait < 0, "turn_around_s is {wait!r}; expected seconds, 0 or more"),
-            (t - wait <= 0, "travel_time_s is {t!r}, of which {wait!r} s are the turn-around; expected more than that"),
-        ):
-            if wrong.any():
-                k = int(np.argmax(wrong))
-                raise table.at(k, message.format(ways=ways[k], wait=float(wait[k]), t=float(t[k])))
-        c: Array | float = NOMINAL
+        expected = "expected 1, or 2 where the sound went there and back"
+        table.refuse_rows(~np.isin(ways, (1, 2)), lambda k: f"ways is {ways[k]}; {expected}")
+        table.refuse_rows(wait < 0, lambda k: f"turn_around_s is {float(wait[k])!r}; expected seconds, 0 or more")
+        more = "s are the turn-around; expected more than that"
+        table.refuse_rows(
+            t - wait <= 0, lambda k: f"travel_time_s is {float(t[k])!r}, of which {float(wait[k])!r} {more}"
+        )
+        c: Array | float = 1500.0  # m/s
         if (profile := self._tables.get("sound-speed")) is None:
-            self._report.notes.append(f"there is no sound-speed.csv: travel times at {NOMINAL:g} m/s")
+            self._report.notes.append(f"there is no sound-speed.csv: travel times at {c:g} m/s")
         else:
             at = depth[np.minimum(np.searchsorted(self._timeline.numbers, poses), len(depth) - 1)]
             to = self.places[np.minimum(np.searchsorted(self.numbers, beacon), len(self.numbers) - 1), 2]
             if (unknown := np.isnan(to)).any():
-                self._report.notes.append(
-                    f"no depth of beacon {beacon[unknown][0]} in beacons.csv: the speed of sound is taken at the depth "
-                    "of the vehicle"
-                )
+                reason = "the speed of sound is taken at the depth of the vehicle"
+                self._report.notes.append(f"no depth of beacon {beacon[unknown][0]} in beacons.csv: {reason}")
             c = Profile(profile).mean(at, np.where(unknown, at, to))
         return c * (t - wait) / ways, c * sigma / ways
 
-    def _usbl(self, table: Table) -> None:
-        (poses, rows), calibrations = self._rows[table], self._mission.calibrations
+    def _usbl(self, table: Table, poses: Numbers, rows: Mask) -> None:
+        calibrations = self._mission.calibrations
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
         steep = ~(np.abs(z[:, 1]) <= np.pi / 2)
@@ -183,13 +172,12 @@ class Acoustics:
         table.refuse_rows(steep, lambda k: f"elevation_rad is {float(z[k, 1])!r}; {expected}")
         noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
         z[:, 0] += calibrations.value(USBL_YAW)
-        z[:, 2] /= 1 + calibrations.value(USBL_SCALE)
-        noise[:, 2] /= 1 + calibrations.value(USBL_SCALE)
+        for ranges in (z, noise):
+            ranges[:, 2] /= 1 + calibrations.value(USBL_SCALE)
         self._shifts = [name for name in (USBL_YAW, USBL_SCALE) if calibrations.variable(name) is not None]
         if table.has("beacon"):
             to_beacons = BearingRange(x[poses[:, 0]], b[table.integers("beacon")], z, Diagonal(noise), mount)
-            add_rows(self._mission.graph, self._report, table, rows, to_beacons)
-            return
+            return self._mission.add_rows(table, rows, to_beacons)
         if mount is not None:
             raise table.at_names(
                 "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
@@ -197,16 +185,13 @@ class Acoustics:
             )
         place, rows = self._ship(table, poses[:, 0], rows)
         self._mission.graph.fix(s[np.arange(len(self.ship))])
-        to_vehicle = BearingRange(s[place], x[poses[:, 0]], z, Diagonal(noise))
-        add_rows(self._mission.graph, self._report, table, rows, to_vehicle)
+        return self._mission.add_rows(table, rows, BearingRange(s[place], x[poses[:, 0]], z, Diagonal(noise)))
 
     def _ship(self, table: Table, poses: Numbers, rows: Mask) -> tuple[Index, Mask]:
         """The number of the pose of the ship (n,) of every row, and which rows (n,) have one."""
         if (ship := self._tables.get("ship")) is None:
-            raise table.at_names(
-                "has no column beacon, so the ship measured the vehicle; write ship.csv with the poses of its "
-                "transceiver, or name the beacon"
-            )
+            cure = "write ship.csv with the poses of its transceiver, or name the beacon"
+            raise table.at_names(f"has no column beacon, so the ship measured the vehicle; {cure}")
         t_s = ship.rising("time_s")
         rpy = np.unwrap(ship.attitude(*ANGLES), axis=0)
         p = np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")])
@@ -222,9 +207,10 @@ class Acoustics:
             return euler.to_se3(np.column_stack([np.interp(t, t_s, column) for column in np.hstack([rpy, p]).T]))
 
         self.ship = pose(t[rows])
-        before, after = np.maximum(t[rows] - MOMENT, t_s[0]), np.minimum(t[rows] + MOMENT, t_s[-1])
+        moment = 0.5  # s, before and after, over which the ship moves
+        before, after = np.maximum(t[rows] - moment, t_s[0]), np.minimum(t[rows] + moment, t_s[-1])
         step = SE3.local(pose(before), pose(after))
-        self.ship_twist = step / np.maximum(after - before, MOMENT)[:, None]
+        self.ship_twist = step / np.maximum(after - before, moment)[:, None]
         return np.cumsum(rows) - 1, rows
 
     def _unused(self) -> None:
@@ -239,16 +225,11 @@ class Acoustics:
                 self._report.notes.append(f"{name}.csv is not used: nothing in this mission needs it")
         unknown = self.numbers[np.isnan(self.places[:, 2])]
         if len(unknown):
-            self._report.notes.append(
-                f"{_beacons(unknown)} not in beacons.csv: estimated, with a start below the vehicle. On a track of one "
-                "depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
-            )
-
-
-def _beacons(numbers: Sequence[int] | Numbers) -> str:
-    """Beacons by name, with their verb."""
-    names = listed([str(number) for number in numbers])
-    return f"beacon {names} is" if len(numbers) == 1 else f"beacons {names} are"
+            names = listed([str(number) for number in unknown])
+            beacons = f"beacon {names} is" if len(unknown) == 1 else f"beacons {names} are"
+            level = "On a track of one depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
+            start = "estimated, with a start below the vehicle"
+            self._report.notes.append(f"{beacons} not in beacons.csv: {start}. {level}")
 
 
 def _mount(table: Table) -> Array | None:
@@ -285,7 +266,7 @@ class Profile:
 
     def __init__(self, table: Table) -> None:
         self.z, self.c = table.rising("z_m"), table.measured("sound_speed_m_s")[:, 0]
-        wrong = (self.c < SLOWEST) | (self.c > FASTEST)
+        wrong = (self.c < 300) | (self.c > 3000)  # m/s: of sound in air, and faster than in any water
         expected = "expected m/s, near 1500 in water"
         table.refuse_rows(wrong, lambda k: f"sound_speed_m_s is {float(self.c[k])!r}; {expected}")
         change = np.diff(self.c)
@@ -295,7 +276,7 @@ class Profile:
 
     def mean(self, a: Array, b: Array) -> Array:
         """Harmonic mean (n,) of the speeds between depths a and b (n,), m/s."""
-        away = np.abs(b - a) > NEAR
+        away = np.abs(b - a) > 1e-3  # m: depths that are one
         S = self._time(b) - self._time(a)
         return np.where(away, (b - a) / np.where(away, S, 1.0), np.interp(a, self.z, self.c))
 
@@ -309,3 +290,58 @@ class Profile:
         slowness = np.where(change == 0, 1 / c[k], np.log1p(change / c[k]) / np.where(change == 0, 1.0, change))
         S = self._S[k] + (inside - zs[k]) * slowness
         return np.asarray(S + np.minimum(z - zs[0], 0.0) / c[0] + np.maximum(z - zs[-1], 0.0) / c[-1])
+
+
+# --- beacons that several dives know ----------------------------------------------------------------------------------
+
+Survey = tuple[int, tuple[float, ...]]  # a row of beacons.csv: the beacon, x, y, z and their sigmas, infinite for none
+
+
+def _surveys(factors: Sequence[Factor]) -> Iterator[tuple[int, int, Survey]]:
+    """The rows of beacons.csv among factors, each with the numbers of its factor and of its row there."""
+    for k, prior in enumerate(factors):
+        if isinstance(prior, Prior) and prior.keys[0].kind == b.name:
+            assert isinstance(prior.noise, Diagonal)  # read from a table
+            sigmas = np.full((len(prior), 3), np.inf)
+            sigmas[:, 2 if prior.components else 0 :] = prior.noise.sigmas
+            numbers = np.hstack([np.where(np.isfinite(sigmas), prior.z, 0.0), sigmas]).tolist()
+            for row, (beacon, words) in enumerate(zip(prior.keys[0].numbers.tolist(), numbers, strict=True)):
+                yield k, row, (beacon, tuple(words))
+
+
+def refuse_moved_beacons(dives: Sequence[tuple[FactorGraph, MissionReport]]) -> None:
+    """Refuse beacons that two dives have in different places, by the components that both measure.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    known: dict[int, list[tuple[Array, str]]] = {}
+    for graph, report in dives:
+        for k, row, (beacon, numbers) in _surveys(graph.factors):
+            survey, place = np.reshape(numbers, (2, 3)), report.place(k, row)
+            for other, where in known.setdefault(beacon, []):
+                sigma = np.hypot(survey[1], other[1])
+                away = np.where(np.isfinite(sigma), survey[0] - other[0], 0.0)
+                if (np.abs(away) > 5 * sigma).any():
+                    path, _, line = place.rpartition(":")
+                    cure = "the same number is the same beacon, so give another one a number of its own"
+                    apart = f"beacon {beacon} is {np.linalg.norm(away):.4g} m from where {where} has it"
+                    raise GraphFileError(f"{apart}; {cure}", path, int(line))
+            known[beacon].append((survey, place))
+
+
+def without_known_beacons(own: FactorGraph, report: MissionReport, others: Sequence[Factor]) -> FactorGraph:
+    """A dive without rows of its beacons.csv that the factors of others have word by word: one survey counts once."""
+    known = {survey for _, _, survey in _surveys(others)}
+    new: dict[int, list[int]] = {}
+    for k, row, survey in _surveys(own.factors):
+        new.setdefault(k, []).extend([row] if survey not in known else [])
+    factors, sources = list(own.factors), list(report.sources)
+    for k, rows in sorted(new.items(), reverse=True):
+        if twice := len(factors[k]) - len(rows):
+            report.notes.append(f"beacons.csv has {twice} rows that another dive has, too: counted once")
+            factors[k : k + 1] = [factors[k][np.array(rows)]] if rows else []
+            sources[k : k + 1] = [Source(sources[k].path, sources[k].lines[rows])] if rows else []
+    report.sources = sources
+    return FactorGraph(factors, own.fixed)

@@ -1,4 +1,4 @@
-r"""The attitude of a raw log: ahrs.csv with the heading of a compass, or with that of a gyro from gyro.csv.
+r"""ahrs.csv and gyro.csv: the attitude of a raw log, with the heading of a compass or of a gyro; and holes in a log.
 
 **A compass.** A reading is the heading at its time less the declination D, at a clock that is late by c:
 
@@ -16,6 +16,22 @@ noise. It has a bias b, the same for a minute, which then walks: `Shifted` by G 
 at every time swings the way (x, y) of its leg, by half and a third of its variance:
 
     cov(yaw) = q,    cov((x, y), yaw) = q/2 (-y, x)',    cov((x, y)) = q/3 (-y, x)'(-y, x)
+
+**Holes** in the log of an attitude or depth sensor: what its values are there, and how well they are known.
+A hole is more time between two rows than twice the median step, as for the DVL. Within one, from t_a to t_b = t_a + T,
+a value y is taken along the straight line between the rows before and after it. How far the true one wanders from that
+is not known; it is taken from the same log, as a Brownian bridge of density
+
+    beta = 2 max(rms d, |y_b - y_a| / 2) / sqrt(T)
+
+where d is measured elsewhere in the log, over times as long as the hole. It is the distance of the value in the middle
+from the mean of the values at the ends. The second number is there as nothing says *when* in the hole the change was
+made. In the middle of the hole the value has the standard deviation max(rms d, |y_b - y_a| / 2), at its ends none but
+that of a row.
+
+Poses in one hole share the error of its line. A factor of each cannot say so, and each counts with the sum of its
+covariances with all of them, K(s, t) = beta^2 s (T - t) / T for s <= t since t_a, so that no combination of them is
+better known than it is (`models.dead_reckoning.drop_outs` has the argument).
 """
 
 from __future__ import annotations
@@ -28,20 +44,14 @@ from factors import Between, Diagonal, Heading, Isotropic, Prior, Shifted
 from factors.base import Factor
 from factors.keys import Keys, Kind
 from models import wrap
-from models.algebra import Array, Index
-from models.dead_reckoning.drop_outs import bridged_variance, longest_step
+from models.algebra import Array, Index, Mask
+from models.dead_reckoning.drop_outs import bridged_variance, longest_step, losses
 from models.errors import GraphFileError
 from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import ANGLES, GYRO
-from nls.missions.folder.holes import holes_of
-from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
 
-__all__ = ["BIAS", "CLOCK", "Attitude", "attitude_of", "gyro_biases", "headings", "turn_covariance"]
-
-SMOOTH = 1.0  # s before and after a pose, whose means say how fast the heading turns
-MINUTE = 60.0  # s that a gyro has the same bias
-BIAS = Kind("gyro_bias")
+ROUNDING = 1e-9  # of a step: times that are told apart
 CLOCK = "ahrs_clock_s"
 
 
@@ -77,6 +87,10 @@ class Attitude:
         """Rates (n, 3) of roll, pitch and yaw at times b (n,), rad/s."""
         return np.column_stack([_rate(self.t, angle, b) for angle in self.rpy.T])
 
+    def tilting(self, b: Array) -> Array:
+        """Rates (n, 3) of pitch and roll at times b (n,), behind a depth that stays, as `factors.ZPR` has them."""
+        return np.column_stack([np.zeros(len(b)), self.rates(b)[:, [1, 0]]])
+
     def at(self, t: Array) -> Array:
         """Roll, pitch and yaw (n, 3) at times t (n,); before the first and after the last row those of it."""
         return np.column_stack([np.interp(t, self.t, angle) for angle in self.rpy.T])
@@ -94,16 +108,14 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     t_a = ahrs.rising("time_s")
     if ahrs.has("yaw_rad") or "motion" in tables:
         if gyro is not None:
-            raise GraphFileError(
-                "gives the yaw, and ahrs.csv has a column yaw_rad; leave gyro.csv out, or that column", gyro.path
-            )
+            cure = "leave gyro.csv out, or that column"
+            raise GraphFileError(f"gives the yaw, and ahrs.csv has a column yaw_rad; {cure}", gyro.path)
         angles = [ahrs.attitude(name) if ahrs.has(name) else np.zeros((len(ahrs), 1)) for name in ANGLES]
         rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value(CLOCK)
         return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
-        raise GraphFileError(
-            "has no column 'yaw_rad', and there is no gyro.csv; one of the two says how the yaw goes", ahrs.path
-        )
+        cure = "one of the two says how the yaw goes"
+        raise GraphFileError(f"has no column 'yaw_rad', and there is no gyro.csv; {cure}", ahrs.path)
     tilt = np.unwrap(ahrs.attitude(*ANGLES[:2]), axis=0)
     t, w = gyro.rising("time_s"), gyro.measured("wx_rad_s", "wy_rad_s", "wz_rad_s")
     roll, pitch = (np.interp(t, t_a, angle) for angle in tilt.T)
@@ -131,15 +143,25 @@ def _rate(t: Array, y: Array, b: Array) -> Array:
         k = np.minimum(np.searchsorted(t, s, side="right") - 1, len(t) - 2)
         return np.asarray(total[k] + 0.5 * (y[k] + np.interp(s, t, y)) * (s - t[k]))
 
-    reach = max(SMOOTH, longest_step(t))
+    reach = max(1.0, longest_step(t))  # s
     low, high = np.maximum(b - reach, t[0]), np.minimum(b + reach, t[-1])
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     return np.asarray((integral(high) - 2 * integral(middle) + integral(low)) / half**2)
 
 
-def turn_covariance(attitude: Attitude, b: Array, xyh: Array, sigma_w: float, report: MissionReport) -> Array:
-    """Covariances (n - 1, 3, 3) of x, y and yaw of legs (n - 1, 3) by a gyro, whose error is new at every time."""
-    q = _turn_variance(attitude, b, sigma_w, report)
+def turn_covariance(attitude: Attitude, b: Array, xyh: Array, sigma_w: float, notes: list[str]) -> Array:
+    """Covariances (n - 1, 3, 3) of x, y and yaw of legs (n - 1, 3) by a gyro, whose error is new at every time.
+
+    The variance of the turn is larger over holes in the log of the gyro.
+    """
+    q = sigma_w**2 * np.diff(b)
+    assert attitude.gyro is not None
+    assert attitude.rate is not None
+    t, rate = attitude.t, attitude.rate[:, None]
+    beta = holes_of(attitude.gyro, t, rate, b, "turn evenly from row to row, with a larger sigma", notes).density[:, 0]
+    for a in np.flatnonzero(beta):
+        inside = np.clip(b, t[a], t[a + 1]) - t[a]
+        q += beta[a] ** 2 * bridged_variance(inside[:-1], inside[1:], np.full(len(q), t[a + 1] - t[a]))
     swing = np.column_stack([-xyh[:, 1], xyh[:, 0]])
     Sigma = np.empty((len(q), 3, 3))
     Sigma[:, :2, :2] = swing[:, :, None] * swing[:, None, :] / 3
@@ -148,28 +170,107 @@ def turn_covariance(attitude: Attitude, b: Array, xyh: Array, sigma_w: float, re
     return np.asarray(q[:, None, None] * Sigma)
 
 
-def _turn_variance(attitude: Attitude, b: Array, sigma_w: float, report: MissionReport) -> Array:
-    """Variances (n - 1,) of the turn between poses at times b (n,) by a gyro, rad^2; more over holes in its log."""
-    q = sigma_w**2 * np.diff(b)
-    assert attitude.gyro is not None
-    assert attitude.rate is not None
-    t, rate = attitude.t, attitude.rate[:, None]
-    beta = holes_of(attitude.gyro, t, rate, b, "turn evenly from row to row, with a larger sigma", report).density[:, 0]
-    for a in np.flatnonzero(beta):
-        inside = np.clip(b, t[a], t[a + 1]) - t[a]
-        q += beta[a] ** 2 * bridged_variance(inside[:-1], inside[1:], np.full(len(q), t[a + 1] - t[a]))
-    return np.asarray(q)
+def gyro_biases(b: Array, noise: dict[str, float], calibrations: Calibrations) -> tuple[Keys, list[Factor]]:
+    """The bias (n - 1,) of every leg between poses at times b (n,), and what is known of the biases."""
+    bias, minute = Kind("gyro_bias"), 60.0  # s that a gyro has the same bias
+    numbers, of_legs = np.unique(((b[:-1] - b[0]) / minute).astype(int), return_inverse=True)
+    calibrations.add(bias, len(numbers), noise[GYRO[1]])
+    known: list[Factor] = [Prior(bias[0], [0.0], Diagonal([noise[GYRO[1]]]))]
+    if len(numbers) > 1:
+        walk = noise[GYRO[2]] * np.sqrt(minute * np.diff(numbers))
+        k = np.arange(len(numbers))
+        known.append(Between(bias[k[:-1]], bias[k[1:]], np.zeros((len(walk), 1)), Isotropic(walk)))
+    return bias[of_legs], known
 
 
-def gyro_biases(b: Array, noise: dict[str, float], calibrations: Calibrations) -> tuple[Index, list[Factor]]:
-    """The bias (n - 1,) of every leg between poses at times b (n,), by number, and what is known of the biases."""
-    legs = ((b[:-1] - b[0]) / MINUTE).astype(int)
-    numbers, minute = np.unique(legs, return_inverse=True)
-    count = len(numbers)
-    calibrations.add(BIAS, count, noise[GYRO[1]])
-    known: list[Factor] = [Prior(BIAS[0], [0.0], Diagonal([noise[GYRO[1]]]))]
-    if count > 1:
-        walk = noise[GYRO[2]] * np.sqrt(MINUTE * np.diff(numbers))
-        k = np.arange(count)
-        known.append(Between(BIAS[k[:-1]], BIAS[k[1:]], np.zeros((count - 1, 1)), Isotropic(walk)))
-    return minute, known
+# --- holes in a log ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Holes:
+    """The holes of one log and the poses in them.
+
+    Attributes
+    ----------
+    inside : (n,) whether a pose is in a hole.
+    density : (m, c) beta after each of m rows and for each of c values, 0 where no hole follows.
+    sigma : (n, c) standard deviation of a value at each pose by the hole it is in, 0 outside.
+    """
+
+    inside: Mask
+    density: Array
+    sigma: Array
+
+
+def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, notes: list[str]) -> Holes:
+    """The holes of a log that poses lie in or beside, each known as well as the rest of the log allows.
+
+    Parameters
+    ----------
+    table : for messages, with its m rows at t (m,), s, and their values y (m, c), no turn missing in angles.
+    b : (n,) times of the poses, rising, s.
+    effect : what a note says of the poses in a hole.
+    notes : get the note.
+
+    Raises
+    ------
+    GraphFileError
+        A hole so long that no time as long without one is left to judge it by.
+    """
+    a = np.flatnonzero(losses(t, np.ones(len(t), dtype=bool)) & (t < b[-1]))
+    a = a[t[a + 1] > b[0]]
+    T, density = t[a + 1] - t[a], np.zeros_like(y)
+    step = longest_step(t) / 2
+    length = np.ceil(T / step - ROUNDING) * step
+    for L in np.unique(length):
+        d = _from_the_middle(t, y, float(L))
+        rows = a[length == L]
+        if not len(d):
+            none = f"no row in the {t[rows[0] + 1] - t[rows[0]]:.6g} s before this one"
+            rest = "no time as long without such a hole to tell how far the vehicle turns or dives in it"
+            raise table.at(int(rows[0]) + 1, f"{none}, and {rest}; cut the log in two here")
+        most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[rows + 1] - y[rows]) / 2)
+        density[rows] = 2 * most / np.sqrt(t[rows + 1] - t[rows])[:, None]
+
+    hole = np.searchsorted(t[a], b, side="right") - 1  # the last one that began before, -1 for none
+    since = b - t[a][hole] if len(a) else np.zeros_like(b)
+    inside = (hole >= 0) & (since > 0) & (b < t[a + 1][hole]) if len(a) else np.zeros(len(b), dtype=bool)
+    sigma = np.zeros((len(b), y.shape[1]))
+    sigma[inside] = density[a[hole[inside]]] * np.sqrt(_shared(since[inside], T[hole[inside]], hole[inside]))[:, None]
+    if len(a):
+        k = int(np.argmax(T))
+        many = f"{len(a)} holes, {T.sum():.6g} s in all, the longest" if len(a) > 1 else "a hole"
+        reason = f"{many} between {t[a[k]]:.6g} and {t[a[k] + 1]:.6g} s: {int(inside.sum())} of {len(b)} poses {effect}"
+        notes.append(f"{table.place(int(a[k]) + 1)}: {reason}")
+    return Holes(inside, density, sigma)
+
+
+def _from_the_middle(t: Array, y: Array, length: float) -> Array:
+    """Values (k, c) in the middle of times of this length without a hole, less the mean of the values at their ends."""
+    a = np.flatnonzero(losses(t, np.ones(len(t), dtype=bool)))
+    slack = ROUNDING * length
+    begin, end = t - length / 2 + slack, t + length / 2 - slack
+    clear = np.searchsorted(t[a + 1], begin, side="right") == np.searchsorted(t[a], end, side="left")
+    clear &= (begin >= t[0]) & (end <= t[-1])
+    ends = [np.column_stack([np.interp(s[clear], t, column) for column in y.T]) for s in (begin, end)]
+    return np.asarray(y[clear] - 0.5 * (ends[0] + ends[1]))
+
+
+def _shared(since: Array, T: Array, hole: Index) -> Array:
+    """Sum over all poses l in the same hole of s (T - t) / T, s and t the earlier and later of the poses k and l.
+
+    Parameters
+    ----------
+    since : (m,) times since the hole began, rising within a hole; T : (m,) its length; hole : (m,) rising.
+    """
+    first = np.searchsorted(hole, hole)
+    last = np.searchsorted(hole, hole, side="right") - 1
+
+    def up_to(x: Array) -> Array:
+        """Sum of x over the poses of the hole up to each."""
+        total = np.cumsum(x)
+        return np.asarray(total - (total - x)[first])
+
+    after = T - since
+    later = up_to(after)[last] - up_to(after)
+    return np.asarray((after * up_to(since) + since * later) / T)

@@ -6,8 +6,6 @@ of the mission uses is an error, so that no row is without effect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from factors import Diagonal, Heading, Prior, Shifted
@@ -19,8 +17,6 @@ from models.algebra import Array, Numbers
 from models.options import did_you_mean
 from nls.io.report import Source
 from nls.missions.folder.table import Table
-
-__all__ = ["NAMES", "Calibrations", "Compass", "wide"]
 
 Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
 
@@ -43,15 +39,6 @@ def wide(name: str) -> float:
     return next(sigma for end, sigma in {"_rad": 1.0, "_s": 10.0, "_scale": 0.3}.items() if name.endswith(end))
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """A row: its value, its standard deviation (0: held), and where it stands."""
-
-    value: float
-    sigma: float
-    row: int
-
-
 class Calibrations:
     """The rows of calibration.csv; those that measurements ask for become variables, or constants.
 
@@ -67,7 +54,7 @@ class Calibrations:
 
     def __init__(self, table: Table | None) -> None:
         self._table = table
-        self._rows: dict[str, Calibration] = {}
+        self._rows: dict[str, tuple[float, float, int]] = {}  # value, standard deviation (0: held), row
         self._used: list[str] = []
         self._more: dict[Kind, tuple[int, float]] = {}
         if table is None:
@@ -76,25 +63,24 @@ class Calibrations:
         for row, name in enumerate(table.text_of("name")):
             value, sigma = numbers[row].tolist()
             if name not in NAMES:
-                raise table.at(
-                    row, f"no calibration is called {name!r}{did_you_mean(name, NAMES)}; one of " + ", ".join(NAMES)
-                )
+                near = f"{did_you_mean(name, NAMES)}; one of {', '.join(NAMES)}"
+                raise table.at(row, f"no calibration is called {name!r}{near}")
             if name in self._rows:
-                raise table.at(row, f"{name} was given before, on line {int(table.lines[self._rows[name].row]) + 1}")
+                raise table.at(row, f"{name} was given before, on line {int(table.lines[self._rows[name][2]]) + 1}")
             if sigma < 0:
                 raise table.at(row, f"sigma is {sigma!r}; expected a standard deviation, or 0 to hold the value")
-            self._rows[name] = Calibration(value, sigma, row)
+            self._rows[name] = value, sigma, row
 
     def variable(self, name: str) -> Keys | None:
         """The variable of a name, which this marks as used; None where the number is known, see `value`."""
         if name not in self._rows:
             return None
         self._used.append(name)
-        return Kind(name)[0] if self._rows[name].sigma > 0 else None
+        return Kind(name)[0] if self._rows[name][1] > 0 else None
 
     def value(self, name: str) -> float:
         """The value of a name; 0 where there is no row."""
-        return self._rows[name].value if name in self._rows else 0.0
+        return self._rows[name][0] if name in self._rows else 0.0
 
     def shifted(self, factor: Factor, name: str, G: Array) -> Factor:
         """Measurements z (n, m) as believed, which change by G (n, m) with a calibration; the same where it is held."""
@@ -117,13 +103,13 @@ class Calibrations:
 
     def given(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation before the measurements, of every variable and the first that a log needs."""
-        rows = {name: (self._rows[name].value, self._rows[name].sigma) for name in self.variables}
+        rows = {name: self._rows[name][:2] for name in self.variables}
         return rows | {kind.name: (0.0, sigma) for kind, (_, sigma) in self._more.items()}
 
     @property
     def variables(self) -> dict[str, float]:
         """Names that are variables and used, with their values, in the order of the file."""
-        return {name: row.value for name, row in self._rows.items() if row.sigma > 0 and name in self._used}
+        return {name: value for name, (value, sigma, _) in self._rows.items() if sigma > 0 and name in self._used}
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The variables for `nls.Values`, each number 0 of a kind of its own."""
@@ -141,10 +127,9 @@ class Calibrations:
         """
         if self._table is None:
             return []
-        for name, calibration in self._rows.items():
+        for name, (_, _, row) in self._rows.items():
             if name not in self._used:
-                raise self._table.at(
-                    calibration.row, f"no measurement of this mission has a {name}; leave the row out, or add its file"
-                )
+                cure = "leave the row out, or add its file"
+                raise self._table.at(row, f"no measurement of this mission has a {name}; {cure}")
         used = [(Kind(name)[0], self._rows[name]) for name in self.variables]
-        return [(Prior(k, [c.value], Diagonal([c.sigma])), self._table.source(np.array([c.row]))) for k, c in used]
+        return [(Prior(k, [z], Diagonal([sigma])), self._table.source(np.array([row]))) for k, (z, sigma, row) in used]

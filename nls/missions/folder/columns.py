@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-__all__ = ["COLUMNS", "needed", "optional"]
-
 PLACE = ("x_m", "y_m", "z_m")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")

@@ -14,9 +14,6 @@ from nls.missions.folder.report import MissionReport
 from nls.missions.folder.rows import one_row
 from nls.missions.folder.table import Table
 
-SURFACE = 1.0  # m: waves and weather
-__all__ = ["depths_of"]
-
 
 def depths_of(tables: dict[str, Table], report: MissionReport) -> tuple[Table, Array, Array]:
     """The table of depths or pressures, its times (n,), s, and the depths (n, 1), m.
@@ -37,18 +34,13 @@ def depths_of(tables: dict[str, Table], report: MissionReport) -> tuple[Table, A
     if (tide := tables.get("tide")) is not None:
         times, height = tide.rising("time_s"), tide.measured("tide_m")[:, 0]
         if t[0] < times[0] or t[-1] > times[-1]:
-            raise tide.at(
-                0,
-                f"the tide is known from {float(times[0])!r} to {float(times[-1])!r} s, and pressure.csv lasts from "
-                f"{float(t[0])!r} to {float(t[-1])!r} s; give a row before and one after it",
-            )
+            rest = f"pressure.csv lasts from {float(t[0])!r} to {float(t[-1])!r} s; give a row before and one after it"
+            raise tide.at(0, f"the tide is known from {float(times[0])!r} to {float(times[-1])!r} s, and {rest}")
         z = z - np.interp(t, times, height)[:, None]
-    if (above := z[:, 0] < -SURFACE).any():
+    if (above := z[:, 0] < -1).any():  # m: waves and weather
         k = int(np.argmax(above))
-        report.warn(
-            f"{pressure.place(k)}: pressure_pa gives {-float(z[k, 0]):.3g} m above the surface; is it relative to the "
-            "atmosphere? Then atmosphere_pa of water.csv is 0"
-        )
+        cure = "is it relative to the atmosphere? Then atmosphere_pa of water.csv is 0"
+        report.warn(f"{pressure.place(k)}: pressure_pa gives {-float(z[k, 0]):.3g} m above the surface; {cure}")
     return pressure, t, z
 
 
@@ -61,9 +53,8 @@ def _depth(pressure: Table, p: Array, water: Table | None, report: MissionReport
         if given.keys() >= {"density_kg_m3", "latitude_deg"}:
             raise water.at(0, "density_kg_m3 and latitude_deg both say how heavy the water is; leave one of them")
     if "atmosphere_pa" not in given:
-        report.notes.append(
-            f"pressure.csv: {ATMOSPHERE:.0f} Pa of it are taken for the atmosphere; atmosphere_pa of water.csv says it"
-        )
+        cure = "atmosphere_pa of water.csv says it"
+        report.notes.append(f"pressure.csv: {ATMOSPHERE:.0f} Pa of it are taken for the atmosphere; {cure}")
     above = p - given.get("atmosphere_pa", ATMOSPHERE)
     if (density := given.get("density_kg_m3")) is not None:
         assert water is not None
@@ -74,11 +65,8 @@ def _depth(pressure: Table, p: Array, water: Table | None, report: MissionReport
         latitude = report.plane.lat
         report.notes.append(f"pressure.csv: depths by the formula of UNESCO at {latitude:.6g} degrees, of origin.csv")
     if latitude is None:
-        raise pressure.at(
-            0,
-            "nothing says how heavy the water is; add water.csv, one row with density_kg_m3, or with latitude_deg for "
-            "sea water by the formula of UNESCO",
-        )
+        cure = "add water.csv, one row with density_kg_m3, or with latitude_deg for sea water by the formula of UNESCO"
+        raise pressure.at(0, f"nothing says how heavy the water is; {cure}")
     if abs(latitude) > 90:
         assert water is not None
         raise water.at(0, f"latitude_deg is {latitude!r}; expected -90 to 90")

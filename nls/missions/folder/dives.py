@@ -25,19 +25,17 @@ from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.variable_names import with_keys
+from nls.missions.folder.acoustic import refuse_moved_beacons, without_known_beacons
+from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
 from nls.missions.folder.read import read_mission
 from nls.missions.folder.report import MissionReport
-from nls.missions.folder.rows import add_rows
-from nls.missions.folder.shared_beacons import refuse_moved_beacons, without_known_beacons
+from nls.missions.folder.rows import Assembly
 from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
-__all__ = ["Dive", "DivesReport", "read_dives"]
-
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
-LARGEST = 2**63 - 1
 (x,) = kinds("x")
 Read = tuple[FactorGraph, Values, MissionReport]
 
@@ -135,31 +133,21 @@ def _names(folders: Sequence[str | Path]) -> list[str]:
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
     """Refuse dives whose x and y are not from one place on the Earth."""
-    known = [report for report in reports if report.plane is not None]
-    for report in known[1:]:
-        if repr(report.plane) != repr(known[0].plane):
-            raise GraphFileError(
-                f"its origin is {_place(report)}, that of {known[0].path} is {_place(known[0])}; give all dives one "
-                "origin.csv, and x and y from there",
-                str(Path(report.path, "origin.csv")),
-            )
-
-
-def _place(report: MissionReport) -> str:
-    """Latitude and longitude of an origin."""
-    return "" if report.plane is None else f"{report.plane.lat!r}, {report.plane.lon!r} deg"
+    known = [(report.path, plane) for report in reports if (plane := report.plane) is not None]
+    for path, plane in known[1:]:
+        if repr(plane) != repr(known[0][1]):
+            own, first = (f"{p.lat!r}, {p.lon!r} deg" for p in (plane, known[0][1]))
+            cure = "give all dives one origin.csv, and x and y from there"
+            message = f"its origin is {own}, that of {known[0][0]} is {first}; {cure}"
+            raise GraphFileError(message, str(Path(path, "origin.csv")))
 
 
 def _stride(starts: Sequence[Values], path: str) -> int:
     """The least power of ten above all numbers that are a dive's own."""
-    largest = max(
-        int(stack.numbers.max())
-        for values in starts
-        for kind, stack in values.stacks.items()
-        if kind not in SHARED and len(stack)
-    )
+    own = [stack for values in starts for kind, stack in values.stacks.items() if kind not in SHARED and len(stack)]
+    largest = max(int(stack.numbers.max()) for stack in own)
     stride = int("1" + "0" * len(str(largest)))
-    if stride * len(starts) > LARGEST:
+    if stride * len(starts) >= 2**63:
         raise GraphFileError(f"pose {largest} leaves no numbers for other dives; number poses from 0", path)
     return stride
 
@@ -212,17 +200,16 @@ def _add_closures(graph: FactorGraph, report: DivesReport, k: int, values: Value
     first, poses = np.zeros(len(table), dtype=np.int64), values.stack(x).numbers
     for row, name in enumerate(table.text_of("dive")):
         if name not in others:
-            raise table.at(
-                row, f"dive is {name!r}; expected one of the others that are solved with it: {', '.join(others)}"
-            )
+            expected = f"expected one of the others that are solved with it: {', '.join(others)}"
+            raise table.at(row, f"dive is {name!r}; {expected}")
         first[row] = others[name]
     numbers = [table.integers("i") + dive.first, table.integers("j") + first]
     for column, poses_of_rows in zip("ij", numbers, strict=True):
         if (missing := ~np.isin(poses_of_rows, poses)).any():
             row = int(np.argmax(missing))
             raise table.at(row, f"{column} is {table.integers(column)[row]}; the track of that dive has no such pose")
-    rows = np.ones(len(table), dtype=bool)
-    add_rows(graph, report, table, rows, closures(table, x[numbers[0]], x[numbers[1]]))
+    mission = Assembly({}, report, Calibrations(None), {}, graph)
+    mission.add_rows(table, np.ones(len(table), dtype=bool), closures(table, x[numbers[0]], x[numbers[1]]))
 
 
 # --- where a dive is that no file of its own places -------------------------------------------------------------------
@@ -252,12 +239,11 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
             _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
             T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
-            raise GraphFileError(
-                f"nothing says where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv, "
-                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too; "
-                "give it one of these files",
-                report.path,
+            where = f"where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv"
+            rest = (
+                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too"
             )
+            raise GraphFileError(f"nothing says {where}, {rest}; give it one of these files", report.path)
         placed[k] = _moved(values, T)
     return placed
 

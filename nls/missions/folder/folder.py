@@ -103,21 +103,15 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
             advice = [Advice("import", (shlex.quote(os.path.join(folder, logs[0])),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, *BESIDE}):
-        compass = (
-            "; the headings of a compass go into zpr.csv, columns yaw_rad and sigma_yaw_rad" if "ahrs" in log else ""
-        )
-        raise GraphFileError(
-            f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; leave either the integrated "
-            f"odometry or the raw log{compass}",
-            folder,
-        )
+        compass = "; the headings of a compass go into zpr.csv, columns yaw_rad and sigma_yaw_rad" * ("ahrs" in log)
+        cure = f"leave either the integrated odometry or the raw log{compass}"
+        raise GraphFileError(f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; {cure}", folder)
     if {"depth", "pressure"} <= files:
         raise GraphFileError("has depth.csv and pressure.csv, the depth twice; leave one of them", folder)
     for name, beside in ALONE.items():
         if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE, "poses"} - {name, *beside})):
-            raise GraphFileError(
-                f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; leave one of them", folder
-            )
+            cure = "leave one of them"
+            raise GraphFileError(f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; {cure}", folder)
     if (missing := [name for name in needed(files) if name not in files]) and "motion" not in files:
         message = f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}"
         raise GraphFileError(message, folder, advice=[Advice("template")])
@@ -126,9 +120,8 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
         ("sonar", "contacts", "what the sonar saw; leave sonar.csv out where it saw nothing"),
     ):
         if present in files and name not in files:
-            raise GraphFileError(
-                f"has {present}.csv and no {name}.csv, which says {says}{_near_miss(name, other_files)}", folder
-            )
+            rest = f"which says {says}{_near_miss(name, other_files)}"
+            raise GraphFileError(f"has {present}.csv and no {name}.csv, {rest}", folder)
 
 
 def _near_miss(name: str, other_files: list[str]) -> str:

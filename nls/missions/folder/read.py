@@ -1,4 +1,4 @@
-"""A mission folder as a graph, its start and a report; and the choice between integrated odometry and a raw log."""
+"""A mission folder as a graph, its start and a report; `TRACKS` has the file that says the way, and its reader."""
 
 from __future__ import annotations
 
@@ -6,38 +6,30 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import Diagonal, Heading, Position
-from factors.base import Factor
-from factors.keys import Keys, Kind, kinds
-from models import SE3, Manifold, R, euler
+from factors.keys import Kind, kinds
+from models import SE3, Manifold, R
 from models.algebra import Array, Numbers
-from models.errors import GraphFileError, OptionError
-from models.geodesy import LocalPlane
+from models.errors import GraphFileError
 from nls.graph import FactorGraph
-from nls.io.report import Source
 from nls.missions.folder.acoustic import Acoustics
 from nls.missions.folder.calibration import Calibrations, Compass
-from nls.missions.folder.clocks import shift_clocks
-from nls.missions.folder.columns import LEVEL, suffixed
 from nls.missions.folder.contacts import add_contacts, add_unnamed_contacts, are_named
-from nls.missions.folder.fixes import add_closures, add_fixes
+from nls.missions.folder.dvl import integrated
+from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
 from nls.missions.folder.folder import read_tables
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.rows import Assembly
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import Timeline, measured_times
-from nls.missions.folder.tracks import track
+from nls.missions.folder.timeline import Timeline, measured_times, shift_clocks
+from nls.missions.folder.tracks import odometry, reckoned, walking
 from nls.missions.folder.truth import compare_landmarks, true_values
 from nls.missions.starts.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
-__all__ = ["graph_of", "read_mission"]
-
-ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
+TRACKS = (("odometry", odometry), ("path", reckoned), ("motion", walking), ("dvl", integrated))
 x, l = kinds("x", "l")
-Pose = tuple[Keys, Array]  # and x, y and yaw (3,) that it is to have
 
 
 def read_mission(
@@ -71,7 +63,7 @@ def read_mission(
     from nls.missions.checks.words import sentence
 
     tables, report = read_tables(folder)
-    report.findings = implausible(tables, _plane(tables.get("origin")))
+    report.findings = implausible(tables, plane_of(tables.get("origin")))
     for finding in report.findings:
         report.warn(sentence(finding))
     try:
@@ -97,27 +89,24 @@ def graph_of(
     GraphFileError
         Tables that cannot be right.
     """
-    report.plane = _plane(tables.get("origin"))
+    report.plane = plane_of(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
     mission = Assembly(tables, report, calibrations, measured_times(tables, calibrations))
     report.elsewhere, graph = tables.get("dive_closures"), mission.graph
-    numbers = track(mission)
+    numbers = next(add_track for table, add_track in TRACKS if table in tables)(mission)
     compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
     report.compass = compass is not None
     report.truth = true_values(tables, numbers, report)
-    open_ended = not {"odometry", "poses"} & tables.keys()
-    timeline = Timeline(numbers, report.vertex_times.get("x"), mission.times, open_ended, report)
+    timeline = Timeline(mission, numbers)
     add_fixes(mission, timeline)
     add_closures(mission, timeline)
     acoustics = Acoustics(mission, timeline, _depths(graph, numbers))
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
-    first = _anchor(mission, numbers, compass, anchored)
+    first = add_anchor(mission, numbers, compass, anchored)
     if not (named := are_named(tables)) and not alone:
-        raise tables["contacts"].at_names(
-            "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or solve "
-            "the dives one by one"
-        )
+        reason = "landmarks of several dives are told apart by their numbers; add it, or solve the dives one by one"
+        raise tables["contacts"].at_names(f"has no column 'landmark': {reason}")
     points = add_contacts(mission, timeline, elevation) if named else np.zeros(0, dtype=np.int64)
     if named:
         compare_landmarks(report, points)
@@ -131,19 +120,6 @@ def graph_of(
     if not named:
         start = add_unnamed_contacts(mission, timeline, start, elevation)
     return graph, start
-
-
-def _plane(origin: Table | None) -> LocalPlane | None:
-    """The local plane at the one row of origin.csv."""
-    if origin is None:
-        return None
-    if len(origin) > 1:
-        raise origin.at(1, "a second origin; a mission has one")
-    lat, lon = origin.measured("lat_deg", "lon_deg")[0].tolist()
-    try:
-        return LocalPlane(lat, lon)
-    except OptionError as error:
-        raise origin.at(0, str(error)) from error
 
 
 def _start(
@@ -178,51 +154,3 @@ def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     tilt = next(factor for factor in graph.factors if factor.states("tilts"))  # every track has them
     order = np.argsort(tilt.keys[0].numbers)
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
-
-
-def _anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anchored: bool) -> Pose | None:
-    """Add what holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
-
-    Nothing and None where other measurements are absolute. Else where nobody says so it is the first pose: at the
-    truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
-    compass it is the first pose that this one sees. Where the mission need not be anchored, nothing holds it.
-    """
-    tables, report = mission.tables, mission.report
-    if (table := tables.get("anchor")) is not None:
-        table.unique("i", "pose")
-        i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
-        z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
-        for factor in _held(x[i], z, sigmas):
-            mission.add(factor, table.source())
-        return x[i[:1]], z[0]
-    if report.world:
-        return None
-    anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
-    if "path" in tables:
-        z, where = tables["path"].attitude(*LEVEL)[0], "the first row of path.csv"
-    if compass is not None:
-        poses, yaw = compass
-        first = int(np.argmin(poses.numbers))
-        anchor, z[2] = poses[[first]], yaw[first]
-    if "x" in report.truth.stacks and anchor in report.truth:
-        true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
-        z = true if compass is None else np.append(true[:2], z[2])
-    if not anchored:
-        return anchor, z
-    factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
-    if compass is not None:
-        factors, held = factors[:1], "x and y"
-    for factor in factors:
-        mission.add(factor, Source(report.path, np.zeros(1, dtype=np.intp)))
-    report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
-    if report.plane is not None and compass is None and where == "0":
-        report.warn(f"nothing says where {anchor} is on the Earth, nor its heading; write both to anchor.csv")
-    return anchor, z
-
-
-def _held(poses: Keys, z: Array, sigmas: Array) -> list[Factor]:
-    """x, y and yaw (n, 3) of poses with their standard deviations."""
-    return [
-        Position(poses, z[:, :2], Diagonal(sigmas[:, :2]), components=("x", "y")),
-        Heading(poses, z[:, 2:], Diagonal(sigmas[:, 2:])),
-    ]

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 from models.algebra import Array
 from models.geodesy import LocalPlane
 from nls.io.report import LoadReport
-from nls.missions.checks.findings import Explained, Implausible, TableError
 from nls.values import Values
 
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
+    from nls.missions.checks.findings import Explained, Implausible, TableError
     from nls.missions.folder.table import Table
-
-__all__ = ["MissionReport"]
 
 
 @dataclass

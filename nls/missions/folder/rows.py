@@ -1,8 +1,7 @@
-"""What the files of a mission share: the graph they add to, and columns: places, lever arms, robust kernels, sigmas."""
+"""The graph that the files of a mission add to, and columns that several have: lever arms, robust kernels, sigmas."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,18 +10,15 @@ from factors.base import Factor
 from factors.robust import Kernel, kernel_from_text
 from models.algebra import Array, Mask
 from models.errors import NoiseModelError, OptionError
-from models.geodesy import REACH, LocalPlane
 from nls.graph import FactorGraph
 from nls.io.report import Source
 from nls.missions.folder.calibration import Calibrations
-from nls.missions.folder.columns import ARM, GEODETIC, MAY_BE_0
+from nls.missions.folder.columns import ARM, MAY_BE_0
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import Times, one_of
-
-__all__ = ["Assembly", "add_rows", "arms", "columns_together", "horizontal", "noise_of", "one_row"]
 
 NO_KERNEL = "none"
+Times = dict[str, Array]  # of the rows (n, k) of files, s; closures.csv has two a row
 
 
 @dataclass(frozen=True)
@@ -49,46 +45,28 @@ class Assembly:
         self.graph.add(factor)
         self.report.sources.append(source)
 
+    def add_rows(self, table: Table, rows: Mask, factor: Factor) -> None:
+        """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
 
-def horizontal(table: Table, plane: LocalPlane | None) -> Array:
-    """North and east (n, 2) of the places of a file, m, from x and y or from latitude and longitude.
-
-    Raises
-    ------
-    GraphFileError
-        Both, neither, or a latitude without origin.csv or far from it.
-    """
-    if one_of(table, ("x_m", "y_m"), GEODETIC):
-        return table.measured("x_m", "y_m")
-    lat_lon = table.measured(*GEODETIC)
-    lat = lat_lon[:, 0]
-    table.refuse_rows(np.abs(lat) > 90, lambda k: f"lat_deg is {float(lat[k])!r}; expected degrees, -90 to 90")
-    if plane is None:
-        first = ",".join(repr(number) for number in lat_lon[0].tolist())
-        raise table.at_names(
-            "has latitudes, and no file says where x = y = 0 is; write origin.csv with one row of lat_deg,lon_deg, "
-            f"such as {first}"
-        )
-    p = plane.local(*lat_lon.T)
-    far = np.linalg.norm(p, axis=1)
-    if (beyond := ~(far <= REACH)).any():
-        k = int(np.argmax(beyond))
-        hints = "".join(f"; with {how} it is {d / 1000:.3g} km" for how, d in _elsewhere(plane, *lat_lon[k]))
-        why = ", so one of the two files is wrong" if hints else ""
-        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km{hints}{why}")
-    return p
-
-
-def _elsewhere(plane: LocalPlane, lat: float, lon: float) -> Iterator[tuple[str, float]]:
-    """How a latitude and a longitude may be meant that are near the origin then, and how far they are, m."""
-    for how, (a, b) in {
-        "lat_deg, lon_deg exchanged": (lon, lat),
-        "lon_deg times -1": (lat, -lon),
-        "lat_deg times -1": (-lat, lon),
-        "lat_deg, lon_deg read in rad": (np.degrees(lat), np.degrees(lon)),
-    }.items():
-        if abs(a) <= 90 and (d := float(np.linalg.norm(plane.local(np.array([a]), np.array([b]))))) <= REACH:
-            yield how, d
+        Raises
+        ------
+        GraphFileError
+            No such kernel.
+        """
+        index = np.flatnonzero(rows)
+        kernels: dict[str, Kernel | None] = {}
+        words = table.text_of("kernel") if table.has("kernel") else [NO_KERNEL] * len(table)
+        for row, word in enumerate(words):
+            if word not in kernels:
+                try:
+                    kernels[word] = None if word == NO_KERNEL else kernel_from_text(word)
+                except (OptionError, NoiseModelError) as error:
+                    expected = f"expected one such as huber:1.345, or none: {error}"
+                    raise table.at(row, f"kernel is {word!r}; {expected}") from error
+        column = np.array(words)
+        for word, kernel in kernels.items():
+            if len(some := index[column[index] == word]):
+                self.add(factor[some] if kernel is None else factor[some].robust(kernel), table.source(some))
 
 
 def columns_together(table: Table, *names: str) -> bool:
@@ -110,32 +88,6 @@ def arms(table: Table) -> Array | None:
     """Lever arms (n, 3) of the rows, m; None where the antenna is at the center of the vehicle."""
     a = table.measured(*ARM) if columns_together(table, *ARM) else np.zeros((1, 3))
     return a if a.any() else None
-
-
-def add_rows(graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, factor: Factor) -> None:
-    """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
-
-    Raises
-    ------
-    GraphFileError
-        No such kernel.
-    """
-    index = np.flatnonzero(rows)
-    kernels: dict[str, Kernel | None] = {}
-    words = table.text_of("kernel") if table.has("kernel") else [NO_KERNEL] * len(table)
-    for row, word in enumerate(words):
-        if word not in kernels:
-            try:
-                kernels[word] = None if word == NO_KERNEL else kernel_from_text(word)
-            except (OptionError, NoiseModelError) as error:
-                raise table.at(
-                    row, f"kernel is {word!r}; expected one such as huber:1.345, or none: {error}"
-                ) from error
-    column = np.array(words)
-    for word, kernel in kernels.items():
-        if len(some := index[column[index] == word]):
-            graph.add(factor[some] if kernel is None else factor[some].robust(kernel))
-            report.sources.append(table.source(some))
 
 
 def noise_of(table: Table, used: dict[str, str]) -> dict[str, float]:

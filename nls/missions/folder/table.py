@@ -26,10 +26,6 @@ from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable, refuse_late
 from nls.missions.folder.columns import BOUNDS, LARGEST, OF_ENDS, SMALLEST
 
-__all__ = ["Table", "csv_text"]
-LONGEST = 100  # characters of a name that is compared with the names of columns
-UPRIGHT = np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
-
 
 class Table(Text):
     """A CSV file with a known set of columns; its tokens are the cells.
@@ -96,7 +92,7 @@ class Table(Text):
         ):
             if wrong:
                 message = f"{problem} column {_quoted(wrong[0])}; expected {required if problem == 'no' else expected}"
-                name = wrong[0][:LONGEST]
+                name = wrong[0][:100]  # which is compared with the names of columns
                 if problem == "unknown":
                     near = did_you_mean(name, [column for column in columns if column not in names])
                     place = Path(self.path).name.split(".csv")[0], near.split("'")[1] if near else "COLUMN", name
@@ -214,13 +210,11 @@ class Table(Text):
         GraphFileError
         """
         numbers = self.floats(*names)
-        limits, expected = zip(
-            *(next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names), strict=True
-        )
-        bad = ~(np.abs(numbers) <= np.array(limits))
+        limits = [next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names]
+        bad = ~(np.abs(numbers) <= np.array([limit for limit, _ in limits]))
         if rows is not None:
             bad &= rows[:, None]
-        self._refuse(bad, numbers, names, expected)
+        self._refuse(bad, numbers, names, [str(expected) for _, expected in limits])
         return numbers
 
     def within(self, limit: float, expected: str, *names: str) -> Array:
@@ -242,8 +236,11 @@ class Table(Text):
         GraphFileError
         """
         angles = self.measured(*names)
-        upright = np.array([UPRIGHT if name == "pitch_rad" else np.inf for name in names])
-        self._refuse(np.abs(angles) > upright, angles, names, ["radians, between -pi/2 and pi/2"] * len(names))
+        upright = np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
+        pitch = np.array([name == "pitch_rad" for name in names])
+        self._refuse(
+            (np.abs(angles) > upright) & pitch, angles, names, ["radians, between -pi/2 and pi/2"] * len(names)
+        )
         return angles
 
     def positive(self, *names: str) -> Array:

@@ -4,28 +4,38 @@
 
 A raw log without poses.csv gets a pose at every such time (`united`); elsewhere a time must be that of a pose. Times
 closer than `SAME` are one.
+
+**Clocks** of fixes, ranges and directions that are late by an unknown time: a variable of calibration.csv.
+A row measured c before its time belongs to the pose at t - c. The pose of the row is that at t_0 = t - c_0, with c_0 of
+calibration.csv, so to first order in c - c_0
+
+    h(X(t - c)) = h(X(t_0)) + G (c - c_0),   G = -dh/dt = -sum H_k xi_k
+
+with the twist xi of the vehicle by dead reckoning, that of the ship by ship.csv. With z + G c_0 instead of z this is a
+`factors.Shifted`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from models.algebra import Array, Mask, Numbers
+from factors.base import Factor
+from factors.keys import kinds
+from models import SE3
+from models.algebra import Array, Mask, Numbers, apply
 from models.errors import GraphFileError
 from nls.missions.folder.calibration import NAMES as CALIBRATIONS
 from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.report import MissionReport
+from nls.missions.folder.rows import Assembly, Times
 from nls.missions.folder.table import Table
+from nls.values import Values
 
-__all__ = ["Timeline", "Times", "leave_out", "measured_times", "poses_of_rows", "united"]
-
-AROUND = 5  # rows of a log, over which poses are counted
 SAME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
 NUMBERED = ("anchor", "truth", *TIMED)  # files that may name poses
-Times = dict[str, Array]  # of the rows (n, k) of files, s; closures.csv has two a row
+CLOCKED = ("fixes", "ranges", "usbl")
+x, s = kinds("x", "s")
 
 
 def measured_times(tables: dict[str, Table], calibrations: Calibrations) -> Times:
@@ -85,10 +95,8 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
         return b
     for name in NUMBERED:
         if (table := tables.get(name)) is not None and table.has("i"):
-            raise table.at_names(
-                f"names poses by i, but the times of {next(iter(times))}.csv add poses; write poses.csv, with i and "
-                "time_s of every pose"
-            )
+            cure = "write poses.csv, with i and time_s of every pose"
+            raise table.at_names(f"names poses by i, but the times of {next(iter(times))}.csv add poses; {cure}")
     t = np.sort(np.concatenate([b, *(rows.ravel() for rows in times.values())]))
     t = t[(t >= b[0]) & (t <= end)]
     close = np.flatnonzero(np.diff(t) < SAME)
@@ -99,81 +107,121 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
     return np.asarray(t[keep])
 
 
+def poses_of_log(
+    tables: dict[str, Table], times: Times, logs: dict[str, Array], locked: Array, notes: list[str]
+) -> tuple[Numbers, Array]:
+    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
+    one at each of the times of other files.
+
+    The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
+
+    Parameters
+    ----------
+    tables, times : of the mission, see `measured_times`.
+    logs : times of the rows by the names of their files.
+    locked : times of the DVL with bottom lock.
+    notes : get one where that is not all of the DVL's.
+
+    Raises
+    ------
+    GraphFileError
+        Logs that have less than a second in common, or more than a graph holds; a pose that is not within all logs.
+    """
+    t_v = logs["dvl.csv"]
+    late, early = float(locked[0] - t_v[0]), float(t_v[-1] - locked[-1])
+    if late or early:
+        logs = {"dvl.csv with bottom lock": locked} | {name: t for name, t in logs.items() if name != "dvl.csv"}
+    begin, end = max(t[0] for t in logs.values()), min(t[-1] for t in logs.values())
+    ranges = ", ".join(f"{name} {float(t[0])!r} to {float(t[-1])!r} s" for name, t in logs.items())
+    if (table := tables.get("poses")) is None:
+        if end - begin > 10_000_000:  # s: four months, or times that are no seconds
+            rest = f"a second too many for a graph: {ranges}; are these seconds? poses.csv says when there are poses"
+            raise GraphFileError(f"the logs last {end - begin:.6g} s, with a pose {rest}", tables["dvl"].path)
+        b = begin + np.arange(max(0, int(end - begin) + 2))
+        b = b[b <= end]  # 12.46 + 68.0 is more than 80.46 by a rounding
+        if len(b) < 2:
+            raise GraphFileError(f"the logs have less than a second in common: {ranges}", tables["dvl"].path)
+        if late or early:
+            notes.append(f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out")
+        b = united(b, end, times, tables)
+        return np.arange(len(b)), b
+    numbers, b = table.unique("i", "pose"), table.rising("time_s")
+    out = (b < begin) | (b > end)
+    table.refuse_rows(out, lambda k: f"pose {numbers[k]} is at {float(b[k])!r} s, not within all logs: {ranges}")
+    if len(b) < 2:
+        raise table.at(0, "one pose; a track has at least two")
+    return numbers, b
+
+
 def poses_of_rows(t: Array, b: Array) -> Array:
     """Root of how many poses (n,) at times b there are for a row of a log at rising times t, 1 or more.
 
     Poses between rows are interpolated, and each counts as a measurement of its own. Where they are denser than the
-    rows, counted over `AROUND` of these, their sigmas grow by this. Together they say no more than the rows do.
+    rows, counted over five of these, their sigmas grow by this. Together they say no more than the rows do.
     """
-    reach = AROUND / 2 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+    reach = 2.5 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
     rows, poses = (
         np.searchsorted(times, b + reach, side="right") - np.searchsorted(times, b - reach) for times in (t, np.sort(b))
     )
     return np.asarray(np.sqrt(np.maximum(1.0, poses / np.maximum(rows, 1))))
 
 
-@dataclass(frozen=True)
 class Timeline:
     """The poses of a mission and their times.
 
+    Parameters
+    ----------
+    mission : whose report has the times of the poses, where a file says them, and gets notes on rows left out.
+    numbers : (n,) of the poses, rising.
+
     Attributes
     ----------
-    numbers : (n,) of the poses, rising.
     times : (n,) of the poses, s, in the order of their numbers; None where no file says them.
-    rows : the times of the files, see `measured_times`.
-    open : whether rows outside the track are left out, as of a raw log without poses.csv, and not refused.
-    report : gets notes on what is left out.
     """
 
-    numbers: Numbers
-    times: Array | None
-    rows: Times
-    open: bool
-    report: MissionReport = field(repr=False)
+    def __init__(self, mission: Assembly, numbers: Numbers) -> None:
+        self._mission, self.numbers = mission, numbers
+        self.times = mission.report.vertex_times.get("x")
 
     def poses(self, name: str, table: Table) -> tuple[Numbers, Mask]:
         """Poses (n, 1 or 2) of the rows of a file, and which rows (n,) have some; the others are left out.
+
+        Rows outside the track are left out of a raw log without poses.csv, and elsewhere refused.
 
         Raises
         ------
         GraphFileError
             No such pose; no pose at that time; no row within the track.
         """
-        if name not in self.rows:
+        if name not in self._mission.times:
             columns = ("i", "j") if name == "closures" else ("i",)
             problem = "no such pose in the track"
             numbers = np.stack([table.known(column, self.numbers, problem) for column in columns], axis=1)
             return numbers, np.ones(len(table), dtype=bool)
         if self.times is None:
             raise table.at_names("has times, but no pose has one; add poses.csv, with i and time_s of every pose")
-        t = self.rows[name]
-        order = np.argsort(self.times)
-        rising = self.times[order]
-        nearest = np.abs(rising[_nearest(rising, t)] - t)
-        away: Mask = np.any(nearest >= SAME, axis=1)
-        if away.any():
-            self._outside(table, t, away, rising, self.numbers[order])
-        return self.numbers[order][_nearest(rising, t)], ~away
-
-    def _outside(self, table: Table, t: Array, away: Mask, rising: Array, numbers: Numbers) -> None:
-        """Refuse rows that are not at the time of a pose, or say that they are left out."""
-        k = int(np.argmax(away))
-        time = round(float(t[k][np.abs(rising[_nearest(rising, t[k])] - t[k]) >= SAME][0]), 6)
-        span = f"{float(rising[0])!r} to {float(rising[-1])!r} s"
-        if not self.open:
-            near = int(_nearest(rising, np.array([time]))[0])
-            raise table.at(
-                k,
-                f"no pose is at {time!r} s; the nearest is pose {numbers[near]} at {float(rising[near])!r} s. Add a "
-                "pose at this time to poses.csv"
-                + ("" if "odometry.csv" in self.report.tags else ", or leave poses.csv out"),
-            )
-        leave_out(table, away, bool(away.all()), time, f"the track, {span}", self.report)
+        t, order, tables = self._mission.times[name], np.argsort(self.times), self._mission.tables
+        rising, numbers = self.times[order], self.numbers[order]
+        nearest = _nearest(rising, t)
+        far = np.abs(rising[nearest] - t) >= SAME
+        if (away := np.any(far, axis=1)).any():
+            k = int(np.argmax(away))
+            time = round(float(t[k][far[k]][0]), 6)
+            if {"odometry", "poses"} & tables.keys():
+                near = int(_nearest(rising, np.array([time]))[0])
+                cure = "Add a pose at this time to poses.csv"
+                cure += "" if "odometry" in tables else ", or leave poses.csv out"
+                pose = f"the nearest is pose {numbers[near]} at {float(rising[near])!r} s"
+                raise table.at(k, f"no pose is at {time!r} s; {pose}. {cure}")
+            span = f"the track, {float(rising[0])!r} to {float(rising[-1])!r} s"
+            leave_out(table, away, bool(away.all()), time, span, self._mission.report)
+        return numbers[nearest], ~away
 
     def at(self, numbers: Numbers) -> Array:
         """Times (n,) of poses, s; a GraphFileError where there are none."""
         if self.times is None:
-            raise GraphFileError("no pose has a time; add poses.csv, with i and time_s of every pose", self.report.path)
+            problem = "no pose has a time; add poses.csv, with i and time_s of every pose"
+            raise GraphFileError(problem, self._mission.report.path)
         return self.times[np.searchsorted(self.numbers, numbers)]
 
 
@@ -196,3 +244,58 @@ def _nearest(rising: Array, t: Array) -> Numbers:
     """The places of the nearest of rising times."""
     after = np.clip(np.searchsorted(rising, t), 1, max(len(rising) - 1, 1))
     return np.where(t - rising[after - 1] <= rising[np.minimum(after, len(rising) - 1)] - t, after - 1, after)
+
+
+# --- clocks -----------------------------------------------------------------------------------------------------------
+
+
+def shift_clocks(mission: Assembly, timeline: Timeline, start: Values, ship: Array) -> None:
+    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable, each in its place.
+
+    Parameters
+    ----------
+    mission, timeline : whose factors are replaced.
+    start : poses whose track gives the rates.
+    ship : (k, 6) twists of the ship at its poses, in its own axes.
+    """
+    moving = {s.name: ship}
+    for name in CLOCKED:
+        clock = f"{name}_clock_s"
+        if name not in mission.times or mission.calibrations.variable(clock) is None:
+            continue
+        if x.name not in moving:
+            moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
+        factors = mission.graph.factors
+        for k, source in enumerate(mission.report.sources):
+            if source.path == mission.tables[name].path:
+                G = -total(rates_by_time(factors[k], start, moving))
+                factors[k] = mission.calibrations.shifted(factors[k], clock, G)
+
+
+def rates_by_time(factor: Factor, values: Values, moving: dict[str, Array]) -> dict[str, Array]:
+    """Rates dh/dt (n, m) of measurements, from each kind that moves with twists (k, 6)."""
+    model, X = values.gather(factor)
+    H = factor.predict(model.manifolds, *X)[1]
+    assert H is not None
+    return {
+        keys.kind: apply(np.asarray(block), moving[keys.kind][values.stack(keys.kind).index(keys)])
+        for keys, block in zip(factor.keys, H, strict=True)
+        if keys.kind in moving
+    }
+
+
+def total(rates: dict[str, Array]) -> Array:
+    """Rates (n, m) of measurements from all kinds."""
+    return np.asarray(np.sum(list(rates.values()), axis=0))
+
+
+def twists(X: Array, t: Array) -> Array:
+    """Body twists (n, 6) of poses (n, 7) at times (n,), m/s and rad/s: over the legs before and after."""
+    times, first, of = np.unique(t, return_index=True, return_inverse=True)
+    if len(times) == 1:
+        return np.zeros((len(t), SE3.dim))
+    X, dt = X[first], np.diff(times)
+    step = SE3.local(X[:-1], X[1:])
+    zero = np.zeros((1, SE3.dim))
+    both = np.concatenate([step, zero]) + np.concatenate([zero, step])
+    return np.asarray((both / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None])[of])

@@ -10,8 +10,6 @@ from typing import Any, Self
 from models.errors import GraphFileError
 from nls.io.files import read_text
 
-__all__ = ["TomlFile"]
-
 
 class TomlFile:
     """The tree of a file.

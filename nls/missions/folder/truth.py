@@ -12,8 +12,6 @@ from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
 from nls.values import Values
 
-__all__ = ["compare_landmarks", "true_values"]
-
 x, l = kinds("x", "l")
 
 
@@ -29,10 +27,7 @@ def true_values(tables: dict[str, Table], numbers: Numbers, report: MissionRepor
         true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
         if not np.isin(ids, numbers).any():
             raise table.at(0, f"pose {ids[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
-        if missing := len(np.setdiff1d(numbers, ids)):
-            report.notes.append(f"truth.csv has no row for {missing} of {len(numbers)} poses: errors are of the others")
-        if more := len(np.setdiff1d(ids, numbers)):
-            report.notes.append(f"truth.csv has {more} poses nothing measures: not used")
+        _compare("truth.csv", "poses", ids, numbers, report)
     if (table := tables.get("landmarks")) is not None:
         true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
     return Values(true)
@@ -47,16 +42,11 @@ def _truth_at_times(table: Table, numbers: Numbers, report: MissionReport) -> tu
     t, state = table.rising("time_s"), table.attitude(*ANGLES, *PLACE)
     inside = (times >= t[0]) & (times <= t[-1])
     if not inside.any():
-        raise table.at(
-            0,
-            f"the truth is of {float(t[0])!r} to {float(t[-1])!r} s and the poses of {float(times.min())!r} to "
-            f"{float(times.max())!r} s: no time in common",
-        )
+        rest = f"s and the poses of {float(times.min())!r} to {float(times.max())!r} s: no time in common"
+        raise table.at(0, f"the truth is of {float(t[0])!r} to {float(t[-1])!r} {rest}")
     if outside := int((~inside).sum()):
-        report.notes.append(
-            f"truth.csv does not last as long as the track: errors are of {inside.sum()} poses, not of "
-            f"{outside} before or after it"
-        )
+        reason = f"errors are of {inside.sum()} poses, not of {outside} before or after it"
+        report.notes.append(f"truth.csv does not last as long as the track: {reason}")
     state[:, :3] = np.unwrap(state[:, :3], axis=0)
     at_poses = np.column_stack([np.interp(times[inside], t, column) for column in state.T])
     return SE3, euler.to_se3(at_poses), numbers[inside]
@@ -67,18 +57,19 @@ def compare_landmarks(report: MissionReport, points: Numbers) -> None:
     if "l" not in report.truth.stacks:
         return
     known = report.truth.stack("l").numbers
-    missing, more = len(np.setdiff1d(points, known)), len(np.setdiff1d(known, points))
     if not len(points):
         report.notes.append("landmarks.csv is not used: there is no contacts.csv")
-    elif missing == len(points):
-        report.notes.append(
-            f"landmarks.csv is not used: none of its landmarks, {known[0]} the first, is in contacts.csv, where "
-            f"{points[0]} is; their errors are not known"
-        )
+    elif not np.isin(points, known).any():
+        rest = f"{known[0]} the first, is in contacts.csv, where {points[0]} is; their errors are not known"
+        report.notes.append(f"landmarks.csv is not used: none of its landmarks, {rest}")
     else:
-        if missing:
-            report.notes.append(
-                f"landmarks.csv has no row for {missing} of {len(points)} landmarks: errors are of the others"
-            )
-        if more:
-            report.notes.append(f"landmarks.csv has {more} landmarks nothing measures: not used")
+        _compare("landmarks.csv", "landmarks", known, points, report)
+
+
+def _compare(file: str, noun: str, known: Numbers, measured: Numbers, report: MissionReport) -> None:
+    """Say how many of those measured have no truth, and how many truths nothing measures."""
+    if missing := len(np.setdiff1d(measured, known)):
+        rest = "errors are of the others"
+        report.notes.append(f"{file} has no row for {missing} of {len(measured)} {noun}: {rest}")
+    if more := len(np.setdiff1d(known, measured)):
+        report.notes.append(f"{file} has {more} {noun} nothing measures: not used")

@@ -21,10 +21,7 @@ from models.errors import GraphFileError
 from nls.io.files import refuse_absent
 from nls.missions.importing.text_log import Log, Missing, blanked
 
-__all__ = ["Bag", "BagLog", "is_bag", "refuse_no_log"]
-
 SUFFIXES = (".bag", ".mcap", ".db3")
-LONGEST = 36  # entries of an array that are columns: a covariance, but no scan and no picture
 RECORDED = "bag_time"
 
 
@@ -140,9 +137,8 @@ class Bag:
                 names = names if rows else list(row)
                 if row.keys() != set(names):
                     other = sorted(row.keys() ^ set(names))[0]
-                    raise GraphFileError(
-                        f"{topic}: message {k + 1} has other fields than the first: {other}", self.path
-                    )
+                    reason = f"message {k + 1} has other fields than the first: {other}"
+                    raise GraphFileError(f"{topic}: {reason}", self.path)
                 rows.append([row[name] for name in names])
         return BagLog(self.path, topic, names, rows)
 
@@ -157,7 +153,7 @@ def _fields(message: Any, path: str) -> Iterator[tuple[str, Any]]:
     if names is not None:
         parts = [(name, getattr(message, name)) for name in names if not name.startswith("__")]
     elif isinstance(message, np.ndarray | list | tuple):
-        parts = enumerate(message) if len(message) <= LONGEST else ()
+        parts = enumerate(message) if len(message) <= 36 else ()  # a covariance, but no scan and no picture
     elif isinstance(message, bool | int | float | str | np.generic):
         yield path, message.item() if isinstance(message, np.generic) else message
     for name, part in parts:
@@ -171,9 +167,8 @@ def _reading(path: str) -> Iterator[Any]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise GraphFileError(
-            'is a bag, which the package rosbags reads; install it with pip install "leadline[ros]"', path
-        ) from error
+        cure = 'install it with pip install "leadline[ros]"'
+        raise GraphFileError(f"is a bag, which the package rosbags reads; {cure}", path) from error
     try:
         store = get_typestore(Stores.ROS1_NOETIC if path.endswith(".bag") else Stores.ROS2_HUMBLE)
         reader = AnyReader([Path(path)], default_typestore=store)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,12 @@ from models.algebra import Array, Mask
 from models.errors import GraphFileError
 from models.options import did_you_mean, is_number, is_whole
 from nls.missions.folder.columns import BOUNDS, GEODETIC, LARGEST, MAY_BE_0, SMALLEST
+from nls.missions.importing.headers import dimension, known_units, mission_unit
 from nls.missions.importing.templates import example
 from nls.missions.importing.text_log import Missing
-from nls.missions.importing.units import dimension, known_units, mission_unit
-
-__all__ = ["WHOLE", "Cell", "none_words", "read_cell", "sigma_words", "sigmas_out", "stand_for_none"]
 
 KEYS = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
-FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
+FINITE = 1e300  # numbers below are numbers of 64 bits
 NUMBERS = {"sign": "1 or -1", "scale": "a finite number other than 0"}  # else a finite number
 ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
 
@@ -117,11 +115,9 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     scale, offset = float(value.get("scale", 1)), float(value.get("offset", 0))
     if "row" in value:
         row = value["row"]
-        if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > WHOLE:
-            raise refuse(
-                f"row is {row!r:.30}; expected the number of the first row, such as {{ row = 0 }}, also with scale "
-                "and offset"
-            )
+        if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > 2**53:
+            expected = "expected the number of the first row, such as { row = 0 }, also with scale and offset"
+            raise refuse(f"row is {row!r:.30}; {expected}")
         return Cell(row=row, scale=scale, offset=offset)
     names = value.get("column", ())
     names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
@@ -129,17 +125,10 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
         raise refuse("no column of the log; expected { column = ... }")
     if len(names) > 1 and not (column.startswith("time_") or (column in GEODETIC and len(names) == 2)):
         raise refuse("several columns; only a date and a time are joined, and a latitude or longitude with its side")
-    return Cell(
-        names,
-        unit=str(unit),
-        scale=scale * (-1.0 if value.get("up") else float(value.get("sign", 1))),
-        offset=offset,
-        scaled="scale" in value,
-        missing=none_words(value.get("missing", ())),
-        up=value.get("up"),
-        equals=value.get("equals"),
-        above=value.get("above"),
-    )
+    scale *= -1.0 if value.get("up") else float(value.get("sign", 1))
+    cell = Cell(names, unit=str(unit), scale=scale, offset=offset, scaled="scale" in value)
+    others = {key: value[key] for key in ("up", "equals", "above") if key in value}
+    return replace(cell, missing=none_words(value.get("missing", ())), **others)
 
 
 def none_words(value: Any) -> Missing:

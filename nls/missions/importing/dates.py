@@ -13,8 +13,6 @@ import numpy as np
 from models.algebra import Index
 from models.options import is_number
 
-__all__ = ["EXAMPLE", "NANOSECONDS", "check_format", "formats", "is_date", "iso", "parse_zero", "since_1970"]
-
 CLOCK_TIME = r"(?:[01]\d|2[0-3]):[0-5]\d(?::[0-5]\d(?:[.,]\d{1,9})?)?"
 ISO = re.compile(rf"(\d{{4}}-\d\d-\d\d)[T ]+({CLOCK_TIME}) ?(Z|UTC|[+-](0\d|1[0-4])(:?[0-5]\d)?)?", re.I)
 NANOSECONDS = 1_000_000_000

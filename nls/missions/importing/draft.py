@@ -11,13 +11,10 @@ import numpy as np
 from models.visible import CONTROLS
 from nls.missions.folder.columns import ANGLES, COLUMNS, GEODETIC, OPTIONAL, PLACE, VELOCITY
 from nls.missions.importing.bags import Bag, is_bag, refuse_no_log
-from nls.missions.importing.guess import guess, guesses, plain
-from nls.missions.importing.quantities import LARGEST
+from nls.missions.importing.headers import guess, guesses, header_unit, mission_unit, plain
+from nls.missions.importing.quantities import EPOCH, LARGEST
 from nls.missions.importing.templates import NOISE, example
 from nls.missions.importing.text_log import Log, TextLog
-from nls.missions.importing.units import header_unit, mission_unit
-
-__all__ = ["draft"]
 
 REMARKS = {
     "fan_rad": "its whole width in azimuth, and its height in elevation",
@@ -35,7 +32,6 @@ TABLES = {  # what must be there, what may be
 }
 AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
 BY_SIZE = "by the size of its angles"
-SINCE_1970 = 1e8  # s, of 1973; also of other units
 NO_UNIT = "its header names no unit"
 LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
@@ -169,7 +165,7 @@ def _is_stamp(log: Log, name: str) -> bool:
     """Whether the first cell of a column is a date, or a number of seconds since 1970."""
     word = next((word for word in log.words(name) if word), "")
     try:
-        return float(word) > SINCE_1970
+        return float(word) > EPOCH  # also in other units
     except ValueError:
         return ":" in word
 

@@ -20,14 +20,11 @@ from models.manifolds.euler import angles_from_quaternion, quaternion_from_angle
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.missions.folder.columns import ANGLES, ARM, PLACE, VELOCITY, suffixed
 
-__all__ = ["FRAMES", "angles_of", "axes", "turn"]
-
 WORLD = {"NED": np.eye(3), "ENU": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), "NWU": np.diag([1.0, -1, -1])}
 BODY = {"FRD": np.eye(3), "FLU": np.diag([1.0, -1, -1])}
 BODY_OF = {"NED": "FRD", "ENU": "FLU", "NWU": "FLU"}  # that goes with a world, unless said otherwise
 FRAMES = (*WORLD, *BODY)
 ON_BODY = ("sonar", "dvl_mount", "closures", "odometry")  # tables whose places and angles are in axes of the body
-TOLERANCE = 1e-2  # of a quaternion or a matrix, from a rotation
 TO_PORT = ("bearing_rad", "elevation_rad", "azimuth_rad")  # to starboard and down in a mission
 
 
@@ -136,7 +133,7 @@ def angles_of(kind: str, parts: npt.ArrayLike) -> Array:
     else:
         M = numbers.reshape(-1, 3, 3)
         off = np.abs(M @ M.mT - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(M) < 0)
-    if (bad := ~(off < TOLERANCE)).any():
+    if (bad := ~(off < 1e-2)).any():
         k = int(np.argmax(bad))
         raise ValueError(k, f"{kind} {numbers[k].tolist()} is no rotation")
     rotation = numbers if kind == "quaternion" else quaternion_from_matrix(numbers.reshape(-1, 3, 3))

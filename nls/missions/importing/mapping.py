@@ -30,8 +30,6 @@ from nls.missions.importing.dates import check_format, is_date
 from nls.missions.importing.frames import FRAMES, axes
 from nls.missions.importing.text_log import SEPARATORS, Missing
 
-__all__ = ["Mapping", "Section", "read_mapping", "required"]
-
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
 GROUPS |= {f"sigma_{name}": suffixed(columns) for name, columns in GROUPS.items()}
 ROTATIONS = {"quaternion": (4, "x, y, z, w"), "rotation": (9, "a matrix row by row")}
@@ -131,9 +129,8 @@ class Mapping(TomlFile):
                 continue
             if table not in COLUMNS:
                 near = did_you_mean(table, COLUMNS)
-                raise self.error(
-                    table, "", f"[{table}] is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
-                )
+                rest = f"is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
+                raise self.error(table, "", f"[{table}] {rest}")
             for k, part in enumerate(content if isinstance(content, list) else [content]):
                 self._reading = table, k
                 self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
@@ -221,9 +218,8 @@ class Mapping(TomlFile):
             return tuple(f"{value}.{axis}" for axis in "xyzw")
         kinds = {isinstance(part, str) for part in value} if isinstance(value, list) else set()
         if len(kinds) != 1 or len(value) != count or not (True in kinds or all(map(is_number, value))):
-            raise self._refused(
-                name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
-            )
+            expected = f"expected a list of {count} columns, or of {count} numbers: {order}"
+            raise self._refused(name, f"{name} is {value!r}; {expected}")
         return tuple(value)
 
     def _refuse_option(self, name: str, value: Any) -> None:

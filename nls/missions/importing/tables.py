@@ -13,19 +13,14 @@ from nls.missions.folder.columns import ANGLES
 from nls.missions.importing.cell import Cell, sigma_words, sigmas_out
 from nls.missions.importing.dates import EXAMPLE
 from nls.missions.importing.frames import angles_of, axes, turn
-from nls.missions.importing.guess import guess, nearest, plain
+from nls.missions.importing.headers import guess, mission_unit, nearest, plain
 from nls.missions.importing.mapping import Section, required
-from nls.missions.importing.quantities import FULL_TURN, convert_column, hemispheres
+from nls.missions.importing.quantities import DAY, FULL_TURN, WEEK, Stamps, convert_column, hemispheres, stamps
 from nls.missions.importing.text_log import MISSING, Log, blanked, is_number
-from nls.missions.importing.times import DAY, WEEK, Stamps, stamps
-from nls.missions.importing.units import mission_unit
-
-__all__ = ["Rows", "rows_of"]
 
 TIMES = ("time_s", "time_i_s", "time_j_s")
 WORDS = ("name", "kernel")
 WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
-FEW, NEARLY = 5, 0.9  # rows of which each is named; the part of a period by which a clock falls that begins anew
 STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
 FLAGS = {"true": 1.0, "false": 0.0}
 
@@ -119,8 +114,7 @@ def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
         if name not in log.names:
             near = nearest(column, name, log.names)
             write = f'; write {column} = "{near}"' if near else ""
-            listed = ", ".join(map(repr, log.names[:20])) + (", ..." if len(log.names) > 20 else "")
-            raise section.error(column, f"{log.title} has no column {name!r}{write}; it has {listed}")
+            raise section.error(column, f"{log.title} has no column {name!r}{write}; it has {log.listed(20)}")
         log.column(name)
     return cell
 
@@ -132,11 +126,8 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log, count: int, no
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
         if mission_unit(column)[1] == "rad" and abs(cell.constant) > FULL_TURN:
             radians, wrapped = (f"{column} = {float(f(float(cell.constant))):.4g}" for f in (np.radians, wrap))
-            raise section.error(
-                column,
-                f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {radians}; or wrap "
-                f"it: {wrapped}",
-            )
+            expected = f"expected radians, -2 pi to 2 pi; in degrees? write {radians}; or wrap it: {wrapped}"
+            raise section.error(column, f"{column} is {cell.constant!r}; {expected}")
         return np.full(count, float(cell.constant))
     name = _known(section, column, cell, log).columns[0]
     if column == "valid" or cell.equals is not None or cell.above is not None:
@@ -178,10 +169,8 @@ def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
     kinds = {word: _flag(word) for word in set(words)}
     if strange := next((word for word, flag in kinds.items() if flag is None), None):
         write = f'{column} = {{ column = "{name}", equals = "{strange}" }}, or above = NUMBER'
-        raise log.error(
-            words.index(strange),
-            f"{name}: {strange[:40]!r} is neither 0 or 1, nor true or false; write {write} in [{section.table}]",
-        )
+        cure = f"write {write} in [{section.table}]"
+        raise log.error(words.index(strange), f"{name}: {strange[:40]!r} is neither 0 or 1, nor true or false; {cure}")
     return np.array([kinds[word] for word in words], dtype=float)
 
 
@@ -218,14 +207,11 @@ def _rotate(section: Section, log: Log, rows: Rows, count: int) -> None:
 
 def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
     """Rows (n,) whose times are there, and rows of which nothing else is missing; makes the flag of a DVL."""
-    timed, whole = np.ones(count, dtype=bool), ~rows.none
-    for stamp in rows.times.values():
-        timed &= stamp.present
+    timed = np.all([np.ones(count, dtype=bool), *(stamp.present for stamp in rows.times.values())], axis=0)
     flag = rows.numbers.pop("valid", None) if rows.section.table == "dvl" else None
-    for numbers in rows.numbers.values():
-        whole &= np.isfinite(numbers)
+    whole = np.all([~rows.none, *map(np.isfinite, rows.numbers.values())], axis=0)
     for words in rows.words.values():
-        whole &= np.array([bool(word) for word in words])
+        whole &= list(map(bool, words))
     if rows.section.table == "dvl":
         rows.numbers["valid"] = (whole & (flag == 1 if flag is not None else True)).astype(float)
         rows.numbers = {name: np.where(np.isfinite(n), n, 0.0) for name, n in rows.numbers.items()}
@@ -276,11 +262,9 @@ def _refuse_sigmas(rows: Rows) -> None:
         if bad.any():
             k = int(np.argmax(bad))
             number, write = float(rows.numbers[column][k]), f"missing = NUMBER in [{section.table}] of the mapping"
-            raise log.error(
-                int(rows.rows[k]),
-                f"{cell.columns[0]!r} makes {column} {number!r}; expected {sigma_words(column)}; write {write} for a "
-                "number that stands for none, or one standard deviation for all rows",
-            )
+            cure = f"write {write} for a number that stands for none, or one standard deviation for all rows"
+            problem = f"{cell.columns[0]!r} makes {column} {number!r}; expected {sigma_words(column)}"
+            raise log.error(int(rows.rows[k]), f"{problem}; {cure}")
 
 
 def _order(rows: Rows) -> None:
@@ -299,10 +283,8 @@ def _order(rows: Rows) -> None:
         return
     again = np.append(False, t[1:] == t[:-1])
     if again.any() and section.options.get("duplicates") == "first":
-        rows.notes.append(
-            f"{section.table}: {several(int(again.sum()), 'row')} with the time of the one before, "
-            f"{log.place(int(rows.rows[np.argmax(again)]))} the first: left out"
-        )
+        rest = f"with the time of the one before, {log.place(int(rows.rows[np.argmax(again)]))} the first: left out"
+        rows.notes.append(f"{section.table}: {several(int(again.sum()), 'row')} {rest}")
         _take(rows, np.flatnonzero(~again))
     else:
         cure = f'write duplicates = "first" in [{section.table}] of the mapping to leave such rows out'
@@ -314,11 +296,11 @@ def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
     section, log = rows.section, rows.log
     fall, own, where = t[k - 1] - t[k], not rows.times["time_s"].since_1970, f"in [{section.table}] of the mapping"
     for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):
-        if own and t.min() >= 0 and t.max() <= period and fall > NEARLY * period:
+        if own and t.min() >= 0 and t.max() <= period and fall > 0.9 * period:  # it begins anew
             return f'at {event}: write `date = "{EXAMPLE}"`, {day} of the first row, {where}'
     below, above = t < np.maximum.accumulate(t), t > np.minimum.accumulate(t[::-1])[::-1]
     off = min(below, above, key=np.count_nonzero)
-    if off.sum() <= FEW and 2 * off.sum() < len(t) and fall > np.ptp(t[~off]):
+    if off.sum() <= 5 and 2 * off.sum() < len(t) and fall > np.ptp(t[~off]):
         lines = ", ".join(str(log.number(row)) for row in rows.rows[off])
         return f"of a clock of its own: leave out {log.noun}s {lines} of {log.title}"
     return f"write sort = true {where} if the rows are of one clock"

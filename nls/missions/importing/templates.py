@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from nls.missions.folder.columns import COLUMNS, LOG, TRACK, optional
-from nls.missions.importing.units import mission_unit
-
-__all__ = ["NOISE", "example", "templates"]
+from nls.missions.importing.headers import mission_unit
 
 ABOUT = {
     "sonar": "the imaging sonar: one row; its name in quotation marks where it has a comma",
@@ -101,11 +99,8 @@ def templates(mapping: bool = False) -> dict[str, bytes]:
     >>> list(templates(mapping=True))
     ['mapping.toml']
     """
-    files = {
-        "mapping.toml": (
-            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "motion", "fixes", "contacts", "sonar"))) + "\n" + NOISE
-        ).encode()
-    }
+    sections = map(_section, (*LOG[:3], "path", "motion", "fixes", "contacts", "sonar"))
+    files = {"mapping.toml": (HEAD + "\n".join([*sections, NOISE])).encode()}
     if not mapping:
         files |= {f"templates/{table}.csv": _template(table).encode() for table in COLUMNS}
     return files
@@ -130,9 +125,8 @@ def _section(table: str) -> str:
     columns = [name for name in columns if not name.startswith("arm_")]
     width = max(map(len, columns))
     units = {name: mission_unit(name)[1] for name in columns}
-    lines = [
-        f'# {name:{width}} = "COLUMN OF THE LOG"' + (f"   # {unit}" if unit else "") for name, unit in units.items()
-    ]
+    remarks = {name: f"   # {unit}" if unit else "" for name, unit in units.items()}
+    lines = [f'# {name:{width}} = "COLUMN OF THE LOG"{remark}' for name, remark in remarks.items()]
     return "\n".join([f"# [{table}]   # {ABOUT[table]}", *lines, ""])
 
 

@@ -20,15 +20,12 @@ from models.errors import GraphFileError
 from models.options import did_you_mean
 from nls.io.files import read_bytes
 from nls.io.text import NUMBER
-from nls.missions.importing.units import dimension
-
-__all__ = ["MISSING", "Log", "Missing", "TextLog", "blanked", "is_number"]
+from nls.missions.importing.headers import dimension
 
 Missing = tuple[str | float, ...]  # words and numbers of cells that stand for none
 
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "nat"))  # words of an empty cell, lower case
 COMMENTS = ("#", "%")
-LARGEST = (19, "9223372036854775807")  # whole number that an array holds, and its length
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
 BRACKETS = "[](){}<> "  # around a unit
 DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?\s*")
@@ -87,27 +84,22 @@ class Log:
                 with suppress(ValueError):
                     return np.fromiter(map(float, words), float, len(words))
                 words = ["nan" if word.lower() in MISSING else word for word in words]
-        k = next(
-            k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
-        )
+        good = [word.lower() in MISSING or bool(NUMBER.fullmatch(word.encode())) for word in words]
+        k = good.index(False)
         cure = ", or rows = [1] for a row of units" if self.lines[k] == self.first else ""
-        raise self.error(
-            k,
-            f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; in the mapping write "
-            f"missing = {words[k][:40]!r} where it stands for none{cure}",
-        )
+        rest = f"in the mapping write missing = {words[k][:40]!r} where it stands for none{cure}"
+        raise self.error(k, f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column; {rest}")
 
     def whole(self, name: str) -> Index | None:
         """Whole numbers (n,) of a column, exact; None where it has others, or empty cells."""
         words = self.words(name)
-        if not all(word.isdecimal() and (len(word), word) <= LARGEST for word in words):
+        if not all(word.isdecimal() and (len(word), word) <= (19, "9223372036854775807") for word in words):
             return None
         return np.fromiter(map(int, words), np.int64, len(words))
 
     def error(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""
-        line = self.number(row)
-        return GraphFileError(message, self.path, line, self.text[line - 1].strip())
+        return GraphFileError(message, self.path, self.number(row), self.text[self.lines[row]].strip())
 
     def refuse(self, bad: Mask, rows: Index, problem: Callable[[int], str]) -> None:
         """Refuse the first of rows (n,) that is bad (n,); `problem` says what is wrong with number k of them.
@@ -136,15 +128,17 @@ class Log:
         GraphFileError
             No such column, or several; names the closest one.
         """
-        count = self.names.count(name)
-        if count == 1:
+        if (count := self.names.count(name)) == 1:
             return name
         if count > 1:
             cure = "give them names of their own; header = false and skip = 1 of the mapping call them 1, 2, ..."
             raise GraphFileError(f"{self.title} has {count} columns {name!r}; {cure}", self.path)
-        listed = ", ".join(map(repr, self.names[:40])) + (", ..." if len(self.names) > 40 else "")
-        near = did_you_mean(name, self.names)
-        raise GraphFileError(f"{self.title} has no column {name!r}{near or ';'} it has {listed}", self.path)
+        near = did_you_mean(name, self.names) or ";"
+        raise GraphFileError(f"{self.title} has no column {name!r}{near} it has {self.listed(40)}", self.path)
+
+    def listed(self, most: int) -> str:
+        """The names of its columns for a message, so many of them."""
+        return ", ".join(map(repr, self.names[:most])) + (", ..." if len(self.names) > most else "")
 
 
 class TextLog(Log):
@@ -217,9 +211,8 @@ class TextLog(Log):
         if where is not None:
             column, value = where
             place = names.index(self.column(column))
-            chosen = [
-                k for k, row in enumerate(cells) if len(row) > place and row[place].strip().lower() == value.lower()
-            ]
+            own = [row[place].strip().lower() if len(row) > place else None for row in cells]
+            chosen = [k for k, word in enumerate(own) if word == value.lower()]
             if not chosen:
                 raise GraphFileError(f"no row has {value!r} in column {column!r}", self.path)
             self.lines, self.rows = self.lines[chosen], [cells[k] for k in chosen]
@@ -246,13 +239,9 @@ class TextLog(Log):
                 if len(names) == len(next(_cells([first], sign))) and not any(is_number(name) for name in names):
                     return line
                 break
-        raise GraphFileError(
-            "the first line has numbers and names no columns; in a mapping, header = false calls them 1, 2, ..., and "
-            "skip = N leaves out lines before the names",
-            self.path,
-            kept[0] + 1,
-            first.strip(),
-        )
+        cure = "header = false calls them 1, 2, ..., and skip = N leaves out lines before the names"
+        problem = f"the first line has numbers and names no columns; in a mapping, {cure}"
+        raise GraphFileError(problem, self.path, kept[0] + 1, first.strip())
 
     def _split(self, kept: list[int], sign: str) -> list[list[str]]:
         """The cells of rows."""
@@ -297,29 +286,23 @@ def blanked(words: list[str], missing: Missing) -> list[str]:
     if not missing:
         return words
     texts = {str(value).lower() for value in missing}
-    numbers = {f(value) for value in missing if not isinstance(value, str) for f in (float, _rounded)}
-    none = {
-        word
-        for word in set(words)
-        if word.lower() in texts or (is_number(word) and float(word.replace(",", ".")) in numbers)
-    }
-    return ["" if word in none else word for word in words]
-
-
-def _rounded(value: float) -> float:
-    """The number of 32 bits next to it."""
+    values = [float(value) for value in missing if not isinstance(value, str)]
     with np.errstate(over="ignore"):
-        return float(np.float32(value))
+        numbers = {*values, *np.array(values, dtype=np.float32).tolist()}
+
+    def is_none(word: str) -> bool:
+        return word.lower() in texts or (is_number(word) and float(word.replace(",", ".")) in numbers)
+
+    none = set(filter(is_none, set(words)))
+    return ["" if word in none else word for word in words]
 
 
 def _names_units(cells: Sequence[Sequence[str]]) -> bool:
     """Whether the first row has units above numbers, and no number itself."""
     if len(cells) < 2 or any(is_number(cell.strip()) for cell in cells[0]):
         return False
-    return any(
-        dimension(unit.strip(BRACKETS)) and is_number(cell.strip())
-        for unit, cell in zip(cells[0], cells[1], strict=False)
-    )
+    pairs = zip(cells[0], cells[1], strict=False)
+    return any(dimension(unit.strip(BRACKETS)) and is_number(cell.strip()) for unit, cell in pairs)
 
 
 def _counts(line: str) -> bool:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from nls.missions.folder.columns import COLUMNS, POSE
+from nls.missions.folder.table import csv_text
 
-__all__ = ["RAW", "TINY", "folder", "raw"]
+__all__ = ["NOISE", "RAW", "TINY", "folder", "raw", "tables"]
 
 RAW = {
     **COLUMNS,
@@ -18,6 +21,7 @@ RAW = {
     "dvl": COLUMNS["dvl"][:5],
     "noise": COLUMNS["noise"][:7],
 }  # without what may be left out
+NOISE = ([[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]],)
 
 TINY = {
     "sonar": """\
@@ -85,20 +89,13 @@ def raw(lost: tuple[float, float] = (0.0, 0.0)) -> dict[str, str]:
 
     The DVL has no bottom between the times of `lost`, and reports nonsense there.
     """
-    t = np.arange(0.0, 30.01, 0.25)
-    moving = t <= 20.0
-    yaw = np.where(moving, 0.3, 0.3 + 0.05 * (t - 20.0))
-    blind = (t > lost[0]) & (t < lost[1])
-    dvl = [
-        f"{s!r},{99.0 if b else float(m)!r},0.0,0.0,{int(not b)}"
-        for s, m, b in zip(t.tolist(), moving, blind, strict=True)
-    ]
-    ahrs = [f"{s!r},0.0,0.0,{y!r}" for s, y in zip(t.tolist(), yaw.tolist(), strict=True)]
-    depth = [f"{s!r},{2.0 + 0.1 * s!r}" for s in np.arange(-1.0, 40.0).tolist()]
-    return {
-        "dvl": "\n".join(["time_s,vx_m_s,vy_m_s,vz_m_s,valid", *dvl]),
-        "ahrs": "\n".join(["time_s,roll_rad,pitch_rad,yaw_rad", *ahrs]),
-        "depth": "\n".join(["time_s,z_m", *depth]),
-        "noise": "sigma_v_m_s,scale,sigma_bridge_m_s_sqrt_s,sigma_roll_rad,sigma_pitch_rad,sigma_yaw_rad,sigma_z_m\n"
-        "0.01,0.002,0.05,0.002,0.002,0.01,0.05\n",
-    }
+    t, deep = np.arange(0.0, 30.01, 0.25), np.arange(-1.0, 40.0)
+    blind, zero = (t > lost[0]) & (t < lost[1]), 0 * t
+    yaw = np.where(t <= 20.0, 0.3, 0.3 + 0.05 * (t - 20.0))
+    dvl = t, np.where(blind, 99.0, t <= 20.0), zero, zero, 1 * ~blind
+    return tables(dvl=dvl, ahrs=(t, zero, zero, yaw), depth=(deep, 2.0 + 0.1 * deep), noise=NOISE)
+
+
+def tables(**rows: Sequence[npt.ArrayLike]) -> dict[str, str]:
+    """Files with the columns of `RAW`."""
+    return {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import nls
 from models import SE3, euler
 from nls.missions.folder.table import csv_text
-from tests.nls.missions.folder.mission_files import RAW, folder
+from tests.nls.missions.folder.mission_files import NOISE, folder, tables
 
 __all__ = ["BEACONS", "SHIFT", "Positioned", "csv"]
 
@@ -38,12 +38,8 @@ class Positioned:
         s = np.arange(0.0, 80.01, 0.25)
         zero, one = np.zeros(len(s)), np.ones(len(s))
         yaw = 0.3 + 1.2 * np.sin(s / 12)
-        self.files = {
-            "dvl": csv(",".join(RAW["dvl"]), s, one, 0.1 * one, 2 / 9 * np.cos(s / 9), one.astype(int)),
-            "ahrs": csv(",".join(RAW["ahrs"]), s, zero, zero, yaw),
-            "depth": csv("time_s,z_m", s, 4 + 2 * np.sin(s / 9)),
-            "noise": csv(",".join(RAW["noise"]), [[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]]),
-        }
+        dvl = s, one, 0.1 * one, 2 / 9 * np.cos(s / 9), one.astype(int)
+        self.files = tables(dvl=dvl, ahrs=(s, zero, zero, yaw), depth=(s, 4 + 2 * np.sin(s / 9)), noise=NOISE)
         self.t = np.union1d(np.arange(0.0, 80.5), t)
         self.poses = csv("i,time_s", np.arange(len(self.t)), self.t)
         _, values, _ = nls.load(folder(path, self.files, poses=self.poses))

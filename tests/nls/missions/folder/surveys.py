@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 import nls
 from factors import Isotropic, Position
@@ -13,6 +14,7 @@ from models.algebra import Array
 from models.manifolds.so3 import rotation3
 from nls import FactorGraph, Values
 from nls.missions import MissionReport
+from nls.missions.folder.columns import COLUMNS
 from nls.missions.folder.table import csv_text
 from tests.nls.missions.folder.mission_files import folder
 
@@ -102,14 +104,9 @@ class Survey:
         """The mission with this calibration.csv, and a position every so many poses; 0 for none."""
         texts = {name: csv_text(names, *columns).decode() for name, (names, columns) in self.tables(gyro).items()}
         if calibration:
-            rows = "".join(
-                f"{name},{float(value)!r},{float(sigma)!r}\n" for name, (value, sigma) in calibration.items()
-            )
-            texts["calibration"] = f"name,value,sigma\n{rows}"
-        start = self.p[3 * RATE]
-        texts["anchor"] = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad\n" + ",".join(
-            repr(float(number)) for number in (0, start[0], start[1], self.rpy[3 * RATE, 2], 0.01, 0.01, 0.5)
-        ).replace("0.0,", "0,", 1)
+            numbers = np.array(list(calibration.values()), dtype=float)
+            texts["calibration"] = csv_text(COLUMNS["calibration"], list(calibration), numbers).decode()
+        texts["anchor"] = self.anchor([0], 0.01)
         graph, values, report = nls.load(folder(path, {**texts, **(replace or {})}))
         assert isinstance(report, MissionReport)
         if fixes:
@@ -117,6 +114,13 @@ class Survey:
             z = self.p[(3 + i) * RATE, :2] + self.noise(SIGMA["fix"], len(i), 2)
             graph.add(Position(x[i], z, Isotropic(SIGMA["fix"]), components=("x", "y")))
         return graph, values, report
+
+    def anchor(self, i: npt.ArrayLike, sigma: float) -> str:
+        """The file of the true places of poses, and of their headings, which are hardly known."""
+        i = np.asarray(i)
+        k = (3 + i) * RATE
+        level = np.column_stack([self.p[k, :2], self.rpy[k, 2], np.tile([sigma, sigma, 0.5], (len(i), 1))])
+        return csv_text(COLUMNS["anchor"], i, level).decode()
 
     def true(self, values: Values) -> Array:
         """True Euler vectors (n, 6) of the poses."""

@@ -9,7 +9,6 @@ import pytest
 
 import nls
 from factors import ZPR
-from models.errors import GraphFileError
 from models.pressure import depth_unesco
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.test_velocity import T, log
@@ -45,21 +44,3 @@ def test_density_latitude_atmosphere_and_tide(tmp_path: Path) -> None:
     z, notes = depths(tmp_path / "origin", files() | ORIGIN)
     assert z == pytest.approx(below)
     assert "by the formula of UNESCO at 60 degrees, of origin.csv" in notes
-
-
-def test_what_is_not_known_is_refused(tmp_path: Path) -> None:
-    both = {**files("density_kg_m3\n1025\n"), "depth": log({"valid": 1})["depth"]}
-    for k, (tables, problem) in enumerate(
-        (
-            (files(), r"pressure\.csv:2: nothing says how heavy the water is; add water\.csv"),
-            (files("density_kg_m3,latitude_deg\n1025,60\n"), r"water\.csv:2: .* both say how heavy"),
-            (files("density_kg_m3\n1025\n1000\n"), r"water\.csv:3: a second row"),
-            (files("density_kg_m3\n-3\n"), r"water\.csv:2: density_kg_m3 is -3\.0; expected a number above 0"),
-            (files("latitude_deg\n100\n"), r"water\.csv:2: latitude_deg is 100\.0; expected -90 to 90"),
-            (files("density_kg_m3\n1025\n", "0,1\n20,2\n"), r"tide\.csv:2: the tide is known from 0\.0 to 20\.0 s"),
-            (both, r"has depth\.csv and pressure\.csv, the depth twice"),
-            ({**log({"valid": 1}), "tide": "time_s,tide_m\n0,1\n"}, r"tide\.csv:2: depth\.csv has depths"),
-        )
-    ):
-        with pytest.raises(GraphFileError, match=problem):
-            nls.load(folder(tmp_path / str(k), tables))

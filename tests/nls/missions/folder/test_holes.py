@@ -13,12 +13,11 @@ from models import euler
 from models.algebra import Array
 from models.manifolds.so3 import rotation3
 from nls import GraphFileError
-from nls.missions import MissionReport
+from nls.missions.folder.attitude import holes_of
 from nls.missions.folder.columns import COLUMNS
-from nls.missions.folder.holes import holes_of
 from nls.missions.folder.table import Table, csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import RAW, folder, raw
+from tests.nls.missions.folder.mission_files import folder, raw, tables
 
 (x,) = nls.kinds("x")
 LAST, RATE = 90.0, 200
@@ -30,13 +29,9 @@ FINE = np.linspace(0.0, LAST, int(LAST) * RATE + 1)
 def flight(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Roll, pitch, yaw, the velocity in body axes and the position of a vehicle that turns and dives at random."""
     phase = rng.uniform(0, 2 * np.pi, 5)
-    rpy = np.column_stack(
-        [
-            0.04 * np.sin(0.9 * FINE + phase[0]),
-            0.03 * np.sin(0.7 * FINE + phase[1]),
-            0.15 * np.sin(0.21 * FINE + phase[2]) + 0.08 * np.sin(0.37 * FINE + phase[3]),
-        ]
-    )
+    roll, pitch = 0.04 * np.sin(0.9 * FINE + phase[0]), 0.03 * np.sin(0.7 * FINE + phase[1])
+    yaw = 0.15 * np.sin(0.21 * FINE + phase[2]) + 0.08 * np.sin(0.37 * FINE + phase[3])
+    rpy = np.column_stack([roll, pitch, yaw])
     v = np.column_stack([np.full(len(FINE), 0.5), 0 * FINE, 0.1 * np.sin(0.15 * FINE + phase[4])])
     world = np.einsum("nij,nj->ni", rotation3(euler.quaternion_from_angles(rpy)), v)
     p = np.zeros((len(FINE), 3))
@@ -57,18 +52,18 @@ def log(
             at[name] = at[name][(t <= begin + 1e-6) | (t >= end - 1e-6)]
     k_v, k_a, k_z = at.values()
     sigmas = [SIGMA_TILT, SIGMA_TILT, SIGMA_YAW]
-    rows = {
-        "dvl": (FINE[k_v], v[k_v] + rng.normal(0, SIGMA_V, (len(k_v), 3)), np.ones(len(k_v), dtype=int)),
-        "ahrs": (FINE[k_a], rpy[k_a] + rng.normal(0, sigmas, (len(k_a), 3))),
-        "depth": (FINE[k_z], p[k_z, 2:] + rng.normal(0, SIGMA_Z, (len(k_z), 1))),
-        "noise": ([[SIGMA_V, 0.0, 0.05, *sigmas, SIGMA_Z]],),
-    }
-    return {name: csv_text(RAW[name], *r).decode() for name, r in rows.items()}, np.column_stack([rpy, p])[::RATE]
+    files = tables(
+        dvl=(FINE[k_v], v[k_v] + rng.normal(0, SIGMA_V, (len(k_v), 3)), np.ones(len(k_v), dtype=int)),
+        ahrs=(FINE[k_a], rpy[k_a] + rng.normal(0, sigmas, (len(k_a), 3))),
+        depth=(FINE[k_z], p[k_z, 2:] + rng.normal(0, SIGMA_Z, (len(k_z), 1))),
+        noise=([[SIGMA_V, 0.0, 0.05, *sigmas, SIGMA_Z]],),
+    )
+    return files, np.column_stack([rpy, p])[::RATE]
 
 
 def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:
     """NEES over 20 flights with 10 s without attitude and 20 s without depth: it was above 100 in both."""
-    yaw, tilt, z, end, gone = [], [], [], [], []
+    yaw, tilt, z, end, gone, rest = [], [], [], [], [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         files, truth = log(rng, [(30.05, 40.05)], [(60.0, 80.0)])
@@ -78,12 +73,14 @@ def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:
         e = euler.from_se3(values[x]) - truth
         square = e**2 / np.diagonal(Sigma, axis1=1, axis2=2)
         yaw.append(square[31:41, 2].mean())
+        rest.append(np.delete(square[:, 2], np.s_[29:43]).mean())
         tilt.append(square[31:41, :2].mean())
         z.append(square[61:80, 5].mean())
         gone.append(Sigma[[35, 70], [2, 5], [2, 5]])
         for k, found in ((50, end), (90, end)):
             found.append(e[k, 3:5] @ np.linalg.solve(Sigma[k, 3:5, 3:5], e[k, 3:5]))
     assert 0.1 < np.mean(yaw) < 1.3
+    assert 0.93 < np.mean(rest) < 1.07  # 1,540 poses in all: no reading of the heading counts twice
     assert 0.05 < np.mean(tilt) < 1.3
     assert 0.002 < np.mean(z) < 1.3
     assert 0.2 < np.mean(end) < 3.3  # 2 and the second order of a heading known to 0.12 rad
@@ -121,10 +118,10 @@ def test_poses_in_one_hole_count_with_all_their_covariances(tmp_path: Path) -> N
     (tmp_path / "depth.csv").write_bytes(csv_text(COLUMNS["depth"], t, y[:, :1]))
     table = Table(tmp_path / "depth.csv", COLUMNS["depth"])
     b = np.array([1.0, 5.0, 5.5, 7.7, 9.0, 10.0, 15.0, 20.5, 21.0])
-    report = MissionReport("m", "mission", "3-D", "log")
-    found = holes_of(table, t, y, b, "are here", report)
+    notes: list[str] = []
+    found = holes_of(table, t, y, b, "are here", notes)
     assert b[found.inside].tolist() == [5.5, 7.7, 9.0, 20.5, 21.0]
-    assert report.notes == ["depth.csv:13: 2 holes, 7 s in all, the longest between 5 and 10 s: 5 of 9 poses are here"]
+    assert notes == ["depth.csv:13: 2 holes, 7 s in all, the longest between 5 and 10 s: 5 of 9 poses are here"]
     a = np.flatnonzero(found.density[:, 0])
     assert t[a].tolist() == [5.0, 20.0]
     assert found.density[a[1], 0] == pytest.approx(2 * 25 / np.sqrt(2.0))

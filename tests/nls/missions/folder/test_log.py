@@ -6,16 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import nls
 from factors import XYH
-from models import SE3, euler
-from models.manifolds.so3 import rotation3
+from models import SE3
 from nls import GraphFileError
-from nls.missions.folder.table import csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import RAW, folder, raw
+from tests.nls.missions.folder.mission_files import NOISE, folder, raw, tables
 
 (x,) = nls.kinds("x")
 
@@ -24,13 +21,8 @@ def log(t: np.ndarray, valid: np.ndarray | None = None) -> dict[str, str]:
     """1 m/s ahead at times t."""
     ones, zeros = np.ones((len(t), 1)), np.zeros((len(t), 3))
     valid = np.ones(len(t), dtype=int) if valid is None else valid.astype(int)
-    rows = {
-        "dvl": (t, np.hstack([ones, zeros[:, 1:]]), valid),
-        "ahrs": (t, zeros),
-        "depth": (t, 2 * ones),
-        "noise": ([[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]],),
-    }
-    return {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}
+    dvl = t, np.hstack([ones, zeros[:, 1:]]), valid
+    return tables(dvl=dvl, ahrs=(t, zeros), depth=(t, 2 * ones), noise=NOISE)
 
 
 def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
@@ -67,6 +59,15 @@ def test_logs_too_short_and_too_long(tmp_path: Path) -> None:
         nls.load(folder(tmp_path / "m", log(np.array([0.0, 1e12, 1.7e12]))))
 
 
+def test_poses_denser_than_the_rows_of_a_log_say_no_more_than_these(tmp_path: Path) -> None:
+    files = log(np.arange(0.0, 30.1))
+    t = np.arange(0.0, 30.1, 0.25)
+    poses = "i,time_s\n" + "".join(f"{k},{s!r}\n" for k, s in enumerate(t.tolist()))
+    _, zpr, heading = nls.load(folder(tmp_path / "m", files, poses=poses))[0].factors[:3]
+    assert np.median(heading.noise.sigma) == pytest.approx(0.01 * 2, rel=0.05)  # type: ignore[attr-defined]
+    assert np.median(zpr.noise.sigmas, axis=0) == pytest.approx([0.05 * 2, 0.002 * 2, 0.002 * 2], rel=0.05)  # type: ignore[attr-defined]
+
+
 def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_path: Path) -> None:
     found = []
     for sigma_yaw in ("0.01", "0.3"):
@@ -83,36 +84,3 @@ def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_pat
     white = 0.01**2 * dt**2 * (n - 1)  # the samples at its ends, half in either leg, count by half, not a quarter
     assert Sigma[0, 0] == pytest.approx(white + 0.002**2, rel=1e-3)
     assert Sigma[1, 1] == pytest.approx(white, rel=1e-2)
-
-
-def test_yaw_is_as_well_known_as_its_covariance_says(tmp_path: Path) -> None:
-    """NEES over 40 draws: of the yaw within 95 % bounds, of the place at the end not above them."""
-    draws, sigma_v, sigma_tilt, sigma_yaw, sigma_z = 40, 0.005, 0.002, 0.02, 0.01
-    fine = np.linspace(0.0, 12.0, 24001)
-    rpy = np.column_stack([0.05 * np.sin(0.5 * fine), 0.05 * np.cos(0.4 * fine), 0.6 * np.sin(0.2 * fine)])
-    v = np.column_stack([np.full(len(fine), 0.5), 0.05 * np.sin(fine), np.zeros(len(fine))])
-    world = np.einsum("nij,nj->ni", rotation3(euler.quaternion_from_angles(rpy)), v)
-    p = np.zeros((len(fine), 3))
-    p[1:] = np.cumsum(0.5 * (world[1:] + world[:-1]) * np.diff(fine)[:, None], axis=0)
-    p += [0.0, 0.0, 5.0]
-    at, poses = np.arange(0, len(fine), 1000), np.arange(0, len(fine), 2000)  # samples each 0.5 s, poses each second
-    yaw, end = [], []
-    for seed in range(draws):
-        rng = np.random.default_rng(seed)
-        n = len(at)
-        rows = {
-            "dvl": (fine[at], v[at] + rng.normal(0, sigma_v, (n, 3)), np.ones(n, dtype=int)),
-            "ahrs": (fine[at], rpy[at] + rng.normal(0, [sigma_tilt, sigma_tilt, sigma_yaw], (n, 3))),
-            "depth": (fine[at], p[at, 2:] + rng.normal(0, sigma_z, (n, 1))),
-            "noise": ([[sigma_v, 0.0, 0.05, sigma_tilt, sigma_tilt, sigma_yaw, sigma_z]],),
-        }
-        files = {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
-        graph, values, _ = nls.load(folder(tmp_path / "m", files))
-        values = graph.optimize(values).values
-        Sigma = nls.Marginals(graph, values).all(x, view="euler")
-        e = euler.from_se3(values[x]) - np.column_stack([rpy[poses], p[poses]])
-        yaw.append(e[:, 2] ** 2 / Sigma[:, 2, 2])
-        end.append(e[-1, 3:5] @ np.linalg.solve(Sigma[-1, 3:5, 3:5], e[-1, 3:5]))
-    n = draws * len(poses)
-    assert stats.chi2.ppf(0.025, n) / n < np.mean(yaw) < stats.chi2.ppf(0.975, n) / n
-    assert 0.5 < np.mean(end) < stats.chi2.ppf(0.975, 2 * draws) / draws

@@ -12,13 +12,13 @@ from factors import Heading, Isotropic, Landmark
 from models import SE3, euler
 from models.algebra import Array
 from nls import GraphFileError, Marginals, kinds
+from tests.nls.io.g2o_files import assert_refused
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.positioned import csv
 
 (x,) = kinds("x")
 MOTION = "sigma_walk_m_sqrt_s\n0.3\n"
 NOISE = "sigma_roll_rad,sigma_pitch_rad,sigma_yaw_rad,sigma_z_m\n0.01,0.02,0.03,0.1\n"
-FIXES = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0,0,0,1,1\n3,5,5,1,1\n"
 USBL = "time_s,range_m,bearing_rad,elevation_rad,sigma_range_m,sigma_bearing_rad,sigma_elevation_rad"
 FIXED = "time_s,x_m,y_m,sigma_x_m,sigma_y_m,arm_x_m,arm_y_m,arm_z_m"
 T = np.arange(0.0, 60.0, 2.0)
@@ -177,38 +177,10 @@ def test_the_track_lasts_as_long_as_all_logs(tmp_path: Path) -> None:
     assert any("fixes.csv:2: the first row of 7 that are left out, of 30" in note for note in report.notes)
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"noise": None}, r"ahrs\.csv:1: has no sigma; write noise\.csv with one row of sigma_roll_rad, sigma_pitch_"),
-        ({"noise": "sigma_z_m\n0.1\n"}, r"noise\.csv:2: there is no column sigma_roll_rad, which ahrs\.csv needs"),
-        ({"ahrs": "time_s\n0\n1\n"}, r"ahrs\.csv:1: has times and no angle"),
-        ({"depth": None, "tide": "time_s,tide_m\n0,1\n"}, r"tide\.csv:2: is for pressure\.csv, which is not there"),
-        (
-            {"ahrs": None, "fixes": fixes(ARM)},
-            r"fixes\.csv:2: has a lever arm; leave the arm out, or write roll_rad and",
-        ),
-        (
-            {"ahrs": csv("time_s,yaw_rad", ROWS, ROWS / 99), "fixes": None, **OWN},
-            r"usbl\.csv:2: is a direction from .*",
-        ),
-        ({"dvl": "time_s\n0\n"}, r"has motion\.csv and dvl\.csv, the same way twice"),
-        ({"gyro": "time_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0,0,0\n"}, r"has motion\.csv and gyro\.csv"),
-        (
-            {"fixes": FIXES.replace("\n0,", "\n90,").replace("\n3,", "\n93,")},
-            r"two times of fixes or ranges while all 2 logs of sensors last",
-        ),
-        ({"motion": "sigma_walk_m_sqrt_s\n0\n"}, r"sigma_walk_m_sqrt_s is 0\.0"),
-        ({"motion": "sigma_walk_m_sqrt_s\n1\n2\n"}, r"motion\.csv:3: a second row"),
-        ({"fixes": None}, r"motion\.csv:2: fewer than two times"),
-    ],
-)
-def test_refusals(tmp_path: Path, changed: dict[str, str | None], message: str) -> None:
-    with pytest.raises(GraphFileError, match=message):
-        nls.load(folder(tmp_path / "m", logs(**{"fixes": FIXES, **changed})))
-
-
-def test_a_cure_for_a_lever_arm_works(tmp_path: Path) -> None:
+def test_directions_and_a_lever_arm_need_all_angles(tmp_path: Path) -> None:
+    """And the printed cure for an arm works."""
+    turned = logs(ahrs=csv("time_s,yaw_rad", ROWS, ROWS / 99), **OWN)
+    assert_refused(2, "is a direction from the vehicle", nls.load, folder(tmp_path / "turned", turned))
     level = csv("time_s,roll_rad,pitch_rad,yaw_rad", ROWS, np.zeros((len(ROWS), 3)))
     assert nls.load(folder(tmp_path / "m", logs(ahrs=level, fixes=fixes(ARM))))[2].unmeasured == ()
 

@@ -10,7 +10,7 @@ import pytest
 import nls
 from factors import XYH, ZPR, Diagonal
 from models import SE3, euler
-from nls import GraphFileError, kinds
+from nls import kinds
 from nls.missions.folder.columns import COLUMNS
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.positioned import csv
@@ -75,23 +75,6 @@ def test_fixes_alone_place_a_vehicle_whose_motion_nothing_measures(tmp_path: Pat
     away, raw = (np.sqrt(np.square(q - p).mean()) for q in (SE3.position(np.asarray(result.values[x])), z))
     assert away < 0.75 * raw
     assert "no sensor measures the motion" in report.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("files", "message"),
-    [
-        ({"path": path(), "dvl": "time_s\n0\n"}, r"has path\.csv and dvl\.csv, the same way twice"),
-        ({"path": path().split("\n2.0,")[0].split("\n1.0,")[0] + "\n"}, r"path\.csv:2: one pose"),
-        ({"motion": "sigma_walk_m_sqrt_s\n0.3\n"}, r"motion\.csv:2: fewer than two times"),
-        ({"motion": "sigma_walk_m_sqrt_s\n0\n", "fixes": None}, r"sigma_walk_m_sqrt_s is 0\.0"),
-        ({"motion": "sigma_walk_m_sqrt_s\n1\n2\n", "fixes": None}, r"motion\.csv:3: a second row"),
-    ],
-)
-def test_refusals(tmp_path: Path, files: dict[str, str | None], message: str) -> None:
-    fixes = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0,0,0,1,1\n3,5,5,1,1\n"
-    filled = {name: fixes if text is None else text for name, text in files.items()}
-    with pytest.raises(GraphFileError, match=message):
-        nls.load(folder(tmp_path / "m", filled))
 
 
 def test_every_column_of_a_path_is_read(tmp_path: Path) -> None:

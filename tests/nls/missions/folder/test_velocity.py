@@ -12,7 +12,8 @@ from factors import XYH
 from models import SE3
 from models.errors import GraphFileError
 from nls.io.report import LoadReport
-from tests.nls.missions.folder.mission_files import folder
+from tests.nls.missions.folder.mission_files import RAW, folder, tables
+from tests.nls.missions.folder.positioned import csv
 
 (x,) = nls.kinds("x")
 T = np.arange(0.0, 40.01, 0.2)
@@ -22,16 +23,14 @@ def log(
     columns: dict[str, object], noise: str = "", value: str = "", v: float = 1.0, yaw: float = 0.0
 ) -> dict[str, str]:
     """1 m/s ahead; columns of dvl.csv besides."""
-    n = len(T)
-    table = {"time_s": T, "vx_m_s": np.full(n, v), "vy_m_s": np.zeros(n), "vz_m_s": np.zeros(n), **columns}
-    cells = [[repr(item) for item in np.broadcast_to(np.asarray(column), n).tolist()] for column in table.values()]
-    rows = "\n".join(",".join(row) for row in zip(*cells, strict=True))
+    zero = np.zeros(len(T))
+    table = {"time_s": T, "vx_m_s": v + zero, "vy_m_s": zero, "vz_m_s": zero, **columns}
+    dvl = [np.broadcast_to(np.asarray(column), len(T)) for column in table.values()]
+    names = ",".join(RAW["noise"])
     return {
-        "dvl": f"{','.join(table)}\n{rows}\n",
-        "ahrs": "time_s,roll_rad,pitch_rad,yaw_rad\n" + "".join(f"{float(t)!r},0,0,{yaw}\n" for t in T),
-        "depth": "time_s,z_m\n" + "".join(f"{float(t)!r},5\n" for t in T),
-        "noise": "sigma_v_m_s,scale,sigma_bridge_m_s_sqrt_s,sigma_roll_rad,sigma_pitch_rad,sigma_yaw_rad,sigma_z_m"
-        f"{noise}\n0.01,0,0.05,0.002,0.002,0.01,0.05{value}\n",
+        "dvl": csv(",".join(table), *dvl),
+        **tables(ahrs=(T, zero, zero, yaw + zero), depth=(T, 5 + zero)),
+        "noise": f"{names}{noise}\n0.01,0,0.05,0.002,0.002,0.01,0.05{value}\n",
     }
 
 
@@ -90,23 +89,11 @@ def test_the_way_through_the_water_and_the_current_go_on(tmp_path: Path) -> None
     assert sigma < 0.2
     legs, spread = 10, 0.02  # the whole of the loss: its 49 rows have the error of the current in common
     assert sigma * np.sqrt(legs) == pytest.approx(spread * 10, rel=0.25)
+    with pytest.raises(GraphFileError, match=r"water_valid is '2'; expected 0 or 1"):
+        nls.load(folder(tmp_path / "odd", log({"valid": 1 * ~lost, **water, "water_valid": 2})))
     blind = {**water, "water_valid": 1 * lost}
     distance, _, report = way(
         tmp_path / "alone", log({"vx_m_s": np.where(lost, 0, speed), "valid": 1 * ~lost, **blind})
     )
     assert distance == pytest.approx(40.0)
     assert "is not used: fewer than two rows have both" in str(report.notes)
-
-
-def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
-    through = {"water_vx_m_s": 1.0, "water_vy_m_s": 0.0, "water_vz_m_s": 0.0}
-    for k, (columns, problem) in enumerate(
-        (
-            ({}, r"dvl\.csv: has no column 'valid' and none 'beams'"),
-            ({"beams": -1}, r"dvl\.csv:2: beams is -1; expected how many see the bottom"),
-            ({"beams": 2}, r"dvl\.csv: 0 of 201 rows are valid"),
-            ({"valid": 1 * (np.arange(201) < 9), **through, "water_valid": 2}, r"water_valid is '2'; expected 0 or 1"),
-        )
-    ):
-        with pytest.raises(GraphFileError, match=problem):
-            nls.load(folder(tmp_path / str(k), log(columns)))

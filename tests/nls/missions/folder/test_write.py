@@ -14,13 +14,17 @@ from factors import (
     XYH,
     ZPR,
     Bearing,
+    Between,
+    Cauchy,
     Covariance,
     Diagonal,
+    Factor,
     Heading,
     Huber,
     Isotropic,
     Position,
     Prior,
+    Range,
     RangeAzimuth,
     sonar_factors,
 )
@@ -32,7 +36,7 @@ from nls.missions.folder.table import Table, csv_text
 from tests.combinations import for_all
 from tests.nls.missions.folder.mission_files import TINY, folder
 
-x, l = nls.kinds("x", "l")
+x, l, b = nls.kinds("x", "l", "b")
 OFFSET = euler.to_se3([0.1, -0.6, 0.2, 0.3, 0.0, 0.1])
 AWKWARD = [0.1 + 0.2, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, 1e22, 1e23, 123456789012345678.0, -1e-7]
 
@@ -156,6 +160,38 @@ def test_numbers_of_every_size_come_back(tmp_path: Path) -> None:
 STEP = XYH(x[0], x[1], [1, 0, 0], Isotropic(1))
 TILT = ZPR(x[[0, 1]], np.zeros((2, 3)), Isotropic(1))
 SEEN = RangeAzimuth(x[0], l[0], [3, 0], Isotropic(1))
+TRACK = [
+    XYH(x[[0, 1]], x[[1, 2]], [[1, 0, 0.1], [1, 0.1, 0]], Isotropic(0.1)),
+    ZPR(x[[0, 1, 2]], np.zeros((3, 3)), Isotropic(0.01)),
+]
+ARM = np.array([0.3, -0.1, 0.2])
+MOUNT = np.append(ARM, [0, 0, 0, 1.0])
+PLACES = Position(x[[0, 2]], [[1, 2, 3], [4, 5, 6.0]], Diagonal(z=1.0, x=0.5, y=0.1), offset=ARM)
+FACTORS: list[Factor] = [
+    PLACES,
+    PLACES.robust(Huber(1.5)),
+    Between(x[0], x[2], euler.to_se3([0.1, -0.2, 0.3, 1, 2, 3]), Diagonal(np.arange(1.0, 7.0))).robust(Cauchy(0.1)),
+    Prior(b[[5, 7]], [[1, 2, 3], [4, 5, 6.0]], Isotropic([0.1, 0.2])),
+    Range(x[[0, 1]], b[[5, 7]], [3.0, 1 / 3], Diagonal(range=[0.1, 0.2]), MOUNT),
+]
+
+
+def test_factors_go_round(tmp_path: Path) -> None:
+    graph = FactorGraph([*TRACK, *FACTORS])
+    files = write_mission(tmp_path / "m", graph)
+    assert [Path(f).name for f in files][2:] == ["fixes.csv", "closures.csv", "beacons.csv", "ranges.csv"]
+    again, start, _ = nls.load(tmp_path / "m")
+    assert [type(factor) for factor in again.factors] == [type(factor) for factor in graph.factors]
+    assert [factor.kernel for factor in again.factors] == [factor.kernel for factor in graph.factors]
+    for factor, same in zip(graph.factors, again.factors, strict=True):
+        model, _ = start.gather(factor)
+        other, _ = start.gather(same)
+        assert [keys.numbers.tolist() for keys in factor.keys] == [keys.numbers.tolist() for keys in same.keys]
+        assert other.z == pytest.approx(np.broadcast_to(model.z, other.z.shape), abs=1e-15)
+        assert factor.chi2(start) == pytest.approx(same.chi2(start), rel=1e-12)
+    assert "kernel" not in (tmp_path / "m" / "ranges.csv").read_text()  # no column that says nothing
+
+
 REFUSED: list[tuple[list[Any], str]] = [
     ([TILT], r"the graph has no factors for odometry\.csv; a mission needs XYH and ZPR"),
     ([STEP], r"the graph has no factors for zpr\.csv"),
@@ -171,13 +207,23 @@ REFUSED: list[tuple[list[Any], str]] = [
     ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("y",))], "a Position of x and y, and a Heading of"),
     ([STEP, TILT, ZPR(x[2], [0, 0, 0], Isotropic(1))], r"x2 is in zpr\.csv, but no XYH says where it is in the track"),
     ([STEP, TILT, TILT], r"x0 is measured twice in zpr\.csv; expected once"),
-    (
-        [STEP, TILT, Heading(x[0], 0.0, Isotropic(1))],
-        r"Heading\(x0\) has no file .* for every pose, once: not for x1; one",
-    ),
+    ([STEP, TILT, Heading(x[0], 0.0, Isotropic(1))], r"Heading\(x0\) has no file .* every pose, once: not for x1; one"),
     ([STEP, TILT, Heading(x[[0, 1, 1]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x1"),
     ([STEP, TILT, Heading(x[[0, 1, 2]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x2"),
     ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("z",)), Heading(x[0], 0, Isotropic(1))], r"Position\(x0\) has no"),
+    (
+        [*TRACK, PLACES, Position(x[1], [1, 2], Isotropic(1), ("x", "y"))],
+        r"another factor has other columns of fixes\.csv",
+    ),
+    (
+        [*TRACK, Range(x[0], b[5], 3.0, Isotropic(1), SE3.exp([0, 0, 0, 0, 0.1, 0]))],
+        "no column for the attitude of a s",
+    ),
+    ([*TRACK, Between(x[0], x[2], SE3.identity(), Covariance(np.eye(6)))], "its noise is Covariance"),
+    ([*TRACK, FACTORS[3], FACTORS[3]], "a beacon has two priors"),
+    ([*TRACK, FACTORS[3].robust(Huber(1.0))], r"beacons\.csv has no column for a robust kernel"),
+    ([*TRACK, Position(x[9], [1, 2], Isotropic(1), ("x", "y"))], r"x9 is in fixes\.csv, but no XYH"),
+    ([*TRACK, Between(x[0], x[2], SE3.identity(), Isotropic(1), "g2o")], "has no file in a mission folder"),
 ]
 
 

@@ -44,20 +44,10 @@ def test_a_mounting_turns_with_the_axes_of_the_body() -> None:
 def test_sigmas_and_lone_angles() -> None:
     one = np.ones(1)
     fix = turn("fixes", {"x_m": one, "y_m": 2 * one, "sigma_x_m": 3 * one, "sigma_y_m": 4 * one}, "ENU")
-    assert {name: float(value[0]) for name, value in fix.items()} == {
-        "x_m": 2,
-        "y_m": 1,
-        "sigma_x_m": 4,
-        "sigma_y_m": 3,
-    }
-    assert turn("anchor", {"x_m": one, "y_m": one, "yaw_rad": 0.2 * one}, "ENU")["yaw_rad"] == pytest.approx(
-        np.pi / 2 - 0.2
-    )
-    assert turn("odometry", {"x_m": one, "y_m": one, "yaw_rad": 0.2 * one}, "ENU") == {
-        "x_m": one,
-        "y_m": -one,
-        "yaw_rad": pytest.approx([-0.2]),
-    }
+    assert [float(fix[name][0]) for name in ("x_m", "y_m", "sigma_x_m", "sigma_y_m")] == [2, 1, 4, 3]
+    place = {"x_m": one, "y_m": one, "yaw_rad": 0.2 * one}
+    assert turn("anchor", place, "ENU")["yaw_rad"] == pytest.approx(np.pi / 2 - 0.2)
+    assert turn("odometry", place, "ENU") == {"x_m": one, "y_m": -one, "yaw_rad": pytest.approx([-0.2])}
     with pytest.raises(OptionError, match="together"):
         turn("zpr", {"z_m": one, "pitch_rad": one}, "ENU/FRD")
     with pytest.raises(OptionError, match="a y_m beside x_m"):

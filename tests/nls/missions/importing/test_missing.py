@@ -43,23 +43,6 @@ def test_the_refusal_of_a_word_is_cured_by_its_own_line(tmp_path: Path) -> None:
     assert rows["z_m"].tolist() == pytest.approx([0.2, -99.99, 0.3, 0.4])
 
 
-@for_all(
-    case=[
-        ("missing = true", "missing is True; expected numbers and words that stand for none"),
-        ("missing = [1, []]", "missing is [1, []]; expected numbers"),
-        ("missing = { z = 1 }", "missing: 'z' is not mapped here; did you mean 'z_m'?"),
-        ("missing = inf", "missing is inf; expected"),
-        ("rows = []", "rows is []; expected [first], or [first, last]"),
-        ("rows = [9]", "rows = [9] leaves no row"),
-    ]
-)
-def test_what_cannot_stand_for_none_is_refused_with_its_line(case: tuple[str, str], tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, DEPTH.format(z='"z"') + case[0] + "\n", log="t,z\n0,1\n")
-    assert str(error.value).startswith("mapping.toml:4: ")
-    assert case[1] in str(error.value)
-
-
 def test_rows_are_taken_before_their_numbers_are_read(tmp_path: Path) -> None:
     """Words of a test before and after the dive do not matter, and lines are those of the file."""
     log = "t,z\nstart,x\n0,1\n1,\n2,3\nend,y\n"
@@ -113,17 +96,3 @@ def test_a_place_a_velocity_and_a_quaternion_of_zeros(tmp_path: Path) -> None:
     ahrs = '[ahrs]\ntime_s = "t"\nquaternion = ["a", "b", "c", "d"]\nmissing_together = { quaternion = 0 }\n'
     result = imported(tmp_path, ahrs + "rows = [0, 2]\n", log=log)
     assert table(result, "ahrs")["time_s"].tolist() == [1]
-
-
-@for_all(
-    case=[
-        ("missing_together = 0", "missing_together is 0; expected a table of such by column"),
-        ("missing_together = { attitude = 0 }", "missing_together: 'attitude' is not mapped here"),
-        ("missing_together = { z = 0 }", "missing_together: 'z' is not mapped here; did you mean 'z_m'?"),
-    ]
-)
-def test_what_cannot_be_none_together_is_refused(case: tuple[str, str], tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, DEPTH.format(z='"z"') + case[0] + "\n", log="t,z\n0,1\n")
-    assert str(error.value).startswith("mapping.toml:4: ")
-    assert case[1] in str(error.value)

@@ -131,12 +131,6 @@ def test_names_that_end_like_a_unit_and_are_none(tmp_path: Path) -> None:
     assert table(imported(tmp_path, mapping, log="t,range_1\n0,5\n1,6\n"), "ranges")["range_m"].tolist() == [5, 6]
 
 
-@for_all(mapping=['sonar.file = "log.csv"', 'depth = { time_s = 0, z_m = 1, file = "log.csv" }'])
-def test_a_mapping_that_uses_no_column_of_its_file_is_refused(mapping: str, tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError, match=r"mapping\.toml:1: .*uses no column of log\.csv; .* leave file out"):
-        imported(tmp_path, mapping, log="t,z\n0,1\n")
-
-
 @for_all(special=["999", "-9999"], header=["Heading [deg]", "heading"])
 def test_a_special_value_of_an_angle_is_no_unit(special: str, header: str, tmp_path: Path) -> None:
     log = f"time,{header}\n0,10\n1,350\n2,{special}\n3,{special}\n4,12\n"

@@ -106,36 +106,6 @@ def test_order_of_time(tmp_path: Path) -> None:
     assert "depth: 1 row with the time of the one before, log.csv:5 the first: left out" in result.notes
 
 
-@for_all(
-    case=[
-        ('time_s = "t"\nz_m = "dept"', "mapping.toml:3: log.csv has no column 'dept'; write z_m = \"depth\"; it has"),
-        ('time_s = "t"', 'mapping.toml:1: [depth] has no z_m; write z_m = "depth"'),
-        ('time_s = "t"\nz_m = "Altitude [m]"', 'write z_m = { column = "Altitude [m]", up = true }, or up = false'),
-        ('time_s = "t"\nz_m = "p [dbar]"', "'p [dbar]' is in dbar, pressure; z_m is a length, m; scale and offset"),
-        ('time_s = "t"\nz_m = { column = "depth", unit = "dbar" }', "; of a pressure give scale"),
-        ('time_s = "t"\nz_m = "depth"\njoin = 3', "mapping.toml:4: "),
-        (
-            'time_s = "t"\nz_m = "depth"\nskip = 9',
-            "has no row; expected a line of names and rows of values; correct skip",
-        ),
-        ('time_s = "t"\nz_m = "depth"\nwhere = { column = "x", equals = 1 }', "mapping.toml:4: "),
-        (
-            'time_s = "t"\nz_m = "word"',
-            "'deep' is not a number; correct it, or name another column; in the mapping write missing = 'deep' where",
-        ),
-        ('time_s = "word"\nz_m = "depth"', "log.csv:2: word: 'deep' is not a number"),
-        ('time_s = 3\nz_m = "depth"', "time_s is a constant, and times rise"),
-        ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, length; time_s is a time, s"),
-        ('time_s = { column = "t", scale = 1e10 }\nz_m = "depth"', "log.csv:3: t: 1e+10 s is no time"),
-    ]
-)
-def test_refusals_say_what_to_write(case: tuple[str, str], tmp_path: Path) -> None:
-    log = "t,depth,word,Altitude [m],p [dbar]\n0,5,deep,-5,5\n1,5,deep,-5,5\n"
-    with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, f"[depth]\n{case[0]}\n", log=log)
-    assert case[1] in str(error.value)
-
-
 def test_a_constant_in_degrees_is_refused_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(
         GraphFileError, match=r"mapping\.toml:2: fan_rad is 120; .* in degrees\? write fan_rad = 2\.094"
@@ -174,14 +144,6 @@ def test_dates(tmp_path: Path) -> None:
             imported(tmp_path, mapping, log="date,time,z_m\n2024-02-28,10:00:00,1\n" + f"{wrong},10:00:00,1\n")
 
 
-def test_many_rows(tmp_path: Path) -> None:
-    t = np.arange(200_000)
-    log = "t_ms,z [mm]\n" + "\n".join(f"{5 * k},{k % 997}" for k in t.tolist()) + "\n"
-    rows = table(imported(tmp_path, 'depth = { time_s = "t_ms", z_m = "z [mm]" }', log=log), "depth")
-    assert np.array_equal(rows["z_m"], (t % 997) * 1e-3)
-    assert rows["time_s"][-1] == pytest.approx(999.995)
-
-
 def test_a_dvl_without_lock_may_have_empty_cells_everywhere(tmp_path: Path) -> None:
     mapping = 'dvl = { time_s = "t", velocity = ["v", 0, 0], beams = "b", altitude_m = "h", sigma_v_m_s = "s" }'
     rows = table(imported(tmp_path, mapping, log="t,v,b,h,s\n0,1,4,9,0.1\n1,,,,\n2,1,,,0.1\n"), "dvl")
@@ -194,19 +156,6 @@ def test_fixes_without_a_depth_stay_where_no_depth_is_mapped(tmp_path: Path) -> 
     note = "fixes: 1 row of 2 without a number, log.csv:2 the first: left out; their places stay where z_m is in "
     assert any(line.startswith(note) for line in result.notes)
     assert len(table(imported(tmp_path, mapping.format(""), log="t,z\n0,\n1,5\n"), "fixes")["time_s"]) == 2
-
-
-@for_all(
-    case=[
-        ("t,z\n0,1,5\n", r"log\.csv:2: 3 cells, expected 2: t, z; in the mapping where = "),
-        ("t,z,z\n0,1,2\n", r"log\.csv has 2 columns 'z'; .* header = false and skip = 1 of the mapping call them 1, 2"),
-        ("t,z\n0,\n1,nan\n", r"mapping\.toml:3: no row of log\.csv has all that \[depth\] needs: z_m has none"),
-        ("t,z\n,1\n", r"mapping\.toml:2: no row of log\.csv has all that \[depth\] needs: time_s has none"),
-    ]
-)
-def test_a_log_that_does_not_fit_is_refused_with_its_key(case: tuple[str, str], tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError, match=case[1]):
-        imported(tmp_path, '[depth]\ntime_s = "t"\nz_m = "z"\n', log=case[0])
 
 
 def test_a_quaternion_of_zeros_is_cured_by_the_line_that_is_printed(tmp_path: Path) -> None:

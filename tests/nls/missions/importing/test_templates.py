@@ -29,14 +29,5 @@ def test_the_mapping_is_one_when_uncommented() -> None:
     text = templates(mapping=True)["mapping.toml"].decode()
     assert [section.table for section in Mapping(text, "m.toml").sections] == ["noise"]
     sections = re.sub(r"^# (?=\[|\w+ *= \")", "", text.split("\n\n# time_s")[1].split("\n", 1)[1], flags=re.M)
-    assert [section.table for section in Mapping(sections, "m.toml").sections] == [
-        "dvl",
-        "ahrs",
-        "depth",
-        "path",
-        "motion",
-        "fixes",
-        "contacts",
-        "sonar",
-        "noise",
-    ]
+    tables = [section.table for section in Mapping(sections, "m.toml").sections]
+    assert tables == ["dvl", "ahrs", "depth", "path", "motion", "fixes", "contacts", "sonar", "noise"]

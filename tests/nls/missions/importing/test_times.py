@@ -79,41 +79,6 @@ def test_both_orders_are_named_where_both_fit(case: tuple[list[str], list[str]],
     assert re.findall(r'time_format = "([^"]+)"', str(error.value)) == case[1]
 
 
-@for_all(
-    case=[
-        ("%m/%d %H:%M", "names no year; expected %Y or %y, or write `date = "),
-        ("%Y %H:%M", "reads 2022-08-25 13:59 as 2022-01-01 13:59"),
-        ("%d.%m.%Y %I:%M", "reads 2022-08-25 13:59 as 2022-08-25 01:59"),
-        ("%Y %Q", "'Q' is a bad directive"),
-        ("%Y %Y", "has a directive twice"),
-        ("%d.%m.%Y %H:%M %Z", "write %z for +02:00"),
-    ]
-)
-def test_formats_that_cannot_be(case: tuple[str, str], tmp_path: Path) -> None:
-    form, problem = case
-    with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, DEPTH + f'time_format = "{form}"\n', log=log_of(["0"]))
-    assert str(error.value).startswith(f"mapping.toml:4: time_format = {form!r} ")
-    assert problem in str(error.value)
-
-
-@for_all(
-    case=[
-        ("time_format = 5", "mapping.toml:4: time_format is 5; expected how times are written, such as '%m/%d/%Y"),
-        ('date = "15.08.2022"', "mapping.toml:4: date is '15.08.2022'; expected the day of the first row"),
-        ('date = "2022-08-15"\ntime_format = "%d.%m.%Y %H:%M"', "has a date and so has date; leave date out"),
-        ('[noise]\ntime_format = "%Y"', "mapping.toml:5: [noise] has no column of times; leave time_format out"),
-        ('[poses]\ni = 0\ntime_s = 1\ndate = "2022-08-15"', "[poses] has no column of times; leave date out"),
-        ('date = "2022-08-15"', "log.csv:3: 700000 s is later than a day or a week of GPS; leave date out of [depth]"),
-        ('time_format = "%Y%m%d %H"', "log.csv:2: '0' does not fit %Y%m%d %H, of a year in 1970 to 2190; expected"),
-    ]
-)
-def test_options_of_times_that_are_refused(case: tuple[str, str], tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, DEPTH + case[0] + "\n", log=log_of(["0", "700000"]))
-    assert case[1] in str(error.value)
-
-
 def test_a_date_beside_times_that_have_one_is_refused(tmp_path: Path) -> None:
     """Above all sections it is for all of them."""
     for word in ("2022-08-15T09:59:38Z", "15.08.2022 09:59"):
@@ -228,18 +193,6 @@ def test_clocks_with_and_without_a_date_are_cured_by_it(zero: int, tmp_path: Pat
     assert (table(result, "depth")["time_s"].tolist(), table(result, "poses")["time_s"].tolist()) == ([0, 1], [0])
     with pytest.raises(GraphFileError, match=r"write time_s = \{ column = \.\.\., offset = SECONDS \} in \[depth\]"):
         imported(tmp_path, mapping, log=log_of(["0", "5"]), poses="at,i\n2022-08-15T09:59:38Z,1\n")
-
-
-def test_a_mapping_of_constants_alone_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError, match=r"mapping\.toml: uses no column of log\.csv; write the name of one"):
-        imported(tmp_path, "[motion]\nsigma_walk_m_sqrt_s = 1\n", log="t,z\n0,1\n")
-
-
-def test_many_texts(tmp_path: Path) -> None:
-    start = datetime(2022, 8, 15)
-    words = [f"{start + timedelta(milliseconds=370 * k):%m/%d/%Y %H:%M:%S.%f}" for k in range(20_000)]
-    rows = table(imported(tmp_path, DEPTH + 'time_format = "%m/%d/%Y %H:%M:%S.%f"\n', log=log_of(words)), "depth")
-    assert rows["time_s"][-1] == pytest.approx(0.37 * 19_999, abs=1e-9)
 
 
 def test_one_wrong_cell_changes_no_unit(tmp_path: Path) -> None:

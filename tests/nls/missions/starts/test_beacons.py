@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nls.missions.starts.beacons import beacon_of_ranges
+from nls.missions.starts.placing import beacon_of_ranges
 
 T = np.linspace(0, 1, 60)
 COURSES = {
