@@ -95,7 +95,7 @@ def decimals(marks: bytes, starts: Index, ends: Index) -> tuple[Array, Bytes]:
 
 
 def _unsigned(mark: Bytes, starts: Index, ends: Index) -> tuple[Mask, Index]:
-    """Which tokens begin with a minus, and the lengths of all without their signs."""
+    """Tokens that begin with a minus (n,), and the lengths of all without their signs."""
     first, length = mark.take(starts), ends - starts
     negative = first == MINUS
     length -= negative | (first == PLUS)

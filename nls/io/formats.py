@@ -209,7 +209,7 @@ def suffixes() -> dict[str, Format]:
 def by_content(data: bytes, path: str) -> tuple[Format | None, str]:
     """The format of bytes and why; None where the tags of `nls.io.dialects` are to tell."""
     files = [row for row in FORMATS.values() if row.loads]
-    for row in sorted(files, key=lambda row: not row.whole):  # those whatever their names
+    for row in sorted(files, key=lambda row: not row.whole):  # pieces first, whatever their names
         reason = "by its name" if row.by_name and suffix_of(path) in row.suffixes else row.looks(data)
         if reason:
             return row, reason

@@ -127,7 +127,7 @@ class Text:
 
     def error(self, message: str, line: int, advice: Sequence[Advice] = ()) -> GraphFileError:
         """An error at a line counted from 0; it names a character of the line that only looks like a blank."""
-        start = self.line(line)[:1000]  # that much is looked at
+        start = self.line(line)[:1000]  # bytes that are looked at
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
         return GraphFileError(message, self.path, self.first_number + line, _quoted(printable(start.strip())), advice)
@@ -145,7 +145,7 @@ class Text:
 
     @contextmanager
     def at_lines(self, lines: Index) -> Iterator[None]:
-        """What a graph refuses of measurements that stand on lines (n,), with the line of it.
+        """Give the refusals of measurements that stand on lines (n,) their line.
 
         Raises
         ------
@@ -261,7 +261,7 @@ class Text:
         """
         tokens = self.first.take(lines) + column
         number, form = (array.take(tokens) for array in self._decimals)
-        with np.errstate(invalid="ignore"):  # what is too large for it is read again below
+        with np.errstate(invalid="ignore"):  # numbers too large for it are read again below
             value: Numbers = number.astype(np.int64)
         for place in zip(*(form != WHOLE).nonzero(), strict=True):
             word = self.token(int(tokens[place]))

@@ -127,7 +127,7 @@ def read_kitti(path: str | Path) -> Array:
     return _kitti(path)[0]
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is no rotation, and is refused
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a matrix that overflows is no rotation, and is refused
 def _kitti(path: str | Path) -> tuple[Array, int]:
     """Poses and how many comments."""
     text, lines, table, comments = plain_table(path, 12, "the upper 3 x 4 of a pose, row by row", "pose")

@@ -214,7 +214,7 @@ def _form(tag: bytes) -> bytes:
 
 
 def _foreign(tag: bytes, forms: Mapping[bytes, bytes]) -> str:
-    """What was expected in place of characters that do not belong to a known tag; empty where this is none.
+    """The words on characters that do not belong to a known tag; empty where a tag is none of the known.
 
     Examples
     --------

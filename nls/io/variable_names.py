@@ -215,7 +215,7 @@ def _rank(stack: Stack) -> int:
 
 
 def _runs(kind: str, new: Numbers, old_kind: str, old: Numbers) -> list[str]:
-    """Which variables (n,) were which, in words; one phrase where both go on by 1.
+    """New and old names of variables (n,), in words; one phrase where both go on by 1.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def with_known_kinds(graph: FactorGraph, values: Values) -> tuple[FactorGraph, V
 
 
 def with_keys(graph: FactorGraph, key: Callable[[Keys], Keys]) -> FactorGraph:
-    """The same measurements, and the same held, of other variables."""
+    """A graph with its measurements and held variables under other names."""
     other = FactorGraph([replaced(factor, tuple(map(key, factor.keys))) for factor in graph.factors])
     for keys in graph.fixed:
         other.fix(key(keys))

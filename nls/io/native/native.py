@@ -196,7 +196,7 @@ def _factor(item: Any, name: str, values: Values, path: str) -> Factor:
 
 
 def _checked(path: str, where: str, make: Any, *arguments: Any) -> Any:
-    """What a function makes of a part of the file; its refusal says where."""
+    """The result of a function of a part of the file; its refusal says where."""
     try:
         return make(*arguments)
     except LeadlineError as error:

@@ -133,7 +133,7 @@ def decoded(plain: Plain) -> Any:
 
 
 def _lost(thing: Any, again: Any) -> str:
-    """What differs between a factor and itself, written and read."""
+    """The attributes that differ between a factor and itself, written and read."""
     follows = ("_model", *getattr(type(thing), "cached", ()))
     mine, other = ({k: v for k, v in vars(t).items() if k not in follows} for t in (thing, again))
     return ", ".join(name.lstrip("_") for name, value in mine.items() if not _same(value, other.get(name)))
