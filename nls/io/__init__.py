@@ -27,5 +27,5 @@ _MODULE = {name: module for module, names in _WHERE.items() for name in names.sp
 __all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:
-    __getattr__ = importer("nls.io", _MODULE)
+    __getattr__, __dir__ = importer("nls.io", _MODULE)
     del importer, TYPE_CHECKING
