@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,16 +16,17 @@ from models.errors import GraphError
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
-from nls.analysis.redundancy import unverified_groups
+from nls.analysis.redundancy import Unverified
 from nls.analysis.suspects import Suspects
-from nls.explanation.findings import Finding, FindingKind, Measurement, Part
+from nls.explanation.findings import ChoiceKind, Finding, FindingKind, Measurement, Part
 from nls.gauge import component_labels
 from nls.graph import FactorGraph
 from nls.posegraph import closures
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values
 
-__all__ = ["certifies", "graduates", "of_suspects"]
+if TYPE_CHECKING:
+    from nls.robust import Robustified
 
 UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word
@@ -108,7 +109,7 @@ def of_suspects(
     names = _names(graph.factors, suspects.places)
     robust = any(factor.kernel is not None for factor in graph.factors)
     if suspects.many:
-        keys = _keys(graph.factors, suspects.places)
+        keys = keys_of(graph.factors, suspects.places)
         advice = [Advice("gnc")] * graduates(graph, suspects.values)
         removal = [Advice("inspect", ("them",)), Advice("remove", ("them",))]
         advice += removal if robust else [Advice.robust("Cauchy", 1)]
@@ -196,7 +197,7 @@ def switched_off(graph: FactorGraph, values: Values) -> list[Finding]:
             advice = (Advice("start"), Advice("wider kernel"), *(() if gentle else (Advice("gentle kernel"),)))
             places = tuple((k, i) for i in off[:SOME].tolist())
             numbers = {"kernel": repr(factor.kernel), "off": len(off), "of": len(factor), "factor": repr(factor)}
-            out.append(Finding(FindingKind.REJECTED, _keys(graph.factors, places), numbers, advice, places))
+            out.append(Finding(FindingKind.REJECTED, keys_of(graph.factors, places), numbers, advice, places))
     return out
 
 
@@ -239,7 +240,7 @@ def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> 
         count = sum(len(alone) for _, alone in members)
         places = tuple((k, i) for k, alone in members for i in alone[:SOME].tolist())
         numbers = {"count": count, "of": total, "factors": _names(factors, places), "believed": not advice}
-        out.append(Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, advice, places))
+        out.append(Finding(FindingKind.UNCHECKED, keys_of(factors, places), numbers, advice, places))
     return out
 
 
@@ -259,17 +260,24 @@ def _checked_by(batch: Batch, alone: Index, label: Index) -> tuple[Advice, ...]:
     return (Advice("view", ("the same point",)) if of_point else Advice("close"),)
 
 
-def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
-    """Groups of closures that carry the map and that nothing verifies, at an optimum where nothing is free."""
-    findings = []
-    for group in unverified_groups(graph, values):
-        same = {name: getattr(group, name) for name in ("redundancy", "meters", "rms", "sigmas")}
-        advice = (Advice("inspect", ("the group",)), Advice("close"))
-        keys = _keys(graph.factors, group.closures)
-        findings.append(
-            Finding(FindingKind.UNVERIFIED, keys, {"factors": group.names, **same}, advice, group.closures[:SOME])
-        )
-    return findings
+def unverified(group: Unverified, keys: tuple[Keys, ...] = ()) -> Finding:
+    """A group of closures about variables that carries the map and that nothing verifies."""
+    numbers = {"factors": group.names} | {n: getattr(group, n) for n in ("redundancy", "meters", "rms", "sigmas")}
+    advice = (Advice("inspect", ("the group",)), Advice("close"))
+    return Finding(FindingKind.UNVERIFIED, keys, numbers, advice, group.closures[:SOME])
+
+
+def of_choice(choice: Robustified, contacts: bool = False) -> list[Finding]:
+    """How many measurements, or contacts, a robust choice rejected, and which landmarks left with them."""
+    names = ("doubted", "probability", "sigma0")
+    numbers = {"count": len(choice.rejected), "by_chance": choice.expected_by_chance}
+    numbers |= {name: getattr(choice, name) for name in names}
+    out = [Finding(ChoiceKind.CONTACTS if contacts else ChoiceKind.REJECTED, (), numbers)]
+    if choice.left:
+        count = sum(landmark.measurements for landmark in choice.left)
+        landmarks = [landmark.variable for landmark in choice.left]
+        out.append(Finding(ChoiceKind.LEFT, (), {"landmarks": landmarks, "count": count}))
+    return out
 
 
 def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
@@ -297,11 +305,11 @@ def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
     if not count:
         return []
     numbers = {"count": count, "factors": _names(graph.factors, places)}
-    keys = _keys(graph.factors, places)
+    keys = keys_of(graph.factors, places)
     return [Finding(FindingKind.REPEATED, keys, numbers, (Advice("remove copies"),), tuple(places))]
 
 
-def _keys(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[Keys, ...]:
+def keys_of(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[Keys, ...]:
     """The variables of some measurements, each once."""
     return tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in factors[k].keys))
 

@@ -17,6 +17,7 @@ from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked
+from nls.analysis.redundancy import unverified_groups
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import causes, doubts
@@ -187,7 +188,8 @@ def _disagreement(
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
     findings += [kind for kind in kinds if kind not in alike]
     if not (free.count or alike or outliers.many):
-        findings += doubts.unverified(graph, values)
+        groups = unverified_groups(graph, values)
+        findings += [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
     return findings, outliers
 
 

@@ -1,14 +1,9 @@
 """Is a scan mission set up as it was sailed? Azimuths, mounting, clock and sigmas.
 
-The result of a check is numbers; `nls.missions.checks.scan_words` makes sentences of them.
+The result of a check is numbers; `nls.missions.checks.words` makes sentences of them.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +12,7 @@ from factors.keys import kinds
 from models import SE2
 from models.algebra import Array
 from nls.graph import FactorGraph
+from nls.missions.checks.findings import SetupFinding, SetupKind
 from nls.missions.checks.scan_mounting import COMPONENTS, LIMITS, SIGMAS, Mounting, lateral_drift, mounting
 from nls.missions.checks.scan_neighbors import match_steps, steps
 from nls.missions.checks.scan_sigmas import fits
@@ -41,42 +37,7 @@ SHARE = 0.25  # least share of them: random points have 0.02 to 0.19, harbors 0.
 x = kinds("x")[0]
 
 
-class SetupKind(StrEnum):
-    """A wrong setup, the identifier that programs get."""
-
-    UNREPEATED = "unrepeated"
-    MIRRORED = "mirrored"
-    MOUNTING = "mounting"
-    TURNED = "turned"
-    TIME_OFFSET = "time_offset"
-    SIGMAS_TOO_LARGE = "sigmas_too_large"
-    SIGMAS_TOO_SMALL = "sigmas_too_small"
-
-
 BENDING = frozenset({SetupKind.UNREPEATED, SetupKind.MIRRORED, SetupKind.TIME_OFFSET})  # what follows is no map
-
-
-@dataclass(frozen=True)
-class SetupFinding:
-    """A wrong setup.
-
-    Attributes
-    ----------
-    kind : of it.
-    numbers : by name, m, rad and s.
-
-        - ``unrepeated``: `scans` that were matched with those just before them, and how many of these `fit`.
-        - ``mirrored``: steps that turn and fit better as `given`, and `mirrored`.
-        - ``mounting``: `component` x, y or yaw, its `value` and `sigma` from the assumed one, and the `mount` (3,) that
-          follows.
-        - ``turned``: `value` and `sigma` of the yaw that is missing if nothing drifts sideways, and `mount`.
-        - ``time_offset``: `value`, by which the stamps of the scans are late, and `sigma`.
-        - ``sigmas_too_large``, ``sigmas_too_small``: `measurements` steps, drifts or closures, `chi2`, `dof`, `scale`
-          on the stated sigmas.
-    """
-
-    kind: SetupKind
-    numbers: Mapping[str, Any]
 
 
 def check_setup(
@@ -86,7 +47,7 @@ def check_setup(
     closing: Closing | None = None,
     times: npt.ArrayLike | None = None,
 ) -> list[SetupFinding]:
-    """Faults of the setup, from scans against dead reckoning; `nls.missions.checks.scan_words` makes sentences of it.
+    """Faults of the setup, from scans against dead reckoning; `nls.missions.checks.words` makes sentences of it.
 
     Parameters
     ----------
@@ -111,7 +72,7 @@ def check_setup(
     Five scans of one wall close no loop and show no turn: nothing speaks against anything.
 
     >>> import numpy as np
-    >>> from nls.missions.scans import Scans, check_setup, dead_reckoning
+    >>> from nls.sonar.scans import Scans, check_setup, dead_reckoning
     >>> wall = np.column_stack([np.linspace(5, 15, 40), np.full(40, 4.0)])
     >>> graph, values = dead_reckoning(np.arange(5.0)[:, None] * [1.0, 0.0, 0.0])
     >>> check_setup(graph, values, Scans(np.tile(wall, (5, 1)), np.repeat(np.arange(5), 40), 5))

@@ -16,7 +16,6 @@ from nls.missions.checks import Cause, Fixes, Log, implausible
 from nls.missions.checks.alone import tilt_of
 from nls.missions.checks.clocks import of_clocks
 from nls.missions.checks.track import of_fixes
-from nls.missions.checks.words import sentence
 from nls.missions.folder.columns import COLUMNS, OPTIONAL
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
@@ -48,7 +47,7 @@ def test_fixes_of_another_clock_are_named_with_the_offset(late: float, kind: str
     assert abs(late) < 20 or abs(late) > 1000 or late == 37 or reading.factor != 18
     if late in (18.0, 3600.0):
         act = f"subtract {late:g} s from time_s, or write `offset = {-late:g}` for time_s in [fixes] of the mapping"
-        assert act in sentence(finding)
+        assert act in finding.says
 
 
 @for_all(late=[18.0, -37.0], seed=[1, 2])
@@ -94,7 +93,7 @@ def test_times_of_one_table_in_another_unit(table: str, factor: float, tmp_path:
 def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
     path = changed(path_of(replace(dive(3), fixes=None)), "path", column("time_s", lambda t: 45631.9 + t / 86400.0))
     (finding,) = findings(tmp_path / "days", path)
-    assert 'unit = "day"' in sentence(finding)
+    assert 'unit = "day"' in finding.says
 
 
 DEPTHS: dict[str, tuple[Callable[[Array], Array], Cause, float]] = {
@@ -112,9 +111,9 @@ def test_a_depth_of_another_sign_or_with_the_air_is_named(name: str, kind: str, 
     files = with_fixes(dive(seed)) if kind == "depth" else path_of(dive(seed))
     found = findings(tmp_path / f"{name[-3:]}{kind}{seed}", changed(files, kind, column("z_m", change)))
     first = [(entry.file, entry.readings[0].cause, entry.readings[0].factor) for entry in found]
-    assert (f"{kind}.csv", cause, factor) in first[:1], [sentence(entry) for entry in found]
+    assert (f"{kind}.csv", cause, factor) in first[:1], [entry.says for entry in found]
     if cause is Cause.PRESSURE:
-        assert "`offset = -10.1325` for z_m in [" in sentence(found[0])
+        assert "`offset = -10.1325` for z_m in [" in found[0].says
 
 
 def test_a_vehicle_ten_meters_deep_has_no_air_in_its_depth(tmp_path: Path) -> None:

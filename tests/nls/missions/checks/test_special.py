@@ -14,7 +14,6 @@ from models.errors import GraphFileError
 from models.geodesy import LocalPlane
 from nls.missions.checks import Cause, Implausible, implausible
 from nls.missions.checks.special import repeated
-from nls.missions.checks.words import sentence
 from nls.missions.folder.folder import read_tables
 from nls.missions.folder.read import read_mission
 from nls.missions.folder.table import Table, csv_text
@@ -74,7 +73,7 @@ def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str, 
     assert finding.lines == tuple(bad + 2)
     assert finding.readings[0].cause is (Cause.NONE if value else Cause.ZEROS)
     assert finding.readings[0].column == ", ".join(columns)
-    text = sentence(finding)
+    text = finding.says
     assert f"leave out lines 32 to 37 of {table}.csv" in text
     number = re.search(rf"missing(?:_together)? = {{ {columns[0]} = \[?(-?[\d.]+)", text)
     assert number is not None
@@ -87,7 +86,7 @@ def test_the_cure_names_numbers_of_the_log_in_another_unit(tmp_path: Path) -> No
         return numbers
 
     files = changed(kinds(clean(1, minutes=3.0))["log"], "depth", spoil)
-    text = sentence(findings(tmp_path / "m", files)[0])
+    text = findings(tmp_path / "m", files)[0].says
     assert "write `missing = { z_m = [-3047.6952, -9999] }` in [depth] of the mapping" in text
 
 
@@ -166,7 +165,7 @@ def test_a_fix_that_repeats_while_the_vehicle_moves_is_stale(kind: str, seed: in
     (finding, *_) = findings(tmp_path / f"{kind}{seed}", changed(files, "fixes", spoil))
     assert finding.readings[0].cause is Cause.STALE
     assert kind == "motion" or finding.lines == tuple(range(23, 42))
-    assert "leave out lines" in sentence(finding)
+    assert "leave out lines" in finding.says
 
 
 @for_all(table=["dvl", "ahrs", "depth"], seed=[2, 6])
@@ -221,7 +220,7 @@ def test_clean_missions_of_every_kind_are_plausible(seed: int, tmp_path: Path) -
     for log in (clean(seed, minutes=6.0), dive(seed), dive(seed, on_deck=(7.0, 18.0, 37.0)[seed])):
         for name, files in kinds(log).items():
             path = tmp_path / f"{name}{len(list(tmp_path.iterdir()))}"
-            assert [sentence(entry) for entry in findings(path, files)] == []
+            assert [entry.says for entry in findings(path, files)] == []
 
 
 def test_the_origin_of_an_import_is_the_first_row_that_is_a_fix(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 import nls
 import sim
 from nls.cli import main
-from nls.missions.checks.words import sentence
 from nls.missions.folder.table import csv_text
 from nls.missions.folder.write import write_mission
 from tests.combinations import for_all
@@ -23,7 +22,7 @@ from tests.nls.missions.folder.mission_files import TINY, folder
 
 def findings_of(path: Path) -> list[str]:
     """Sentences about a folder."""
-    return [sentence(entry) for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
+    return [entry.says for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
 
 
 @for_all(

@@ -19,7 +19,6 @@ from models.manifolds.so3 import rotation3
 from nls.cli import main
 from nls.missions.checks import Cause, Implausible, Reading
 from nls.missions.checks.trials import explained, worth_trying
-from nls.missions.checks.words import sentence
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.folder import read_tables
 from tests.combinations import for_all
@@ -151,7 +150,7 @@ def test_the_cause_is_named_and_its_cure_works(name: str, tmp_path: Path) -> Non
     assert result.fit is nls.Fit.IMPLAUSIBLE
     assert wrong > 2 * clean
     explanation = explained(read_tables(folder)[0], result.chi2_final, result.dof)
-    cures = re.split("; or ", sentence(explanation))
+    cures = re.split("; or ", explanation.says)
     (cure,) = [words for words in cures if start in words]
     after, cured = solve(dive, str(folder), follow(cure, folder))
     if calibration := re.match(r"(\w+),", start):
@@ -203,7 +202,7 @@ def test_two_mistakes_are_no_constant_and_units_come_first(tmp_path: Path) -> No
     _, result = solve(dive, dive.write(tmp_path / "m", heading(40.0), *spoils))
     explanation = explained(read_tables(tmp_path / "m")[0], result.chi2_final, result.dof)
     assert explanation.trials == ()
-    assert sentence(explanation).startswith("no single constant and no single table explains chi2 (")
+    assert explanation.says.startswith("no single constant and no single table explains chi2 (")
     reading = Reading(Cause.UNIT, "dvl.csv", "vx_m_s", 1000.0)
     unit = Implausible("speed", "dvl.csv", 2, "vx_m_s", 900.0, 10.0, "m/s", (reading,))
     turn = replace(unit, readings=(replace(reading, cause=Cause.CLOCK),))
