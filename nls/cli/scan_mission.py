@@ -16,7 +16,8 @@ from models.errors import GraphWarning, LeadlineError, OptionError, SingularGeom
 from models.options import did_you_mean
 from nls.cli.evaluate import circles
 from nls.cli.job import Content, Job, Solution
-from nls.missions.checks.scan_setup import BENDING, SetupFinding, check_setup
+from nls.missions.checks.findings import SetupFinding
+from nls.missions.checks.scan_setup import BENDING, check_setup
 from nls.missions.scans import close
 from nls.missions.scans.closing import ROUNDS, SELECTIONS
 from nls.missions.scans.folder import ScanReport, is_scan_mission

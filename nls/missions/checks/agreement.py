@@ -21,41 +21,28 @@ from models.algebra import Array, Mask
 from models.dead_reckoning.drop_outs import longest_step
 from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.log import Log
-from nls.missions.checks.readings import alternatives, corrected
+from nls.missions.checks.readings import Alternative, alternatives, corrected
 
-__all__ = ["of_way_down"]
 WINDOW = 10.0  # s
-MOST = 20_000  # windows
-LONGEST = 0.5  # of a window: the time without bottom lock that it may have
-SHORT = 1.0  # s without attitude or depth
-FEWEST = 4  # windows
-MOVING = 4.0  # sigmas that the rms way down has
-LEAST = 0.2  # m, of the rms way down
 FLOOR = 0.04  # relative misfit of a right log: scale, mounting, drop-outs, lever arms
 DOUBT, CURED, TIE = 3.5, 1 / 3, 1.6
 ARM = 5.0  # m
-MISFIT = 0.1  # relative misfit that may be named, with its reading
-WRONG = 0.5  # relative misfit that needs no reading to be named
-WIDEST = 2.0  # times: a scale of the depth
 SCALED = 0.2  # relative misfit that a reading leaves: a right log had 0.16, by a DVL whose mounting is off
-ALIKE = 3  # readings that are named
 
 
 def of_way_down(log: Log) -> list[Implausible]:
     """What is wrong where DVL, attitude and depth do not fit each other; lines are rows, counted from 0."""
+    named, wrong = 0.1, 0.5  # relative misfits from which it is named with a reading, and without one
     windows, noise = _windows(log)
     m = _misfit(log, windows)
-    if not m > MISFIT:
-        return []
-    readings = _explained(log, windows, m, noise)
-    if not readings and m > WRONG:
-        readings = [Reading(Cause.UNKNOWN, "depth.csv", "z_m")]
+    readings = _explained(log, windows, m, noise) if m > named else []
+    limit = max(named, float(np.sqrt(DOUBT) * noise))
+    if not readings and m > wrong:
+        readings, limit = [Reading(Cause.UNKNOWN, "depth.csv", "z_m")], wrong
     if not readings:
         return []
-    limit = max(MISFIT, float(np.sqrt(DOUBT) * noise)) if readings[0].cause is not Cause.UNKNOWN else WRONG
     first = readings[0]
-    column = first.column.split(", ")[0]
-    return [Implausible("way down", first.file, 0, column, m, limit, "of the way", tuple(readings[:ALIKE]))]
+    return [Implausible("way down", first.file, 0, first.columns[0], m, limit, "of the way", tuple(readings[:3]))]
 
 
 def _windows(log: Log) -> tuple[Array, float]:
@@ -63,18 +50,15 @@ def _windows(log: Log) -> tuple[Array, float]:
     begin, end = (f(log.t_v[k], log.t_z[k], log.t_a[k]) for f, k in ((max, 0), (min, -1)))
     if not 0 < end - begin < np.inf:
         return np.zeros((0, 2)), 1.0
-    edges = begin + WINDOW * np.arange(min(int((end - begin) / WINDOW), MOST) + 1)
+    edges = begin + WINDOW * np.arange(min(int((end - begin) / WINDOW), 20_000) + 1)
     both = np.stack([edges[:-1], edges[1:]], axis=1)
-    for t, longest in (
-        (log.t_v, LONGEST * WINDOW),
-        (log.t_a, max(longest_step(log.t_a), SHORT)),
-        (log.t_z, max(longest_step(log.t_z), SHORT)),
-    ):
+    holes = [(log.t_v, 0.5 * WINDOW), *((t, max(longest_step(t), 1.0)) for t in (log.t_a, log.t_z))]
+    for t, longest in holes:  # s without bottom lock, attitude or depth
         both = both[~_over_a_hole(both, t, longest)]
-    if len(both) < FEWEST:
+    if len(both) < 4:
         return both[:0], 1.0
     rms, sigma = float(np.std(_ways(both, log.t_z, log.z))), np.sqrt(2) * log.sigmas["sigma_z_m"]
-    if rms < max(MOVING * sigma, LEAST):
+    if rms < max(4.0 * sigma, 0.2):  # m: the vehicle does not dive
         return both[:0], 1.0
     return both, max(sigma / rms, FLOOR)
 
@@ -100,25 +84,28 @@ def _misfit(log: Log, windows: Array) -> float:
     return float(np.std(dz - _ways(windows, log.t_v, log.way()[:, 2])) / np.std(dz)) if np.std(dz) > 0 else np.inf
 
 
-def _score(log: Log, windows: Array, noise: float) -> float:
-    """(m / n)^2."""
-    return (_misfit(log, windows) / noise) ** 2
-
-
 def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading]:
     """The readings that explain a misfit."""
     S = (m / noise) ** 2
     if not S > DOUBT:
         return []
+
+    def score(a: Alternative) -> float:
+        return (_misfit(a.on_log(log), windows) / noise) ** 2
+
     ways = alternatives()
     clocks = [a for a in ways if a.reading.cause is Cause.CLOCK]
-    scored = [(_score(a.on_log(log), windows, noise), a.reading) for a in ways if a not in clocks]
+    scored = [(score(a), a.reading) for a in ways if a not in clocks]
     if not any(s <= TIE for s, _ in scored):  # nothing is left for a clock to explain
-        scored += [(_score(a.on_log(log), windows, noise), a.reading) for a in clocks]
+        scored += [(score(a), a.reading) for a in clocks]
     scored.sort(key=lambda pair: pair[0])
     best = scored[0][0]
-    if best > CURED * S or np.sqrt(best) * noise > SCALED:
-        return _scaled(log, windows, S, noise)
+    if best > CURED * S or np.sqrt(best) * noise > SCALED:  # the scale of the depth, where that explains it
+        dz, dD = _ways(windows, log.t_z, log.z), _ways(windows, log.t_v, log.way()[:, 2])
+        slope = float(dz @ dD) / max(float(dD @ dD), 1e-9)
+        reading = Reading(Cause.SCALE, "depth.csv", "z_m", slope)
+        scaled = 0.5 < slope < 2 and np.sqrt(S) * noise > SCALED and score(corrected(reading)) <= CURED * S
+        return [reading] if scaled else []
     near: dict[tuple[str, ...], Reading] = {}
     for s, reading in scored:
         if s <= TIE * max(best, 1.0):
@@ -126,13 +113,3 @@ def _explained(log: Log, windows: Array, m: float, noise: float) -> list[Reading
     arm = ARM / max(float(np.median(np.linalg.norm(log.v, axis=1))), 1e-9)
     first = next(iter(near.values()))
     return [] if first.cause is Cause.CLOCK and abs(first.factor) < arm else [*near.values()]
-
-
-def _scaled(log: Log, windows: Array, S: float, noise: float) -> list[Reading]:
-    """The scale of the depth, where that explains a misfit."""
-    dz, dD = _ways(windows, log.t_z, log.z), _ways(windows, log.t_v, log.way()[:, 2])
-    slope = float(dz @ dD) / max(float(dD @ dD), 1e-9)
-    if not (1 / WIDEST < slope < WIDEST and np.sqrt(S) * noise > SCALED):
-        return []
-    reading = Reading(Cause.SCALE, "depth.csv", "z_m", slope)
-    return [reading] if _score(corrected(reading).on_log(log), windows, noise) <= CURED * S else []

@@ -52,6 +52,11 @@ class Reading:
     factor: float = 1.0
     offset: float = 0.0
 
+    @property
+    def columns(self) -> list[str]:
+        """Columns by name."""
+        return self.column.split(", ")
+
 
 @dataclass(frozen=True)
 class Implausible(Numbered):

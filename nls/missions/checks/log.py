@@ -22,12 +22,6 @@ from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import ANGLES, PLACE, VELOCITY
 from nls.missions.folder.table import Table
 
-__all__ = ["Fixes", "Log", "middle", "read_fixes", "read_log"]
-STEP = 1.0  # s: samples of the DVL between which none is needed
-FEWEST = 5  # rows of each file
-LARGEST = 1e9  # of a number, as the reader has it
-MOST = 10_000  # samples of the DVL that are compared with depth and fixes
-
 
 @dataclass(frozen=True)
 class Fixes:
@@ -70,10 +64,10 @@ class Log:
     fixes: Fixes | None = None
 
     def thinned(self) -> Log:
-        """Without lost samples and single outliers of DVL and depth, about a sample a second, not too many."""
+        """Without lost samples and single outliers of DVL and depth, about a sample a second, at most 10,000."""
         t, v = self.t_v[self.valid], middle(self.v[self.valid])
-        step = float(np.median(np.diff(t))) if len(t) > 1 else STEP
-        chosen = np.arange(0, len(t), max(1, int(STEP / step)))[:MOST]
+        step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        chosen = np.arange(0, len(t), max(1, int(1 / step)))[:10_000]
         return replace(self, t_v=t[chosen], v=v[chosen], valid=np.ones(len(chosen), dtype=bool), z=middle(self.z))
 
     def _attitude(self) -> Array:
@@ -123,14 +117,15 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
         return None
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
-    valid = bottom_lock(dvl, [])
+    valid, largest = bottom_lock(dvl, []), 1e9  # of a number, as the reader has it
     mount = tables["dvl_mount"].floats(*ANGLES, *PLACE)[0] if "dvl_mount" in tables else np.zeros(6)
     noise = tables["noise"]
     v, rpy, z = dvl.floats(*VELOCITY), ahrs.floats(*ANGLES), depth.floats("z_m")
-    largest = max(float(np.abs(y).max()) for y in (v[valid], rpy, z, mount) if len(y)) if valid.any() else np.inf
-    if min(len(t_v[valid]), len(t_a), len(t_z)) < FEWEST or not largest < LARGEST:
+    if min(len(t_v[valid]), len(t_a), len(t_z)) < 5:
         return None
-    v = np.where(valid[:, None] | (np.abs(v) < LARGEST), v, 0.0)
+    if not max(float(np.abs(y).max()) for y in (v[valid], rpy, z, mount)) < largest:
+        return None
+    v = np.where(valid[:, None] | (np.abs(v) < largest), v, 0.0)
     sigmas = dict(zip(noise.names, noise.floats(*noise.names)[0].tolist(), strict=True))
     fixes = read_fixes(tables.get("fixes"), plane)
     log = Log(t_v, v, valid, t_a, rpy, t_z, z[:, 0], euler.to_se3(mount), sigmas, fixes)

@@ -19,17 +19,16 @@ from nls.missions.checks.log import Log, read_log
 from nls.missions.folder.columns import ANGLES, GEODETIC, TILT, VELOCITY
 from nls.missions.folder.table import Table
 
-__all__ = ["SPEED_UNITS", "Alternative", "alternatives", "corrected", "readings"]
 SPEED_UNITS = (1000.0, 100.0, 1.9438, 3.2808, 3.6)  # mm/s, cm/s, knots, ft/s and km/h in a m/s
 LENGTH_UNITS = (100.0, 3.2808, 0.5468, 10.0, 0.001, 0.1, 0.01)  # cm, feet, fathoms, kPa, km, bar, kPa to dm
 PLACE_UNITS = (1000.0, 100.0, 3.2808, 0.001)
-TIME_UNITS = (1e3, 1e6, 2.0, 0.5)  # ms and us in a second; both ways, and one of two
+RANGE_UNITS = (*PLACE_UNITS, 2.0, 0.5)  # both ways, and one of two
 DEGREES = 180 / np.pi
 TURN_UNITS = (DEGREES, 1 / DEGREES)  # degrees in a column of radians, radians that were taken for degrees
 LAGS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)  # s
-DRIFTS = (0.003, 0.01)  # of a clock that is compared with motion, which is not linear in it
-SHIP_LAGS = (4.0, 8.0, 12.0, 18.0, 30.0)  # s; beside them chi2 is linear enough
 LEVEL = ("x_m", "y_m")
+PLANE = ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS))
+FROM_NORTH = Reading(Cause.NORTH, "usbl.csv", "bearing_rad")
 LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the columns of the numbers
     "dvl.csv": ("v", "t_v", VELOCITY),
     "ahrs.csv": ("rpy", "t_a", ANGLES),
@@ -37,14 +36,14 @@ LOGGED = {  # of a file: where a `Log` has its numbers and its times, and the co
 }
 OF_TABLES: dict[str, tuple[tuple[tuple[str, ...], Iterable[float]], ...]] = {  # vectors of one unit; what that may be
     "fixes": ((LEVEL, PLACE_UNITS),),
-    "odometry": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS)),
-    "path": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS), (("z_m",), LENGTH_UNITS)),
+    "odometry": PLANE,
+    "path": (*PLANE, (("z_m",), LENGTH_UNITS)),
     "zpr": tuple(((name,), (DEGREES,) if name.endswith("_rad") else LENGTH_UNITS) for name in TILT),
-    "closures": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS)),
+    "closures": PLANE,
     "contacts": ((("azimuth_rad",), TURN_UNITS), (("range_m",), PLACE_UNITS)),
-    "usbl": ((("bearing_rad", "elevation_rad"), TURN_UNITS), (("range_m",), (*PLACE_UNITS, 2.0, 0.5))),
-    "ranges": ((("range_m",), (*PLACE_UNITS, 2.0, 0.5)), (("travel_time_s",), TIME_UNITS)),
-    "ship": ((LEVEL, PLACE_UNITS), (("yaw_rad",), TURN_UNITS), (("roll_rad", "pitch_rad"), ()), (("z_m",), ())),
+    "usbl": ((("bearing_rad", "elevation_rad"), TURN_UNITS), (("range_m",), RANGE_UNITS)),
+    "ranges": ((("range_m",), RANGE_UNITS), (("travel_time_s",), (1e3, 1e6, 2.0, 0.5))),  # ms, us
+    "ship": (*PLANE, (("roll_rad", "pitch_rad"), ()), (("z_m",), ())),
     "beacons": ((LEVEL, PLACE_UNITS), (("z_m",), ())),
 }
 
@@ -57,23 +56,14 @@ class Alternative:
     A: Array
     c: Array
 
-    @property
-    def columns(self) -> list[str]:
-        return self.reading.column.split(", ")
-
-    @property
-    def geodetic(self) -> bool:
-        """Whether it is of latitudes or longitudes, and so of all tables."""
-        return self.columns[0] in GEODETIC
-
     def on_log(self, log: Log) -> Log:
         """The log that was meant."""
         if self.reading.cause is Cause.EARTH:
             return replace(log, v=apply(log.axes().mT, log.v))
         numbers, times, names = LOGGED[self.reading.file]
-        if self.columns == ["time_s"]:
+        if self.reading.columns == ["time_s"]:
             return replace(log, **{times: getattr(log, times) + self.c[0]})
-        read, k = getattr(log, numbers), [names.index(name) for name in self.columns]
+        read, k = getattr(log, numbers), [names.index(name) for name in self.reading.columns]
         y: Any = np.array(read).reshape(len(read), -1)
         y[:, k] = self._meant(y[:, k])
         return replace(log, **{numbers: y.reshape(read.shape)})
@@ -85,19 +75,17 @@ class Alternative:
             return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
         if self.reading == FROM_NORTH:
             return _from_the_bow(tables) if {"usbl", "ship"} <= tables.keys() else {}
-        names = tables if self.geodetic else [self.reading.file.removesuffix(".csv")]
-        tables_read = {name: tables[name] for name in names if name in tables and tables[name].has(*self.columns)}
+        columns = self.reading.columns
+        names = tables if columns[0] in GEODETIC else [self.reading.file.removesuffix(".csv")]
         meant = {
-            name: table.with_numbers(self.columns, self._meant(table.floats(*self.columns)))
-            for name, table in tables_read.items()
+            name: tables[name].with_numbers(columns, self._meant(tables[name].floats(*columns)))
+            for name in names
+            if name in tables and tables[name].has(*columns)
         }
         return tables | meant if meant else {}
 
     def _meant(self, y: Array) -> Array:
         return np.asarray(y @ self.A.T + self.c)
-
-
-FROM_NORTH = Reading(Cause.NORTH, "usbl.csv", "bearing_rad")
 
 
 def _from_the_bow(tables: dict[str, Table]) -> dict[str, Table]:
@@ -110,23 +98,29 @@ def _from_the_bow(tables: dict[str, Table]) -> dict[str, Table]:
 
 def alternatives() -> list[Alternative]:
     """All that are tried for a log."""
-    lags = (sign * lag for lag in LAGS for sign in (1, -1))
-    return [*_of_a_log(), *(_late(file, lag) for lag in lags for file in LOGGED)]
+    return [*_of_a_log(), *(_late(file, lag) for lag in _both(LAGS) for file in LOGGED)]
 
 
 def readings(tables: dict[str, Table]) -> list[Alternative]:
     """All that are tried for tables: not the clocks and turns that are calibrations."""
-    pitch, yaw = ANGLES[1:]
-    north = [
-        _north("ahrs.csv"),
-        _read(Cause.NORTH, "ahrs.csv", (pitch, yaw), -np.eye(2), 90.0, (0.0, np.pi / 2)),
-        Alternative(FROM_NORTH, np.eye(1), np.zeros(1)),
-    ]
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
-    geodetic = [*_exchanged(file, GEODETIC), *_signs(file, GEODETIC), *_units(file, GEODETIC, [1 / DEGREES])]
-    ship = [_late("ship.csv", sign * lag) for lag in SHIP_LAGS for sign in (1, -1)]
-    drifts = [drift for name in ("ahrs", "dvl") if name in tables for drift in _drifts(f"{name}.csv", tables[name])]
-    return [*drifts, *_of_a_log(), *north, *of_tables, *geodetic, *ship]
+    return [
+        *(a for name in ("ahrs", "dvl") if name in tables for a in _drifts(f"{name}.csv", tables[name])),
+        *_of_a_log(),
+        _north("ahrs.csv"),
+        _read(Cause.NORTH, "ahrs.csv", ANGLES[1:], -np.eye(2), 90.0, (0.0, np.pi / 2)),
+        Alternative(FROM_NORTH, np.eye(1), np.zeros(1)),
+        *of_tables,
+        *_exchanged(file, GEODETIC),
+        *_signs(file, GEODETIC),
+        *_units(file, GEODETIC, [1 / DEGREES]),
+        *(_late("ship.csv", lag) for lag in _both((4.0, 8.0, 12.0, 18.0, 30.0))),  # beside them chi2 is linear enough
+    ]
+
+
+def _both(sizes: Iterable[float]) -> list[float]:
+    """Sizes of either sign."""
+    return [sign * size for size in sizes for sign in (1, -1)]
 
 
 def corrected(reading: Reading) -> Alternative:
@@ -180,8 +174,8 @@ def _north(file: str) -> Alternative:
 
 
 def _drifts(file: str, table: Table) -> Iterator[Alternative]:
-    """A clock that runs fast or slow since the first row."""
-    for r in (sign * drift for drift in DRIFTS for sign in (1, -1)):
+    """A clock that runs fast or slow since the first row; it is compared with motion, which is not linear in it."""
+    for r in _both((0.003, 0.01)):
         begin = float(table.floats("time_s")[0, 0])
         yield corrected(Reading(Cause.DRIFT, file, "time_s", r, r / (1 + r) * begin))
 

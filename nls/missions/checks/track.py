@@ -33,15 +33,7 @@ from nls.missions.checks.log import Fixes, Log, middle
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.table import Table
 
-__all__ = ["jumping", "of_fixes", "of_heading", "of_ship", "of_track"]
 LARGEST = 1e9  # m, as the reader has it
-FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more; a voyage may be longer
-FEW_FIXES, WILD_SHARE = 10, 0.02  # fixes of which some may jump, and the part of them that may
-DRIFT = 0.1  # of the way between three fixes
-AHEAD, ASIDE = 0.9, 0.8  # R of a vehicle that goes ahead; at most that of one that does not
-CLEAR = 6.0  # sigmas of a fix that the middle way from one to the next has
-TURNED, MANY = 2 * np.pi, 40  # rad, of at most so many headings: less is by chance
-STRAIGHT = np.radians(20.0)  # the middle direction of one that goes ahead
 
 
 def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]:
@@ -107,14 +99,14 @@ def _between_fixes(fixes: Fixes, ahrs: Table) -> Iterator[Implausible]:
     inside = np.flatnonzero((fixes.t >= t[0]) & (fixes.t <= t[-1]))
     while len(inside) > FEW_ROWS:
         steps = np.diff(fixes.p[inside], axis=0) @ [1, 1j]
-        if np.median(np.abs(steps)) > CLEAR * np.median(fixes.sigma):
+        if np.median(np.abs(steps)) > 6.0 * np.median(fixes.sigma):
             break
         inside = inside[::2]
     else:
         return
     course = np.angle(steps)
     yaw = np.angle(np.diff(np.interp(fixes.t[inside], t, way)))
-    if np.abs(np.diff(np.unwrap(yaw[:: len(yaw) // MANY + 1]))).sum() < TURNED:
+    if np.abs(np.diff(np.unwrap(yaw[:: len(yaw) // 40 + 1]))).sum() < 2 * np.pi:  # of at most 40: less is by chance
         return
     others = {
         Reading(Cause.SIGN, "ahrs.csv", "yaw_rad", -1.0): course + yaw,
@@ -127,42 +119,38 @@ def _between_fixes(fixes: Fixes, ahrs: Table) -> Iterator[Implausible]:
 
 
 def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
-    """Implausible fixes, of which some (n,) are `jumping`; lines are rows of the table."""
-    return [] if fixes is None else [*_far(fixes), *_jumps(fixes, wild)]
+    """Implausible fixes, of which some (n,) are `jumping`; lines are rows of the table.
 
-
-def _far(fixes: Fixes) -> Iterator[Implausible]:
-    """Fixes beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost."""
-    away = np.linalg.norm(fixes.p, axis=1)
+    All may be beyond the plane: another origin, latitude and longitude exchanged, or the letter of a side lost. So many
+    may leave those before and after that a robust kernel is needed.
+    """
+    if fixes is None:
+        return []
+    away, out = np.linalg.norm(fixes.p, axis=1), []
+    farthest, wild_share = 1e5, 0.02  # m, where the plane is no map any more; a voyage may be longer
     low, high = np.quantile(fixes.p, [0.05, 0.95], axis=0)
-    if (distance := float(np.median(away))) <= max(FARTHEST, float(np.linalg.norm(high - low))):
-        return
-    near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < FARTHEST]
-    reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
-    row = int(fixes.rows[np.argmax(away > FARTHEST)])
-    yield Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, FARTHEST, "m", (reading,))
-
-
-def _jumps(fixes: Fixes, wild: Mask) -> Iterator[Implausible]:
-    """So many single fixes leave those before and after that a robust kernel is needed."""
-    if wild.any() and wild.mean() > WILD_SHARE:
-        row = int(fixes.rows[np.argmax(wild)])
-        reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
-        yield Implausible(
-            "jumps", "fixes.csv", row, fixes.columns[0], wild.mean(), WILD_SHARE, "of the rows", (reading,)
-        )
+    if (distance := float(np.median(away))) > max(farthest, float(np.linalg.norm(high - low))):
+        near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < farthest]
+        reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
+        row = int(fixes.rows[np.argmax(away > farthest)])
+        out.append(Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, farthest, "m", (reading,)))
+    if wild.any() and (share := wild.mean()) > wild_share:
+        row, reading = int(fixes.rows[np.argmax(wild)]), Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
+        column, unit = fixes.columns[0], "of the rows"
+        out.append(Implausible("jumps", "fixes.csv", row, column, share, wild_share, unit, (reading,)))
+    return out
 
 
 def jumping(log: Log) -> Mask:
     """Single fixes (n,) of a thinned log that leave those before and after, which the DVL joins; none of a few."""
     fixes = log.fixes
-    if fixes is None or len(fixes.t) < FEW_FIXES:
+    if fixes is None or len(fixes.t) < 10:
         return np.zeros(0 if fixes is None else len(fixes.t), dtype=bool)
     d = np.column_stack([np.interp(fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
     off = fixes.p - d
     away = np.linalg.norm(off - middle(off), axis=1)
     step = np.linalg.norm(np.diff(d, axis=0), axis=1)
-    allowed = FAR * fixes.sigma + DRIFT * (np.append(step, 0.0) + np.append(0.0, step))
+    allowed = FAR * fixes.sigma + 0.1 * (np.append(step, 0.0) + np.append(0.0, step))  # a drift of the way
     wild = away > np.maximum(allowed, 3 * float(np.median(away)))
     return np.asarray(wild & (fixes.t >= log.t_v[0]) & (fixes.t <= log.t_v[-1]))
 
@@ -182,11 +170,11 @@ def _heads(angles: Array, others: dict[Reading, Array], weights: Array) -> Itera
     """The reading that lets a vehicle go ahead, which does not as its tables are read; angles (n,) off ahead."""
     if len(angles) < FEW_ROWS or not weights.sum() > 0:
         return
+    ahead, aside, straight = 0.9, 0.8, np.radians(20.0)  # R and middle direction of a vehicle that goes ahead, or not
     r, *rs = (np.average(np.exp(1j * c), weights=weights) for c in (angles, *others.values()))
-    near = [k for k, r_k in zip(others, rs, strict=True) if abs(r_k) > AHEAD and abs(np.angle(r_k)) < STRAIGHT]
-    if near and abs(r) < ASIDE:
-        column = near[0].column.split(", ")[0]
-        yield Implausible("heading", near[0].file, 0, column, float(abs(r)), AHEAD, "", tuple(near))
+    near = [k for k, r_k in zip(others, rs, strict=True) if abs(r_k) > ahead and abs(np.angle(r_k)) < straight]
+    if near and abs(r) < aside:
+        yield Implausible("heading", near[0].file, 0, near[0].columns[0], float(abs(r)), ahead, "", tuple(near))
 
 
 def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
@@ -202,9 +190,9 @@ def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
     if not np.abs(way).max() < LARGEST:
         return
     speed = np.linalg.norm(way, axis=1) / np.abs(t[j] - t[i])
-    if (middle := float(np.median(speed))) > FASTEST:
-        units = [f for f in (1000.0, 100.0) if middle / f < FASTEST / 2]
+    if (usual := float(np.median(speed))) > FASTEST:
+        units = [f for f in (1000.0, 100.0) if usual / f < FASTEST / 2]
         causes = [Reading(Cause.UNIT, "odometry.csv", "x_m, y_m", f) for f in units]
         causes += [Reading(Cause.UNIT, "poses.csv", "time_s", 1e-3)] * (not causes)
         row = int(np.argmax(speed > FASTEST))
-        yield Implausible("speed", "odometry.csv", row, "x_m", middle, FASTEST, "m/s", tuple(causes))
+        yield Implausible("speed", "odometry.csv", row, "x_m", usual, FASTEST, "m/s", tuple(causes))

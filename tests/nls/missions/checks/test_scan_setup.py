@@ -13,8 +13,7 @@ from models.algebra import Array, wrap
 from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.missions.checks.scan_mounting import corrected
-from nls.missions.checks.scan_setup import most_are_mirrored
-from nls.missions.checks.scan_sigmas import Fit, fits
+from nls.missions.checks.scan_setup import Fit, fits, most_are_mirrored
 from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
 from nls.values import Values
 

@@ -189,7 +189,7 @@ def test_large_tables_begin_with_few_rows_and_end_with_all(tmp_path: Path, monke
     _, result = solve(dive, dive.write(tmp_path / "m", changed("usbl", range_m=lambda r: 1.03 * r)))
     tables = read_tables(tmp_path / "m")[0]
     whole = explained(tables, result.chi2_final, result.dof)
-    monkeypatch.setattr("nls.missions.checks.trials.MOST", 60)  # of 179
+    monkeypatch.setattr("nls.missions.checks.trials.MOST_ROWS", 60)  # of 179
     few = explained(tables, result.chi2_final, result.dof)
     (a,), (b,) = whole.trials, few.trials
     assert (b.reading.column, b.dof) == (a.reading.column, a.dof)
