@@ -28,13 +28,8 @@ from nls.values import Values
 if TYPE_CHECKING:
     from nls.robust import Robustified
 
-UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word
-ALIKE = 5.0  # times too far: no outlier does that to the middle one
-MANY = 6  # measurements of which the middle one speaks for the kind
-EXACT = 1e-6  # chi2 per degree of freedom of measurements that somebody made up
-TURN = 0.6  # rad
-OFF = 0.01  # weight of a measurement that counts no more
+REMOVAL: tuple[Advice, ...] = (Advice("inspect", ("them",)), Advice("remove", ("them",)))
 CURES = {  # action by reading
     "exchanged": "swap",
     "transposed": "transpose",
@@ -107,14 +102,13 @@ def of_suspects(
     if not suspects.places:
         return []
     names = _names(graph.factors, suspects.places)
-    robust = any(factor.kernel is not None for factor in graph.factors)
     if suspects.many:
         keys = keys_of(graph.factors, suspects.places)
-        advice = [Advice("gnc")] * graduates(graph, suspects.values)
-        removal = [Advice("inspect", ("them",)), Advice("remove", ("them",))]
-        advice += removal if robust else [Advice.robust("Cauchy", 1)]
+        robust = any(factor.kernel is not None for factor in graph.factors)
+        cures = REMOVAL if robust else (Advice.robust("Cauchy", 1),)
+        cures = (Advice("gnc"),) * graduates(graph, suspects.values) + cures
         places = tuple(suspects.places[:SOME])
-        return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, tuple(advice), places)]
+        return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, cures, places)]
     out, closing = [], closures(pattern)
     for (k, i), name in zip(suspects.places, names, strict=True):
         factor, rivals = graph.factors[k], suspects.rivals[k, i]
@@ -147,13 +141,13 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
     out, alike = [], []
     robust = any(factor.kernel is not None for factor in graph.factors)
     for part in parts:
-        if not part.chi2 > EXACT * part.expected > 0:  # numbers without noise are no fault
+        if not part.chi2 > 1e-6 * part.expected > 0:  # numbers without noise are no fault
             continue
         above, typical = float(chi2_tail(np.array(part.chi2), np.array(part.expected))), part.typical**0.5
-        if UNLIKELY < above < 1 - UNLIKELY:
+        if 1e-3 < above < 1 - 1e-3:
             continue
-        ratio, many = part.chi2 / part.expected, part.measurements >= MANY
-        if typical > ALIKE and ratio > 1 and many:
+        ratio, many = part.chi2 / part.expected, part.measurements >= 6  # the middle one speaks for the kind
+        if typical > 5.0 and ratio > 1 and many:  # no outlier does that to the middle one
             alike.append((part.name, typical))
             continue
         if suspects.many:
@@ -170,15 +164,8 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
             cause, advice = "large", [Advice("smaller sigmas")] + [Advice("squares")] * (ratio**-0.5 > 3)
         else:
             continue
-        numbers = {
-            "kind": part.name,
-            "without": len(suspects.places),
-            "chi2": part.chi2,
-            "expected": part.expected,
-            "typical": typical,
-            "cause": cause,
-        }
-        out.append(Finding(FindingKind.SIGMAS, (), numbers, tuple(advice)))
+        numbers = {"kind": part.name, "without": len(suspects.places), "chi2": part.chi2, "expected": part.expected}
+        out.append(Finding(FindingKind.SIGMAS, (), numbers | {"typical": typical, "cause": cause}, tuple(advice)))
     if alike:
         advice = [Advice("frames"), Advice("start")]
         advice += [Advice("certify")] * certifies(graph, suspects.values)
@@ -191,7 +178,7 @@ def switched_off(graph: FactorGraph, values: Values) -> list[Finding]:
     """Robust kernels that have rejected most of their measurements."""
     out = []
     for k, factor in enumerate(graph.factors):
-        off = np.flatnonzero(factor.weights(values) < OFF)
+        off = np.flatnonzero(factor.weights(values) < 0.01)
         if factor.kernel is not None and len(off) > len(factor) / 2:
             gentle = isinstance(factor.kernel, Huber | Cauchy)
             advice = (Advice("start"), Advice("wider kernel"), *(() if gentle else (Advice("gentle kernel"),)))
@@ -209,7 +196,7 @@ def turns(graph: FactorGraph, values: Values) -> list[Finding]:
             continue
         model, X = values.gather(factor)
         e = -model.space.local(np.zeros(model.dim), model.factor.predict(model.manifolds, *X)[0])
-        near = np.flatnonzero((np.abs(np.abs(e) - 2 * np.pi) < TURN).any(axis=1))
+        near = np.flatnonzero((np.abs(np.abs(e) - 2 * np.pi) < 0.6).any(axis=1))
         if len(near):
             i = int(near[0])
             off = float(e[i][np.argmin(np.abs(np.abs(e[i]) - 2 * np.pi))])
