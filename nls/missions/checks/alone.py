@@ -8,8 +8,7 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask, wrap
 from nls.missions.checks.findings import Cause, Implausible, Reading
-from nls.missions.checks.log import Log, middle
-from nls.missions.checks.readings import DEGREES, SPEED_UNITS
+from nls.missions.checks.log import DEGREES, SPEED_UNITS, Log, middle
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.table import Table
 

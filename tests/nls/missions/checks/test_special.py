@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from models.algebra import Array
-from models.errors import GraphFileError
 from models.geodesy import LocalPlane
 from nls.missions.checks import Cause, Implausible, implausible
 from nls.missions.checks.special import repeated
 from nls.missions.folder.folder import read_tables
-from nls.missions.folder.read import read_mission
 from nls.missions.folder.table import Table, csv_text
 from nls.missions.importing.mapping import Mapping
 from nls.missions.importing.mission import import_logs
@@ -78,16 +76,6 @@ def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str, 
     number = re.search(rf"missing(?:_together)? = {{ {columns[0]} = \[?(-?[\d.]+)", text)
     assert number is not None
     assert value == 0 or abs(float(number[1])) in (9999, 999, 32768, 32.768, 32.767) or "feet" in name
-
-
-def test_the_cure_names_numbers_of_the_log_in_another_unit(tmp_path: Path) -> None:
-    def spoil(names: list[str], numbers: Array) -> Array:
-        numbers[40:44, 1] = -9999 * 0.3048
-        return numbers
-
-    files = changed(kinds(clean(1, minutes=3.0))["log"], "depth", spoil)
-    text = findings(tmp_path / "m", files)[0].says
-    assert "write `missing = { z_m = [-3047.6952, -9999] }` in [depth] of the mapping" in text
 
 
 def test_rows_of_zero_latitude_and_longitude_are_no_fixes(tmp_path: Path) -> None:
@@ -230,15 +218,3 @@ def test_the_origin_of_an_import_is_the_first_row_that_is_a_fix(tmp_path: Path) 
     imported = import_logs([log], Mapping(mapping, "mapping.toml"))
     assert imported.files["origin.csv"].decode().splitlines()[1] == "54.25,10.5"
     assert "the origin x = y = 0 is the first place of [fixes]: 54.25, 10.5 deg" in imported.notes
-
-
-@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
-def test_an_error_of_the_reader_names_the_rows_that_are_no_fixes(tmp_path: Path) -> None:
-    files = kinds(clean(4, minutes=3.0))["motion"] | {"origin": "lat_deg,lon_deg\n54.0,10.0\n"}
-    names, numbers = rows(files["fixes"])
-    numbers[:, 1:3] = np.column_stack(LocalPlane(54.0, 10.0).geodetic(numbers[:, 1:3]))
-    numbers[4:6, 1:3] = 0.0
-    columns = ["time_s", "lat_deg", "lon_deg", *names[3:]]
-    files["fixes"] = csv_text(columns, numbers).decode()
-    with pytest.raises(GraphFileError, match=r"fixes.csv:6: is .* km from origin.csv; .*leave out lines 6, 7"):
-        read_mission(folder(tmp_path / "m", files))
