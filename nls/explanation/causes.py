@@ -98,7 +98,7 @@ def readings(checked: Checked, suspects: Suspects) -> dict[tuple[int, int], tupl
     return by_place
 
 
-def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding]:
+def clocks_by_residuals(checked: Checked, values: Values, count: int) -> list[Finding]:
     """Kinds of measurements whose clock is before or behind that of the poses."""
     names = ("kind", "dt", "sigma", "chance", "fall")
     numbers = [{name: getattr(offset, name) for name in names} for offset in clock_offsets(checked, values, count)]
@@ -182,7 +182,8 @@ def _nearest(
     distance, neighbor = cKDTree(p).query(p, k=2)
     spacing, ids = float(np.quantile(distance[:, 1], 0.75)), points.tolist()  # of most: twins are near each other
     near = {(float(distance[i, 1]), min(i, j), max(i, j)) for i, j in enumerate(neighbor[:, 1].tolist()) if i != j}
-    apart = [pair for pair in sorted(near) if _never_together(poses[ids[pair[1]]], poses[ids[pair[2]]])][:20]
+    from_poses = [(pair, poses[ids[pair[1]]], poses[ids[pair[2]]]) for pair in sorted(near)]
+    apart = [pair for pair, a, b in from_poses if a and b and not a & b][:20]
     out: list[tuple[int, int, float, float]] = []
     if not apart:
         return out
@@ -200,7 +201,3 @@ def _nearest(
             if t < chi2_gate(d, SAME_POINT):
                 out.append((ids[i], ids[j], r, t**0.5))
     return out
-
-
-def _never_together(a: set[int], b: set[int]) -> bool:
-    return bool(a) and bool(b) and not a & b

@@ -68,17 +68,6 @@ def measurement(factor: Factor, index: int, values: Values, t: float, chance: fl
     return Measurement(factor.describe(index), keys, chi2, chi2**0.5, max(t, 0.0) ** 0.5, chance)
 
 
-def no_optimum(fall: float, chi2: float) -> Finding:
-    """The values are not where chi2 is lowest."""
-    return Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),))
-
-
-def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values) -> Finding:
-    """chi2 is lower elsewhere."""
-    advice = (Advice("start"), *(Advice("certify"),) * certifies(graph, values))
-    return Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": chi2}, advice)
-
-
 def taken_out(suspects: Suspects, graph: FactorGraph, values: Values) -> tuple[Measurement, ...]:
     """The suspects: chi2 where they are in, distance and chance where they are not."""
     n = sum(int((test.m > 0).sum()) for test in suspects.tests)

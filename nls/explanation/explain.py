@@ -118,14 +118,15 @@ def explain(
         weakest = _weakest(free, pattern, values, idle)
         fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > little else 0.0
         if fall > little:
-            findings.insert(0, doubts.no_optimum(fall, chi2))
+            findings.insert(0, Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),)))
         else:
             held = FactorGraph(graph.factors, [*graph.fixed, *unmeasured])
             disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
             findings += disagreement
-            lower = np.inf if outliers is None else graph.chi2(outliers.values)
-            if lower < graph.chi2(values) - little:
-                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
+            lower, here = np.inf if outliers is None else graph.chi2(outliers.values), graph.chi2(values)
+            if lower < here - little:
+                cures = (Advice("start"), *(Advice("certify"),) * doubts.certifies(graph, values))
+                findings.insert(0, Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": here}, cures))
         findings += doubts.unchecked(tests, whole, assumed)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
@@ -200,7 +201,7 @@ def _causes(
         findings = causes.misread(graph, values)
     if not findings and (alike or outliers.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
-    return findings or causes.shifted_clocks(checked, values, len(graph.factors))
+    return findings or causes.clocks_by_residuals(checked, values, len(graph.factors))
 
 
 def _fall(graph: FactorGraph, values: Values, step: Array) -> float:

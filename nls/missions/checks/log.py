@@ -139,7 +139,7 @@ def middle(y: Array) -> Array:
 
 
 def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
-    """The raw log of a mission; None where it is too short, or has a number that the reader refuses.
+    """The raw log of a mission, calibrated; None where it is too short, or has a number that the reader refuses.
 
     None also with gyro.csv and pressure.csv, whose mistakes are others.
 
@@ -167,12 +167,7 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     if dvl.has("earth_axes"):
         earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
         log = replace(log, v=np.where(earth[:, None], apply(log.axes().mT, log.v), log.v))
-    return _calibrated(log, Calibrations(tables.get("calibration")))
-
-
-def _calibrated(log: Log, calibrations: Calibrations) -> Log:
-    """The log with the numbers of calibration.csv."""
-    c = calibrations.value
+    c = Calibrations(tables.get("calibration")).value
     turn = c("dvl_yaw_rad")
     R = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     return replace(
@@ -180,7 +175,7 @@ def _calibrated(log: Log, calibrations: Calibrations) -> Log:
         v=log.v @ R.T / (1 + c("dvl_scale")),
         t_a=log.t_a - c("ahrs_clock_s"),
         rpy=log.rpy + np.array([0.0, 0.0, c("declination_rad")]),
-        fixes=log.fixes and replace(log.fixes, t=log.fixes.t - c("fixes_clock_s")),
+        fixes=fixes and replace(fixes, t=fixes.t - c("fixes_clock_s")),
     )
 
 

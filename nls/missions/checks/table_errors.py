@@ -24,7 +24,6 @@ from dataclasses import replace
 import numpy as np
 
 from factors import Heading, Position
-from factors.base import Factor
 from factors.shifted import Shifted
 from factors.xyh import HorizontalStep
 from models.algebra import Array, apply
@@ -44,16 +43,8 @@ from nls.values import Values
 
 EVIDENT = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
 SURE = 2.0  # standard deviations of the root of the fall: 98 of 100 errors of the hidden size are evident
-# sizes that matter
-HIDDEN = {
-    "heading": 0.2,
-    "depth": 1.0,
-    "zero of the depth": 2.0,
-    "scale": 0.02,
-    "place": 10.0,
-    "clock": 1.0,
-    "arm": 5.0,
-}
+HIDDEN = {"heading": 0.2, "depth": 1.0, "zero of the depth": 2.0, "scale": 0.02, "place": 10.0}  # sizes that matter
+HIDDEN |= {"clock": 1.0, "arm": 5.0}
 LARGEST_BELOW = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond it any is: a turn is not linear
 LARGEST_SIZE = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # beyond it another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
@@ -106,9 +97,8 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
         below = float((np.sqrt(EVIDENT) + SURE) * np.sqrt(ratio) / _root_of_fall(M))
         hidden = bool(below > least and below * far.max() > 1)
-        entry = TableError(
-            file, quantity, below if below < LARGEST_BELOW.get(quantity, np.inf) else np.inf, hidden=hidden
-        )
+        below = below if below < LARGEST_BELOW.get(quantity, np.inf) else np.inf
+        entry = TableError(file, quantity, below, hidden=hidden)
         if not any(walked) and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
             evident = bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1)
             entry = replace(entry, reading=reading, sigma=float(M[j, j] ** -0.5), fall=float(fall[j]), evident=evident)
@@ -130,8 +120,7 @@ def _columns(
     """C (m, k) of what may be wrong with a table, by its file and quantity; factors are from files."""
     errors: dict[tuple[str, str], Array] = {}
     t = report.vertex_times.get("x")
-    if t is not None and not (np.diff(t) > 0).all():
-        t = None
+    t = None if t is None or not (np.diff(t) > 0).all() else t
     moving = {} if t is None else _moving(pattern, values, t)
     tags = {tag.removesuffix(".gz") for tag in report.tags}
     for batch, source, file in zip(pattern.batches, report.sources, files, strict=False):
@@ -204,7 +193,10 @@ def _errors(
         if np.any(factor.offset):
             yield file, "arm", -W[:, :, :2] @ rotation3(X.X[at, 3:])[:, :2, :2]
     if table in CLOCKED and t is not None and not known:
-        yield from _of_clocks(factor, W, values, moving, t[at], t[0], file)
+        by_kind = rates_by_time(factor, values, moving)
+        yield from _late(file, -apply(W, total(by_kind)), t[at], t[0])
+        if "s" in by_kind:  # the clock of the ship
+            yield from _late("ship.csv", apply(W, by_kind["s"]), t[at], t[0])
 
 
 def _of_legs(W: Array, z: Array, t_i: Array, t_j: Array) -> Iterator[tuple[str, str, Array]]:
@@ -222,16 +214,6 @@ def _late(file: str, late: Array, t: Array, first: float) -> Iterator[tuple[str,
     """Of rows at times (n,) that are late, or run fast since the first pose, with whitened rates (n, m)."""
     yield file, "clock", late[:, :, None]
     yield file, "drift", (late * (t - first)[:, None])[:, :, None]
-
-
-def _of_clocks(
-    factor: Factor, W: Array, values: Values, moving: dict[str, Array], t: Array, first: float, file: str
-) -> Iterator[tuple[str, str, Array]]:
-    """Of fixes, ranges and directions at times (n,): their own clock, and that of the ship; kinds move with twists."""
-    by_kind = rates_by_time(factor, values, moving)
-    yield from _late(file, -apply(W, total(by_kind)), t, first)
-    if "s" in by_kind:
-        yield from _late("ship.csv", apply(W, by_kind["s"]), t, first)
 
 
 def _moving(pattern: Pattern, values: Values, t: Array) -> dict[str, Array]:
