@@ -24,6 +24,7 @@ against the heading alike, so both are named.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,8 +55,7 @@ def of_way_down(log: Log) -> list[Implausible]:
         readings, limit = [Reading(Cause.UNKNOWN, "depth.csv", "z_m")], wrong
     if not readings:
         return []
-    first = readings[0]
-    return [Implausible("way down", first.file, 0, first.columns[0], m, limit, "of the way", tuple(readings[:3]))]
+    return [Implausible.of("way down", m, limit, "of the way", *readings[:3])]
 
 
 def _windows(log: Log) -> tuple[Array, float]:
@@ -224,12 +224,12 @@ def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
     if (distance := float(np.median(away))) > max(farthest, float(np.linalg.norm(high - low))):
         near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < farthest]
         reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
-        row = int(fixes.rows[np.argmax(away > farthest)])
-        out.append(Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, farthest, "m", (reading,)))
+        out.append(
+            Implausible.of("far away", distance, farthest, "m", reading, row=fixes.rows[np.argmax(away > farthest)])
+        )
     if wild.any() and (share := wild.mean()) > wild_share:
-        row, reading = int(fixes.rows[np.argmax(wild)]), Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
-        column, unit = fixes.columns[0], "of the rows"
-        out.append(Implausible("jumps", "fixes.csv", row, column, share, wild_share, unit, (reading,)))
+        reading, row = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns)), fixes.rows[np.argmax(wild)]
+        out.append(Implausible.of("jumps", share, wild_share, "of the rows", reading, row=row))
     return out
 
 
@@ -266,7 +266,7 @@ def _heads(angles: Array, others: dict[Reading, Array], weights: Array) -> Itera
     r, *rs = (np.average(np.exp(1j * c), weights=weights) for c in (angles, *others.values()))
     near = [k for k, r_k in zip(others, rs, strict=True) if abs(r_k) > ahead and abs(np.angle(r_k)) < straight]
     if near and abs(r) < aside:
-        yield Implausible("heading", near[0].file, 0, near[0].columns[0], float(abs(r)), ahead, "", tuple(near))
+        yield Implausible.of("heading", abs(r), ahead, "", *near)
 
 
 def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
@@ -287,4 +287,5 @@ def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
         causes = [Reading(Cause.UNIT, "odometry.csv", "x_m, y_m", f) for f in units]
         causes += [Reading(Cause.UNIT, "poses.csv", "time_s", 1e-3)] * (not causes)
         row = int(np.argmax(speed > alone.FASTEST))
-        yield Implausible("speed", "odometry.csv", row, "x_m", usual, alone.FASTEST, "m/s", tuple(causes))
+        entry = Implausible.of("speed", usual, alone.FASTEST, "m/s", *causes, row=row)
+        yield replace(entry, file="odometry.csv", column="x_m")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,11 +20,6 @@ FEW_ROWS = 20
 FAR = 10.0  # sigmas from which a row is an outlier
 ROBUST = 1.4826  # standard deviation of normal numbers, over the median of their sizes
 DAY = 86400.0  # s
-
-
-def _at(check: str, column: str, row: int, measured: float, limit: float, unit: str, *causes: Reading) -> Implausible:
-    """A finding; `line` holds the row until the table is known."""
-    return Implausible(check, causes[0].file, row, column, float(measured), float(limit), unit, causes)
 
 
 def alone(log: Log) -> Iterator[Implausible]:
@@ -57,7 +53,8 @@ def _speeds(log: Log) -> Iterator[Implausible]:
         units = [f for f in SPEED_UNITS if USUAL_SPEED[0] < median / f < USUAL_SPEED[1]] or SPEED_UNITS[:1]
         causes = [Reading(Cause.UNIT, "dvl.csv", ", ".join(VELOCITY), f) for f in units]
         row = int(np.flatnonzero(log.valid)[np.argmax(speed > FASTEST)])
-        yield _at("speed", VELOCITY[int(np.argmax(np.abs(log.v[row])))], row, median, FASTEST, "m/s", *causes)
+        column = VELOCITY[int(np.argmax(np.abs(log.v[row])))]
+        yield replace(Implausible.of("speed", median, FASTEST, "m/s", *causes, row=row), column=column)
 
 
 def _locks(log: Log) -> Iterator[Implausible]:
@@ -67,7 +64,7 @@ def _locks(log: Log) -> Iterator[Implausible]:
         usual = float(np.median(speed))
         if usual > USUAL_SPEED[0] and np.median(np.abs(np.diff(speed))) < 0.2 * usual:
             cause = Reading(Cause.INVERTED, "dvl.csv", "valid")
-            yield _at("bottom lock", "valid", int(np.argmin(log.valid)), log.valid.mean(), 0.5, "of the rows", cause)
+            yield Implausible.of("bottom lock", log.valid.mean(), 0.5, "of the rows", cause, row=np.argmin(log.valid))
 
 
 def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
@@ -80,7 +77,7 @@ def tilt_of(file: str, column: str, angles: Array) -> Iterator[Implausible]:
     if (steep := size > limit).mean() > part:
         upside = abs(float(np.median(size)) - np.pi) < STEEPEST and np.std(size) < STEEPEST
         cause = Reading(Cause.AXES, file, column) if upside else Reading(Cause.UNIT, file, column, DEGREES)
-        yield _at("tilt", column, int(np.argmax(steep)), np.quantile(size, 1 - part), limit, "rad", cause)
+        yield Implausible.of("tilt", float(np.quantile(size, 1 - part)), limit, "rad", cause, row=np.argmax(steep))
 
 
 def turn_of(file: str, t: Array, yaw: Array, fastest: float = 1.5) -> Iterator[Implausible]:
@@ -90,7 +87,7 @@ def turn_of(file: str, t: Array, yaw: Array, fastest: float = 1.5) -> Iterator[I
     rate = np.abs(np.diff(np.unwrap(yaw)) / np.diff(t))
     if (fast := float(np.quantile(rate, 0.9))) > fastest:
         cause = Reading(Cause.UNIT, file, "yaw_rad", DEGREES * (100 if np.abs(yaw).max() > 360 else 1))
-        yield _at("turn rate", "yaw_rad", int(np.argmax(rate > fastest)) + 1, fast, fastest, "rad/s", cause)
+        yield Implausible.of("turn rate", fast, fastest, "rad/s", cause, row=np.argmax(rate > fastest) + 1)
 
 
 def air_in(top: float) -> float | None:
@@ -107,7 +104,7 @@ def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausibl
     air = air_in(float(smooth.min()))
     if np.median(z) < -2.0 and np.mean(smooth < 0) > 0.9:  # beyond waves, and a zero that is not the surface
         cause = Reading(Cause.SIGN, file, "z_m", -1.0)
-        yield _at("depth", "z_m", int(np.argmax(z < 0)), np.median(z), 0.0, "m", cause)
+        yield Implausible.of("depth", float(np.median(z)), 0.0, "m", cause, row=np.argmax(z < 0))
     steps = max(1, int(5.0 / float(np.median(np.diff(t))))) if t is not None and len(z) > 1 else len(z)
     rate = np.zeros(1)
     if t is not None and len(z) > 2 * steps:
@@ -119,16 +116,17 @@ def depth_of(file: str, z: Array, t: Array | None = None) -> Iterator[Implausibl
     causes = causes or [Reading(Cause.UNKNOWN, file, "z_m")]
     causes = [Reading(Cause.PRESSURE, file, "z_m", air)] if air else causes
     if np.max(np.abs(smooth)) > deepest:
-        yield _at("depth", "z_m", int(np.argmax(np.abs(z) > deepest)), np.abs(smooth).max(), deepest, "m", *causes)
+        size, row = np.abs(smooth).max(), np.argmax(np.abs(z) > deepest)
+        yield Implausible.of("depth", size, deepest, "m", *causes, row=row)
     elif fast > fastest:
-        yield _at("depth rate", "z_m", int(np.argmax(rate > fastest)), fast, fastest, "m/s", *causes)
+        yield Implausible.of("depth rate", fast, fastest, "m/s", *causes, row=np.argmax(rate > fastest))
 
 
 def stuck_of(file: str, column: str, y: Array) -> Iterator[Implausible]:
     """All numbers y (n,) of a column are one, of a vehicle that moves."""
     if len(y) > FEW_ROWS and np.ptp(y) == 0:
         unit = "m" if column == "z_m" else "rad"
-        yield _at("stuck", column, 0, float(y[0]), 0.0, unit, Reading(Cause.STUCK, file, column))
+        yield Implausible.of("stuck", y[0], 0.0, unit, Reading(Cause.STUCK, file, column))
 
 
 def step_of(file: str, t: Array) -> Iterator[Implausible]:
@@ -137,11 +135,11 @@ def step_of(file: str, t: Array) -> Iterator[Implausible]:
     step = float(np.median(np.diff(t))) if len(t) > FEW_ROWS else 1.0
     if step > slowest:
         factor = next((f for f in (1e3, 1e6, 1e9) if step / f < slowest), 1e9)
-        yield _at("time step", "time_s", 1, step, slowest, "s", Reading(Cause.UNIT, file, "time_s", factor))
+        yield Implausible.of("time step", step, slowest, "s", Reading(Cause.UNIT, file, "time_s", factor), row=1)
     elif step < fastest:
         days = 1e-3 < step * DAY < slowest
         cause = Reading(Cause.UNIT, file, "time_s", 1 / DAY) if days else Reading(Cause.UNKNOWN, file, "time_s")
-        yield _at("time step", "time_s", 1, step, fastest, "s", cause)
+        yield Implausible.of("time step", step, fastest, "s", cause, row=1)
 
 
 def outliers_of(
@@ -163,9 +161,8 @@ def outliers_of(
         if (share := float(wild.mean(axis=0).max())) <= (most := 0.015):
             return
     names = ", ".join(column for k, column in enumerate(columns) if wild[:, k].any())
-    at = tuple((np.arange(len(y)) if rows is None else rows)[wild.any(axis=1)].tolist())
-    cause = Reading(Cause.OUTLIERS, file, names)
-    yield Implausible("outliers", file, at[0], names.split(", ")[0], share, most, "of the rows", (cause,), at)
+    at = (np.arange(len(y)) if rows is None else rows)[wild.any(axis=1)]
+    yield Implausible.of("outliers", share, most, "of the rows", Reading(Cause.OUTLIERS, file, names), lines=at)
 
 
 def _deviation(y: Array, turns: bool) -> tuple[Array, float]:
@@ -205,4 +202,4 @@ def sound_speeds(table: Table) -> Iterator[Implausible]:
         factor = next((f for f in units if low < c[row] / f < high), None)
         cause = (Cause.UNKNOWN, 1.0) if factor is None else (Cause.UNIT, factor)
         reading = Reading(cause[0], "sound-speed.csv", "sound_speed_m_s", cause[1])
-        yield _at("sound speed", reading.column, row, c[row], low if c[row] < low else high, "m/s", reading)
+        yield Implausible.of("sound speed", c[row], low if c[row] < low else high, "m/s", reading, row=row)

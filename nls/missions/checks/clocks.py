@@ -60,7 +60,7 @@ def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
     own, length = np.array([t.min(), t.max()]), max(float(span[1] - span[0]), 1e-9)
     ratio = float(np.ptp(own)) / length
     if factor := next((f for f in (1e3, 1e6, 1e9, 1e-3, 1 / DAY) if abs(ratio / f - 1) < 0.05), None):
-        yield Implausible("span", file, 0, "time_s", ratio, 1.0, "", (Reading(Cause.UNIT, file, "time_s", factor),))
+        yield Implausible.of("span", ratio, 1.0, "", Reading(Cause.UNIT, file, "time_s", factor))
         return
     if own[0] < span[1] and own[1] > span[0] and np.abs(np.diff(own - span)) > SAME_CLOCK:
         return
@@ -69,8 +69,7 @@ def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
         overlap = min(own[1] - late, span[1]) - max(own[0] - late, span[0])
         apart = np.abs(own - span - late).max() < SAME_CLOCK or own[0] > span[1] or own[1] < span[0]
         if late and apart and overlap >= 0.9 * min(np.ptp(own), length):
-            reading = Reading(Cause.ZONE, file, "time_s", late)
-            yield Implausible("late", file, 0, "time_s", float(own[0] - span[0]), 0.0, "s", (reading,))
+            yield Implausible.of("late", own[0] - span[0], 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
             return
 
 
@@ -80,7 +79,7 @@ def _shifted(file: str, t: Array, span: Array) -> Iterator[Implausible]:
     leaps = (s * leap for leap in LEAPS for s in (1, -1) if np.abs(apart - s * leap).max() <= np.ptp(apart))
     late = next(leaps, float(apart.mean()))
     if abs(late) > 15.0 and np.ptp(apart) <= 0.15 * abs(late):  # less: sensors switched on one after the other
-        yield Implausible("late", file, 0, "time_s", late, 0.0, "s", (Reading(Cause.ZONE, file, "time_s", late),))
+        yield Implausible.of("late", late, 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
 
 
 def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterator[Implausible]:
@@ -99,8 +98,7 @@ def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterato
         and (depth[inside] < dry_to * unit).all()
         and (z - top > wet_from * unit).mean() > 0.2
     ):
-        reading = Reading(Cause.PRESSURE, file, "z_m", unit)
-        yield Implausible("surface", file, 0, "z_m", top, dry_to, "m", (reading,))
+        yield Implausible.of("surface", top, dry_to, "m", Reading(Cause.PRESSURE, file, "z_m", unit))
     wet = inside & (depth > wet_from)
     own = np.array([t.min(), t.max()]) - span
     step = float(np.median(np.diff(np.sort(t)))) if len(t) > 1 else 0.0
@@ -117,5 +115,4 @@ def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterato
         at = np.flatnonzero(wet)
         of_depth = np.abs(np.array([t_z.min(), t_z.max()]) - span + late).max() < SAME_CLOCK  # it is that clock
         reading = Reading(Cause.ZONE, *((file, "time_s", -late) if of_depth else ("fixes.csv", "time_s", late)))
-        row = 0 if of_depth else int(at[0])
-        yield Implausible("under water", reading.file, row, "time_s", float(len(at)), 0.0, "", (reading,))
+        yield Implausible.of("under water", len(at), 0.0, "", reading, row=0 if of_depth else at[0])

@@ -83,6 +83,15 @@ class Implausible(Numbered):
     lines: tuple[int, ...] = ()
     kind = FindingKind.IMPLAUSIBLE
 
+    @classmethod
+    def of(
+        cls, check: str, measured: float, limit: float, unit: str, *readings: Reading, row: Any = 0, lines: Any = ()
+    ) -> Implausible:
+        """A finding about the file and column of its first reading, at a row, or all of some, of the table."""
+        first, at = readings[0], tuple(map(int, lines))
+        row = at[0] if at else int(row)
+        return cls(check, first.file, row, first.columns[0], float(measured), float(limit), unit, readings, at)
+
 
 @dataclass(frozen=True)
 class Trial:

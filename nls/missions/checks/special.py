@@ -85,7 +85,7 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
                 if far.any():
                     here = [column for column, y_k in zip(columns, y.T, strict=True) if (y_k[far] == value).any()]
                     reading = Reading(cause, f"{name}.csv", ", ".join(here), float(value))
-                    yield _named("special value", reading, np.flatnonzero(far), float(value))
+                    yield Implausible.of("special value", value, 0.0, "", reading, lines=np.flatnonzero(far))
 
 
 def _listed(y: Array, column: str) -> Mask:
@@ -139,12 +139,6 @@ def _between(a: Array, b: Array, columns: list[str]) -> Array:
     return np.abs(wrap(a - b) if columns[0].endswith("_rad") else a - b)
 
 
-def _named(check: str, reading: Reading, rows: Index, measured: float, unit: str = "") -> Implausible:
-    """A finding about rows (k,) that are to be left out."""
-    at = tuple(rows.tolist())
-    return Implausible(check, reading.file, at[0], reading.columns[0], measured, 0.0, unit, (reading,), at)
-
-
 def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None) -> list[Implausible]:
     """Fixes, velocities and headings that are repeated row after row while the vehicle moves; lines are rows.
 
@@ -166,7 +160,7 @@ def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None
             stuck = _stuck(t, y, log.sigmas[sigma])
             if (stuck & (np.interp(t, log.t_v[rows], speed) > SLOW)).any():
                 reading, seconds = Reading(Cause.STALE, file, ", ".join(columns)), float(np.ptp(t[stuck]))
-                out.append(_named("repeated", reading, places[stuck], seconds, "s"))
+                out.append(Implausible.of("repeated", seconds, 0.0, "s", reading, lines=places[stuck]))
     return out
 
 
@@ -184,7 +178,7 @@ def repeated(tables: dict[str, Table]) -> Iterator[Implausible]:
         same = _held(t, y, often)
         if same.any() and len(np.unique(y[~same, 0])) > max(len(y) - same.sum(), MANY) / 2:
             reading = Reading(Cause.STALE, f"{name}.csv", ", ".join(columns))
-            yield _named("repeated", reading, np.flatnonzero(same), float(np.ptp(t[same])), "s")
+            yield Implausible.of("repeated", np.ptp(t[same]), 0.0, "s", reading, lines=np.flatnonzero(same))
 
 
 def _runs(y: Array) -> tuple[Index, Index]:
@@ -221,7 +215,7 @@ def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implau
     if old.any():
         rows = np.sort(fixes.rows[_repeats(first[old], last[old], len(fixes.t))])
         reading = Reading(Cause.STALE, "fixes.csv", ", ".join(fixes.columns))
-        yield _named("stale", reading, rows, float(moved[old].max()), "m")
+        yield Implausible.of("stale", moved[old].max(), 0.0, "m", reading, lines=rows)
 
 
 def _stuck(t: Array, y: Array, sigma: float) -> Mask:

@@ -43,7 +43,7 @@ LATE = [
 LATE += [("depth", late, "log") for late in (18.0, -37.0)]
 
 
-@for_all(case=LATE, seed=[1, 2])
+@for_all(case=LATE, seed=[1])
 def test_a_clock_that_is_off_is_named_with_the_offset(case: tuple[str, float, str], seed: int, tmp_path: Path) -> None:
     table, late, kind = case
     files = changed(kinds(dive(seed))[kind], table, column("time_s", lambda t: t + late))
@@ -56,7 +56,7 @@ def test_a_clock_that_is_off_is_named_with_the_offset(case: tuple[str, float, st
         assert act in finding.says
 
 
-@for_all(seed=[1, 2, 3], on_deck=[5.0, 18.0, 37.0, 600.0])
+@for_all(seed=[1, 2], on_deck=[5.0, 18.0, 37.0, 600.0])
 def test_a_receiver_that_is_on_before_and_after_the_dive_has_the_right_clock(
     seed: int, on_deck: float, tmp_path: Path
 ) -> None:
@@ -103,7 +103,7 @@ DEPTHS: dict[str, tuple[Callable[[Array], Array], Cause, float]] = {
 }
 
 
-@for_all(name=list(DEPTHS), kind=["depth", "path"], seed=[1, 2])
+@for_all(name=list(DEPTHS), kind=["depth", "path"], seed=[1])
 def test_a_depth_of_another_sign_or_with_the_air_is_named(name: str, kind: str, seed: int, tmp_path: Path) -> None:
     change, cause, factor = DEPTHS[name]
     files = with_fixes(dive(seed)) if kind == "depth" else path_of(dive(seed))
@@ -125,7 +125,7 @@ def test_a_vehicle_ten_meters_deep_has_no_air_in_its_depth(tmp_path: Path) -> No
     assert [entry for entry in findings(tmp_path / "level", level) if entry.column == "z_m"] == []
 
 
-@for_all(name=["x", "y", "swapped"], seed=[1, 4])
+@for_all(name=["x", "y", "swapped"], seed=[1])
 def test_a_path_that_goes_elsewhere_than_its_heading(name: str, seed: int, tmp_path: Path) -> None:
     def mirror(names: list[str], y: Array) -> Array:
         y[:, 1:3] = {"x": y[:, 1:3] * [-1, 1], "y": y[:, 1:3] * [1, -1], "swapped": y[:, 2:0:-1]}[name]
@@ -164,7 +164,7 @@ def earth(log: Log, east_first: bool) -> Log:
     return replace(log, v=np.column_stack([*both, log.v[:, 2]]))
 
 
-@for_all(east_first=[False, True], seed=[1, 2, 3])
+@for_all(east_first=[False, True], seed=[1, 2])
 def test_velocities_in_axes_of_the_world(east_first: bool, seed: int, tmp_path: Path) -> None:
     files = with_fixes(earth(clean(seed, drop_outs=False), east_first))
     found = findings(tmp_path / f"{east_first}{seed}", files)
@@ -244,7 +244,7 @@ def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clo
         assert clocks_by_spans(cut) == [], trial
 
 
-@for_all(seed=[1, 2], wild=[30, 31])
+@for_all(seed=[1], wild=[30, 31])
 def test_wild_headings_are_named_also_side_by_side_and_turns_of_the_number_are_none(
     seed: int, wild: int, tmp_path: Path
 ) -> None:

@@ -50,7 +50,7 @@ def findings(path: Path, files: dict[str, str], plane: LocalPlane | None = None)
     return implausible(read_tables(folder(path, files))[0], plane)
 
 
-@for_all(name=list(SPOILS), seed=[3, 8])
+@for_all(name=list(SPOILS), seed=[3])
 def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str, seed: int, tmp_path: Path) -> None:
     kind, table, columns, value = SPOILS[name]
     bad = np.arange(30, 36)
@@ -139,7 +139,7 @@ def _level(names: list[str], numbers: Array) -> Array:
     return numbers
 
 
-@for_all(kind=["log", "path", "motion"], seed=[2, 6])
+@for_all(kind=["log", "path", "motion"], seed=[2])
 def test_a_fix_that_repeats_while_the_vehicle_moves_is_stale(kind: str, seed: int, tmp_path: Path) -> None:
     def spoil(names: list[str], numbers: Array) -> Array:
         if kind == "motion":  # ten metres in a second, afterwards
@@ -156,7 +156,7 @@ def test_a_fix_that_repeats_while_the_vehicle_moves_is_stale(kind: str, seed: in
     assert "leave out lines" in finding.says
 
 
-@for_all(table=["dvl", "ahrs", "depth"], seed=[2, 6])
+@for_all(table=["dvl", "ahrs", "depth"], seed=[2])
 def test_a_velocity_or_a_heading_that_repeats_is_stale(table: str, seed: int, tmp_path: Path) -> None:
     def spoil(names: list[str], numbers: Array) -> Array:
         numbers[200:260, 1:4] = numbers[200, 1:4]
@@ -203,7 +203,7 @@ def test_numbers_that_a_slow_sensor_repeats_are_not_stale(tmp_path: Path) -> Non
         assert [e for e in found if e.check in ("repeated", "special value")] == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_clean_missions_of_every_kind_are_plausible(seed: int, tmp_path: Path) -> None:
     for log in (clean(seed, minutes=6.0), dive(seed), dive(seed, on_deck=(7.0, 18.0, 37.0)[seed])):
         for name, files in kinds(log).items():
