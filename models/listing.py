@@ -1,12 +1,23 @@
-"""Things in words: a count and its noun; the first few of them, and how many more."""
+"""Things in words: a number; a count and its noun; the first few of them, and how many more."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["SOME", "several", "some"]
+__all__ = ["SOME", "number", "several", "some"]
 
 SOME = 5  # of a list that are named
+
+
+def number(value: float) -> str:
+    """With four digits; thousands set apart, and 0 for rounding.
+
+    Examples
+    --------
+    >>> [number(value) for value in (45564.39, 42.2746, 2.1e-28)]
+    ['45,564', '42.27', '0']
+    """
+    return "0" if abs(value) < 1e-9 else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def several(count: int, noun: str) -> str:

@@ -19,8 +19,10 @@ from script import arguments, at_least_one, page_head, public_data, write_page
 
 from factors.keys import kinds
 from nls.metrics import ate
-from nls.missions.checks.scan_words import observable, sentence
-from nls.missions.scans import (
+from nls.missions.checks.scan_mounting import COMPONENTS, Mounting
+from nls.missions.checks.words import LABELS, shown
+from nls.missions.scans.folder import read_scan_mission
+from nls.sonar.scans import (
     Closing,
     Drift,
     Scans,
@@ -31,7 +33,6 @@ from nls.missions.scans import (
     dead_reckoning,
     mounting,
 )
-from nls.missions.scans.folder import read_scan_mission
 
 Array = npt.NDArray[np.float64]
 (x,) = kinds("x")
@@ -174,7 +175,25 @@ def row(log: Log, setup: Setup, rounds: int, report: Callable[[str], None]) -> t
     kept = int(closing.matches.kept.sum())
     cells = [setup.name, named, f"{kept}", f"{before:.2f}", after, f"{seconds:.1f}"]
     report(" | ".join(cells))
-    return cells, [f"- *{setup.name}*: {sentence(finding)}." for finding in findings]
+    return cells, [f"- *{setup.name}*: {finding.says}." for finding in findings]
+
+
+def observable(estimate: Mounting) -> list[str]:
+    """One line for every component of the mounting, and for the clock: value and sigma, or why it is not determined."""
+    shown_by = {"yaw": "where the drift to the side is known", "time": "where speed or rate of turn change"}
+    lines = []
+    columns = zip(COMPONENTS, estimate.value, estimate.sigma, estimate.determined, strict=True)
+    for name, value, sigma, determined in columns:
+        if np.isnan(value):
+            continue
+        where = shown_by.get(name, "in steps that turn")
+        line = f"{LABELS[name]}: not determined by {estimate.steps} pairs of scans; it shows {where}"
+        if determined:
+            line = f"{LABELS[name]}: {shown(name, value)} +- {shown(name, sigma)} from the assumed value"
+        if name == "yaw" and abs(estimate.drift) > 0.8:
+            line += f" (correlation {estimate.drift:.2f} with the drift to the side)"
+        lines.append(line)
+    return lines
 
 
 def page(log: Log, rounds: int) -> list[str]:

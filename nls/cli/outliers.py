@@ -26,7 +26,6 @@ __all__ = ["choice_of", "record", "without_rejected"]
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
-NUMBERS = ("count", "total", "number", "meters", "radians", "sigmas")  # of a doubt
 OF_CHOICE = ("doubted", "probability", "expected_by_chance", "sigma0", "strain")
 OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that nothing verifies
 
@@ -120,10 +119,7 @@ def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
         "sigma0_between_neighbors": choice.local,
         "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
         "rejected": [rejected(r) for r in choice.rejected],
-        "doubts": [
-            {"kind": d.kind.name, "part": d.fraction, "sentence": str(d)} | {name: getattr(d, name) for name in NUMBERS}
-            for d in choice.doubts
-        ],
+        "doubts": [doubt.record() for doubt in choice.doubts],
         "unverified": [
             {"factors": list(group.names)} | {name: getattr(group, name) for name in OF_GROUP}
             for group in choice.unverified
@@ -141,11 +137,9 @@ def rows(choice: Robustified, asked: bool) -> list[str]:
 
 def sentence(choice: Robustified) -> str:
     """How many contacts were rejected, and which landmarks left."""
-    from nls.explanation.rejections import left, rejected_contacts
+    from nls.explanation.doubts import of_choice
 
-    numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
-    names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)
-    return "; ".join([rejected_contacts(*numbers), *[left(names, count)] * bool(names)])
+    return "; ".join(finding.says for finding in of_choice(choice, contacts=True))
 
 
 def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:

@@ -16,9 +16,8 @@ from models.errors import GraphWarning, LeadlineError, OptionError, SingularGeom
 from models.options import did_you_mean
 from nls.cli.evaluate import circles
 from nls.cli.job import Content, Job, Solution
-from nls.missions.checks.scan_setup import BENDING, SetupFinding, check_setup
-from nls.missions.checks.scan_words import record as finding_record
-from nls.missions.checks.scan_words import sentence
+from nls.missions.checks.findings import SetupFinding
+from nls.missions.checks.scan_setup import BENDING, check_setup
 from nls.missions.scans import close
 from nls.missions.scans.closing import ROUNDS, SELECTIONS
 from nls.missions.scans.folder import ScanReport, is_scan_mission
@@ -104,8 +103,8 @@ def close_loops(job: Job) -> None:
     except LeadlineError as error:
         job.report.notes.append(f"the setup was not checked: {error}")
     for finding in findings:
-        job.report.warn(sentence(finding))
-        warnings.warn(f"{job.options.file}: {sentence(finding)}", GraphWarning, stacklevel=2)
+        job.report.warn(finding.says)
+        warnings.warn(f"{job.options.file}: {finding.says}", GraphWarning, stacklevel=2)
     job.graph = job.as_read = closing.graph
     job.result = closing.result
     job.solved = SolvedScans(job, closing, findings)
@@ -172,7 +171,7 @@ class SolvedScans(Solution):
                 for r in rounds
             ],
             "settled": self.closing.settled,
-            "setup": [finding_record(finding) for finding in self.findings],
+            "setup": [finding.record() for finding in self.findings],
             "closures": self.kept,
             "verdicts": {word: words.count(word) for word in sorted(set(words))},
         }

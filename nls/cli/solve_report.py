@@ -68,10 +68,8 @@ def _findings(report: LoadReport) -> dict[str, Any]:
     """What is implausible in the tables of a mission."""
     if (mission := mission_of(report)) is None:
         return {}
-    from nls.missions.checks.words import record
-
-    explained = mission.explained and record(mission.explained)
-    return {"findings": [record(finding) for finding in mission.findings], "explained": explained}
+    explained = mission.explained and mission.explained.record()
+    return {"findings": [finding.record() for finding in mission.findings], "explained": explained}
 
 
 def _doubt(report: dict[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
 from nls.analysis.swapped_landmarks import swapped_landmarks
+from nls.explanation.doubts import REMOVAL
 from nls.explanation.findings import Finding, FindingKind
 from nls.linear.factorization import SingularSystemError
 
@@ -28,15 +29,14 @@ if TYPE_CHECKING:
     from nls.analysis.calibrations import Calibration
     from nls.analysis.leave_one_out import Tested
     from nls.analysis.linearization import Checked
+    from nls.analysis.misread_kinds import MisreadKind
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
     from nls.robust import Robustified
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-PAIRS = 20  # nearest pairs of points that are looked at
-SAME = 0.999  # of such pairs that are one point are found
-SPACING = 0.25  # of the usual distance to the next point: sigmas above that make neighbors of any two
+SAME_POINT = 0.999  # of the pairs of points that are one are found
 
 
 def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
@@ -60,14 +60,16 @@ def misread(graph: FactorGraph, values: Values) -> list[Finding]:
     kinds = misread_kinds(graph, values)
     if not kinds:
         return []
-    numbers = {
-        "readings": tuple((alternative.kind, alternative.reading) for alternative in kinds),
-        "chi2": kinds[0].standing,
-        "chi2_otherwise": kinds[0].chi2,
-        "dof": kinds[0].dof,
-    }
+    numbers = {"readings": tuple((alternative.kind, alternative.reading) for alternative in kinds)} | _fall(
+        kinds[0], kinds[0].dof
+    )
     places = tuple((k, int(i)) for k, indices in kinds[0].places for i in indices[:SOME])[:SOME]
     return [Finding(FindingKind.MISREAD, (), numbers, (Advice("frames"),), places)]
+
+
+def _fall(better: MisreadKind | Calibration | Exchanged, dof: int) -> dict[str, Any]:
+    """chi2 as it stands and otherwise, as numbers of a finding."""
+    return {"chi2": better.standing, "chi2_otherwise": better.chi2, "dof": dof}
 
 
 def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested]) -> list[Finding]:
@@ -77,7 +79,7 @@ def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested])
 
 def _swapped(pair: Exchanged, dof: int) -> Finding:
     """Two landmarks that were taken for one another."""
-    numbers = {"sightings": len(pair.places), "chi2": pair.standing, "chi2_otherwise": pair.chi2, "dof": dof}
+    numbers = {"sightings": len(pair.places)} | _fall(pair, dof)
     advice = (Advice("exchange", (repr(pair.first), repr(pair.second))),)
     return Finding(FindingKind.SWAPPED, (pair.first, pair.second), numbers, advice, pair.places[:SOME])
 
@@ -96,38 +98,23 @@ def readings(checked: Checked, suspects: Suspects) -> dict[tuple[int, int], tupl
     return by_place
 
 
-def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding]:
+def clocks_by_residuals(checked: Checked, values: Values, count: int) -> list[Finding]:
     """Kinds of measurements whose clock is before or behind that of the poses."""
-    return [
-        Finding(
-            FindingKind.CLOCK,
-            (),
-            {"kind": offset.kind, "dt": offset.dt, "sigma": offset.sigma, "chance": offset.chance, "fall": offset.fall},
-            (Advice("clock"),),
-        )
-        for offset in clock_offsets(checked, values, count)
-    ]
+    names = ("kind", "dt", "sigma", "chance", "fall")
+    numbers = [{name: getattr(offset, name) for name in names} for offset in clock_offsets(checked, values, count)]
+    return [Finding(FindingKind.CLOCK, (), offset, (Advice("clock"),)) for offset in numbers]
 
 
 def calibrated(wrong: Sequence[Calibration]) -> list[Finding]:
     """One finding for all calibrations that explain chi2; nothing tells several apart."""
     if not wrong:
         return []
-    numbers = {
-        "calibrations": tuple(
-            {
-                "kind": calibration.kind,
-                "quantity": calibration.quantity,
-                "components": calibration.components,
-                "correction": calibration.correction.tolist(),
-                "sigma": calibration.sigma.tolist(),
-            }
-            for calibration in wrong
-        ),
-        "chi2": wrong[0].standing,
-        "chi2_otherwise": wrong[0].chi2,
-        "dof": wrong[0].dof,
-    }
+    ways = tuple(
+        {"kind": way.kind, "quantity": way.quantity, "components": way.components}
+        | {"correction": way.correction.tolist(), "sigma": way.sigma.tolist()}
+        for way in wrong
+    )
+    numbers = {"calibrations": ways} | _fall(wrong[0], wrong[0].dof)
     advice = tuple(Advice(f"calibrate {quantity}") for quantity in dict.fromkeys(c.quantity for c in wrong))
     return [Finding(FindingKind.CALIBRATION, (), numbers, advice)]
 
@@ -146,8 +133,7 @@ def wrong_contacts(graph: FactorGraph, choice: Robustified) -> tuple[Finding, ..
     }
     names = [rejection.factor for rejection in choice.rejected]
     worst = tuple(where[name] for name in names[:SOME] if name in where)
-    inspect = (Advice("inspect", ("them",)), Advice("remove", ("them",)))
-    many = Finding(FindingKind.MANY_OUTLIERS, (), {"factors": names}, inspect, worst)
+    many = Finding(FindingKind.MANY_OUTLIERS, (), {"factors": names}, REMOVAL, worst)
     exchanged = exchanged_contacts(graph, choice.result.values, out)
     return (many, *(_swapped(pair, 2 * len(pair.places)) for pair in exchanged))
 
@@ -196,7 +182,8 @@ def _nearest(
     distance, neighbor = cKDTree(p).query(p, k=2)
     spacing, ids = float(np.quantile(distance[:, 1], 0.75)), points.tolist()  # of most: twins are near each other
     near = {(float(distance[i, 1]), min(i, j), max(i, j)) for i, j in enumerate(neighbor[:, 1].tolist()) if i != j}
-    apart = [pair for pair in sorted(near) if _never_together(poses[ids[pair[1]]], poses[ids[pair[2]]])][:PAIRS]
+    from_poses = [(pair, poses[ids[pair[1]]], poses[ids[pair[2]]]) for pair in sorted(near)]
+    apart = [pair for pair, a, b in from_poses if a and b and not a & b][:20]
     out: list[tuple[int, int, float, float]] = []
     if not apart:
         return out
@@ -208,12 +195,9 @@ def _nearest(
     for r, i, j in apart:
         a, b = np.searchsorted(involved, [i, j])
         Sigma = P[a, :, a] + P[b, :, b] - P[a, :, b] - P[b, :, a]
-        if np.sqrt(np.trace(Sigma)) < SPACING * spacing and np.linalg.matrix_rank(Sigma, hermitian=True) == d:
+        sharp = np.sqrt(np.trace(Sigma)) < 0.25 * spacing  # sigmas above that make neighbors of any two
+        if sharp and np.linalg.matrix_rank(Sigma, hermitian=True) == d:
             t = float((p[i] - p[j]) @ np.linalg.solve(Sigma, p[i] - p[j]))
-            if t < chi2_gate(d, SAME):
+            if t < chi2_gate(d, SAME_POINT):
                 out.append((ids[i], ids[j], r, t**0.5))
     return out
-
-
-def _never_together(a: set[int], b: set[int]) -> bool:
-    return bool(a) and bool(b) and not a & b

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,24 +16,20 @@ from models.errors import GraphError
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
-from nls.analysis.redundancy import unverified_groups
+from nls.analysis.redundancy import Unverified
 from nls.analysis.suspects import Suspects
-from nls.explanation.findings import Finding, FindingKind, Measurement, Part
+from nls.explanation.findings import ChoiceKind, Finding, FindingKind, Measurement, Part
 from nls.gauge import component_labels
 from nls.graph import FactorGraph
 from nls.posegraph import closures
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values
 
-__all__ = ["certifies", "graduates", "of_suspects"]
+if TYPE_CHECKING:
+    from nls.robust import Robustified
 
-UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word
-ALIKE = 5.0  # times too far: no outlier does that to the middle one
-MANY = 6  # measurements of which the middle one speaks for the kind
-EXACT = 1e-6  # chi2 per degree of freedom of measurements that somebody made up
-TURN = 0.6  # rad
-OFF = 0.01  # weight of a measurement that counts no more
+REMOVAL: tuple[Advice, ...] = (Advice("inspect", ("them",)), Advice("remove", ("them",)))
 CURES = {  # action by reading
     "exchanged": "swap",
     "transposed": "transpose",
@@ -72,17 +68,6 @@ def measurement(factor: Factor, index: int, values: Values, t: float, chance: fl
     return Measurement(factor.describe(index), keys, chi2, chi2**0.5, max(t, 0.0) ** 0.5, chance)
 
 
-def no_optimum(fall: float, chi2: float) -> Finding:
-    """The values are not where chi2 is lowest."""
-    return Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),))
-
-
-def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values) -> Finding:
-    """chi2 is lower elsewhere."""
-    advice = (Advice("start"), *(Advice("certify"),) * certifies(graph, values))
-    return Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": chi2}, advice)
-
-
 def taken_out(suspects: Suspects, graph: FactorGraph, values: Values) -> tuple[Measurement, ...]:
     """The suspects: chi2 where they are in, distance and chance where they are not."""
     n = sum(int((test.m > 0).sum()) for test in suspects.tests)
@@ -106,14 +91,13 @@ def of_suspects(
     if not suspects.places:
         return []
     names = _names(graph.factors, suspects.places)
-    robust = any(factor.kernel is not None for factor in graph.factors)
     if suspects.many:
-        keys = _keys(graph.factors, suspects.places)
-        advice = [Advice("gnc")] * graduates(graph, suspects.values)
-        removal = [Advice("inspect", ("them",)), Advice("remove", ("them",))]
-        advice += removal if robust else [Advice.robust("Cauchy", 1)]
+        keys = keys_of(graph.factors, suspects.places)
+        robust = any(factor.kernel is not None for factor in graph.factors)
+        cures = REMOVAL if robust else (Advice.robust("Cauchy", 1),)
+        cures = (Advice("gnc"),) * graduates(graph, suspects.values) + cures
         places = tuple(suspects.places[:SOME])
-        return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, tuple(advice), places)]
+        return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, cures, places)]
     out, closing = [], closures(pattern)
     for (k, i), name in zip(suspects.places, names, strict=True):
         factor, rivals = graph.factors[k], suspects.rivals[k, i]
@@ -146,13 +130,13 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
     out, alike = [], []
     robust = any(factor.kernel is not None for factor in graph.factors)
     for part in parts:
-        if not part.chi2 > EXACT * part.expected > 0:  # numbers without noise are no fault
+        if not part.chi2 > 1e-6 * part.expected > 0:  # numbers without noise are no fault
             continue
         above, typical = float(chi2_tail(np.array(part.chi2), np.array(part.expected))), part.typical**0.5
-        if UNLIKELY < above < 1 - UNLIKELY:
+        if 1e-3 < above < 1 - 1e-3:
             continue
-        ratio, many = part.chi2 / part.expected, part.measurements >= MANY
-        if typical > ALIKE and ratio > 1 and many:
+        ratio, many = part.chi2 / part.expected, part.measurements >= 6  # the middle one speaks for the kind
+        if typical > 5.0 and ratio > 1 and many:  # no outlier does that to the middle one
             alike.append((part.name, typical))
             continue
         if suspects.many:
@@ -169,15 +153,8 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
             cause, advice = "large", [Advice("smaller sigmas")] + [Advice("squares")] * (ratio**-0.5 > 3)
         else:
             continue
-        numbers = {
-            "kind": part.name,
-            "without": len(suspects.places),
-            "chi2": part.chi2,
-            "expected": part.expected,
-            "typical": typical,
-            "cause": cause,
-        }
-        out.append(Finding(FindingKind.SIGMAS, (), numbers, tuple(advice)))
+        numbers = {"kind": part.name, "without": len(suspects.places), "chi2": part.chi2, "expected": part.expected}
+        out.append(Finding(FindingKind.SIGMAS, (), numbers | {"typical": typical, "cause": cause}, tuple(advice)))
     if alike:
         advice = [Advice("frames"), Advice("start")]
         advice += [Advice("certify")] * certifies(graph, suspects.values)
@@ -190,13 +167,13 @@ def switched_off(graph: FactorGraph, values: Values) -> list[Finding]:
     """Robust kernels that have rejected most of their measurements."""
     out = []
     for k, factor in enumerate(graph.factors):
-        off = np.flatnonzero(factor.weights(values) < OFF)
+        off = np.flatnonzero(factor.weights(values) < 0.01)
         if factor.kernel is not None and len(off) > len(factor) / 2:
             gentle = isinstance(factor.kernel, Huber | Cauchy)
             advice = (Advice("start"), Advice("wider kernel"), *(() if gentle else (Advice("gentle kernel"),)))
             places = tuple((k, i) for i in off[:SOME].tolist())
             numbers = {"kernel": repr(factor.kernel), "off": len(off), "of": len(factor), "factor": repr(factor)}
-            out.append(Finding(FindingKind.REJECTED, _keys(graph.factors, places), numbers, advice, places))
+            out.append(Finding(FindingKind.REJECTED, keys_of(graph.factors, places), numbers, advice, places))
     return out
 
 
@@ -208,7 +185,7 @@ def turns(graph: FactorGraph, values: Values) -> list[Finding]:
             continue
         model, X = values.gather(factor)
         e = -model.space.local(np.zeros(model.dim), model.factor.predict(model.manifolds, *X)[0])
-        near = np.flatnonzero((np.abs(np.abs(e) - 2 * np.pi) < TURN).any(axis=1))
+        near = np.flatnonzero((np.abs(np.abs(e) - 2 * np.pi) < 0.6).any(axis=1))
         if len(near):
             i = int(near[0])
             off = float(e[i][np.argmin(np.abs(np.abs(e[i]) - 2 * np.pi))])
@@ -239,7 +216,7 @@ def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> 
         count = sum(len(alone) for _, alone in members)
         places = tuple((k, i) for k, alone in members for i in alone[:SOME].tolist())
         numbers = {"count": count, "of": total, "factors": _names(factors, places), "believed": not advice}
-        out.append(Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, advice, places))
+        out.append(Finding(FindingKind.UNCHECKED, keys_of(factors, places), numbers, advice, places))
     return out
 
 
@@ -259,17 +236,24 @@ def _checked_by(batch: Batch, alone: Index, label: Index) -> tuple[Advice, ...]:
     return (Advice("view", ("the same point",)) if of_point else Advice("close"),)
 
 
-def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
-    """Groups of closures that carry the map and that nothing verifies, at an optimum where nothing is free."""
-    findings = []
-    for group in unverified_groups(graph, values):
-        same = {name: getattr(group, name) for name in ("redundancy", "meters", "rms", "sigmas")}
-        advice = (Advice("inspect", ("the group",)), Advice("close"))
-        keys = _keys(graph.factors, group.closures)
-        findings.append(
-            Finding(FindingKind.UNVERIFIED, keys, {"factors": group.names, **same}, advice, group.closures[:SOME])
-        )
-    return findings
+def unverified(group: Unverified, keys: tuple[Keys, ...] = ()) -> Finding:
+    """A group of closures about variables that carries the map and that nothing verifies."""
+    numbers = {"factors": group.names} | {n: getattr(group, n) for n in ("redundancy", "meters", "rms", "sigmas")}
+    advice = (Advice("inspect", ("the group",)), Advice("close"))
+    return Finding(FindingKind.UNVERIFIED, keys, numbers, advice, group.closures[:SOME])
+
+
+def of_choice(choice: Robustified, contacts: bool = False) -> list[Finding]:
+    """How many measurements, or contacts, a robust choice rejected, and which landmarks left with them."""
+    names = ("doubted", "probability", "sigma0")
+    numbers = {"count": len(choice.rejected), "by_chance": choice.expected_by_chance}
+    numbers |= {name: getattr(choice, name) for name in names}
+    out = [Finding(ChoiceKind.CONTACTS if contacts else ChoiceKind.REJECTED, (), numbers)]
+    if choice.left:
+        count = sum(landmark.measurements for landmark in choice.left)
+        landmarks = [landmark.variable for landmark in choice.left]
+        out.append(Finding(ChoiceKind.LEFT, (), {"landmarks": landmarks, "count": count}))
+    return out
 
 
 def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
@@ -297,11 +281,11 @@ def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
     if not count:
         return []
     numbers = {"count": count, "factors": _names(graph.factors, places)}
-    keys = _keys(graph.factors, places)
+    keys = keys_of(graph.factors, places)
     return [Finding(FindingKind.REPEATED, keys, numbers, (Advice("remove copies"),), tuple(places))]
 
 
-def _keys(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[Keys, ...]:
+def keys_of(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[Keys, ...]:
     """The variables of some measurements, each once."""
     return tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in factors[k].keys))
 

@@ -17,6 +17,7 @@ from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked
+from nls.analysis.redundancy import unverified_groups
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import causes, doubts
@@ -28,11 +29,7 @@ from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-__all__ = ["explain", "separate_parts"]
-
 WORST = 10  # measurements that are named
-AT_OPTIMUM = 0.01, 1e-5  # fall of chi2 in a further step: in all, and as a part of chi2
-FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise what the problem does not keep
 
 
 @single_thread()
@@ -96,19 +93,20 @@ def explain(
     pattern = whole.holding(gauge.held)
     free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
-    findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
+    if unmeasured := tuple(pattern.key(int(v)) for v in np.flatnonzero(idle)):
+        advice = (Advice("factors"), Advice("drop", ("it" if len(unmeasured) == 1 else "them",)))
+        findings.append(Finding(FindingKind.UNMEASURED, unmeasured, {}, advice))
+    findings += named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
     squares = [factor.chi2(values) for factor in graph.factors]
     chi2 = sum(float(s.sum()) for s in squares)
     dof = pattern.measured_rows - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
-    tests: list[Tested] | None = None
     outliers: Suspects | None = None
-    parts: tuple[Part, ...] = ()
     grouped: tuple[Part, ...] = ()
     worst: tuple[Measurement, ...] = ()
     weakest: tuple[Weak, ...] = ()
-    promised = float("nan")
+    promised, little = float("nan"), 0.01 + 1e-5 * chi2  # a fall of chi2 that makes no difference
     if free.checked is None:
         findings.append(Finding(FindingKind.ILL_CONDITIONED, (), {}, (Advice("units"), Advice("qr"))))
     else:
@@ -118,25 +116,27 @@ def explain(
         grouped = parts if groups is None else _parts(pattern, squares, tests, groups=groups)
         worst = _worst(pattern, values, tests)
         weakest = _weakest(free, pattern, values, idle)
-        fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > _little(chi2) else 0.0
-        if fall > _little(chi2):
-            findings.insert(0, doubts.no_optimum(fall, chi2))
+        fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > little else 0.0
+        if fall > little:
+            findings.insert(0, Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),)))
         else:
-            held = _held(graph, whole, idle)
+            held = FactorGraph(graph.factors, [*graph.fixed, *unmeasured])
             disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
             findings += disagreement
-            lower = np.inf if outliers is None else graph.chi2(outliers.values)
-            if lower < graph.chi2(values) - _little(chi2):
-                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
+            lower, here = np.inf if outliers is None else graph.chi2(outliers.values), graph.chi2(values)
+            if lower < here - little:
+                cures = (Advice("start"), *(Advice("certify"),) * doubts.certifies(graph, values))
+                findings.insert(0, Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": here}, cures))
         findings += doubts.unchecked(tests, whole, assumed)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
+    sizes = np.bincount(component_labels(pattern)[moving_variables(pattern)])  # variables of every connected part
     return Explanation(
         variables=len(values),
         unknowns=pattern.n,
         measurements=len(graph),
         rows=pattern.measured_rows,
-        components=_sizes(pattern, moving_variables(pattern)),
+        components=tuple(np.sort(sizes[sizes > 0])[::-1].tolist()),
         gauge=gauge.description,
         nullity=free.count,
         capped=free.more,
@@ -187,7 +187,8 @@ def _disagreement(
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
     findings += [kind for kind in kinds if kind not in alike]
     if not (free.count or alike or outliers.many):
-        findings += doubts.unverified(graph, values)
+        groups = unverified_groups(graph, values)
+        findings += [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
     return findings, outliers
 
 
@@ -200,42 +201,18 @@ def _causes(
         findings = causes.misread(graph, values)
     if not findings and (alike or outliers.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
-    return findings or causes.shifted_clocks(checked, values, len(graph.factors))
-
-
-def _little(chi2: float) -> float:
-    """A fall of chi2 that makes no difference."""
-    return AT_OPTIMUM[0] + AT_OPTIMUM[1] * chi2
+    return findings or causes.clocks_by_residuals(checked, values, len(graph.factors))
 
 
 def _fall(graph: FactorGraph, values: Values, step: Array) -> float:
     """By how much chi2 falls in a step (dim,) or in a fraction of it, at most; 0 where it does not."""
     chi2, falls = graph.chi2(values), [0.0]
-    for fraction in FRACTIONS:
+    for fraction in (1.0, 0.5, 0.1, 0.01):
         try:
             falls.append(chi2 - graph.chi2(values.retract(fraction * step)))
         except (EvaluationError, SingularGeometryError):
             continue
     return max(falls)
-
-
-def _held(graph: FactorGraph, pattern: Pattern, idle: Mask) -> FactorGraph:
-    """The same graph with what no measurement touches fixed."""
-    return FactorGraph(graph.factors, [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(idle))])
-
-
-def _sizes(pattern: Pattern, moved: Mask) -> tuple[int, ...]:
-    """Variables of every connected part, the largest first."""
-    sizes = np.bincount(component_labels(pattern)[moved])
-    return tuple(np.sort(sizes[sizes > 0])[::-1].tolist())
-
-
-def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
-    if not idle.any():
-        return []
-    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
-    pronoun = "it" if len(keys) == 1 else "them"
-    return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (pronoun,))))]
 
 
 def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:

@@ -10,16 +10,15 @@ from typing import Any
 
 from factors.keys import Keys
 from models.advice import Advice, listed
-from models.finite import finite_or_none
-
-__all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number"]
+from models.findings import Stated, plain, register
+from models.listing import some
 
 SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
 SAME = "summary variables unknowns measurements rows gauge rank nullity chi2 dof robust"  # fields of the record
 
 
 class FindingKind(StrEnum):
-    """The subject of a finding, the identifier that programs get."""
+    """The subject of a finding, the identifier that programs get; ``implausible`` ones come from `nls.missions`."""
 
     IMPLAUSIBLE = "implausible"
     NOT_CONVERGED = "not_converged"
@@ -47,8 +46,19 @@ class FindingKind(StrEnum):
     UNCHECKED = "unchecked"
 
 
+class ChoiceKind(StrEnum):
+    """The subject of a finding about a robust choice."""
+
+    REJECTED = "rejected_measurements"
+    CONTACTS = "rejected_contacts"
+    LEFT = "left_landmarks"
+
+
+register("nls.explanation.words", *FindingKind, *ChoiceKind)
+
+
 @dataclass(frozen=True)
-class Finding:
+class Finding(Stated):
     """One thing that is wrong, or that one should know.
 
     Attributes
@@ -61,7 +71,7 @@ class Finding:
     places : their lines, ``survey.g2o:17``, where the graph came from a file.
     """
 
-    kind: FindingKind
+    kind: FindingKind | ChoiceKind
     keys: tuple[Keys, ...] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)
     advice: tuple[Advice, ...] = ()
@@ -70,22 +80,14 @@ class Finding:
 
     @property
     def says(self) -> str:
-        """The finding in a sentence."""
-        from nls.explanation.words import sentence
-
-        return sentence(self)
+        """The finding in a sentence, without what helps."""
+        return super().says + (f" [{some(list(dict.fromkeys(self.places)), 3)}]" if self.places else "")
 
     def record(self) -> dict[str, Any]:
         """The finding for programs, and in words as the command line has them."""
-        return {
-            "kind": self.kind.value,
-            "keys": [repr(key) for key in self.keys],
-            "numbers": finite_or_none(self.numbers),
-            "places": list(self.places),
-            "advice": [{"action": advice.action, "about": list(advice.about)} for advice in self.advice],
-            "sentence": self.says,
-            "cures": listed(self.advice, shell=True),
-        }
+        names = ("kind", "keys", "numbers", "places", "advice")
+        data = {name: plain(getattr(self, name)) for name in names}
+        return data | {"sentence": self.says, "cures": listed(self.advice, shell=True)}
 
 
 @dataclass(frozen=True)
@@ -232,39 +234,15 @@ class Explanation:
         return {
             "schema": SCHEMA,
             **{name: getattr(self, name) for name in SAME.split()},
-            **{
-                name: [_plain(part) for part in getattr(self, name)]
-                for name in ("parts", "worst", "suspects", "weakest")
-            },
+            **{name: plain(getattr(self, name)) for name in ("parts", "worst", "suspects", "weakest")},
             "components": list(self.components),
             "nullity_is_at_least": self.capped,
             "quantiles": [self.low, self.high],
-            "promised": finite_or_none(self.promised),
+            "promised": plain(self.promised),
             "findings": [finding.record() for finding in self.findings],
             "free": list(self.free),
-            "chi2_without": None if self.chi2_without is None else list(self.chi2_without),
+            "chi2_without": plain(self.chi2_without),
         }
 
     def __str__(self) -> str:
         return self.report()
-
-
-def _plain(item: Part | Measurement | Weak) -> dict[str, Any]:
-    """Fields by name, variables by their names."""
-    out = {}
-    for name, value in vars(item).items():
-        if isinstance(value, Keys):
-            value = repr(value)
-        out[name] = [repr(key) for key in value] if isinstance(value, tuple) else finite_or_none(value)
-    return out
-
-
-def number(value: float) -> str:
-    """With four digits; thousands set apart, and 0 for rounding.
-
-    Examples
-    --------
-    >>> [number(value) for value in (45564.39, 42.2746, 2.1e-28)]
-    ['45,564', '42.27', '0']
-    """
-    return "0" if abs(value) < 1e-9 else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"

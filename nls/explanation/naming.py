@@ -24,7 +24,7 @@ from nls.values import Values
 
 ALIGNED = 0.99  # cosine of the angle between an axis and the free directions
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
-CURES = {
+CURES: dict[str, tuple[Advice, ...]] = {
     "elevation": (Advice("roll", ("the point",)), Advice("aperture")),
     "range": (Advice("second place", ("the point",)), Advice("measure", ("a range",))),
     "bearing": (Advice("spread ranges"), Advice("measure", ("a bearing",))),
@@ -64,15 +64,12 @@ def _group(members: list[Single], pattern: Pattern) -> Finding:
     numbers = {"moved": "alone", "directions": names, "seen_from": poses, "seen_once": once}
     pronoun = "it" if len(keys) == 1 else "them"
     prior = Advice("prior", (pronoun,))
-    advice: tuple[Advice, ...] = (
-        Advice("measure", (f"{', '.join(names)} of {pronoun}",)),
-        prior,
-        Advice("fix", (pronoun,)),
-    )
     if poses:
         advice = next((CURES[name] for name in names if name in CURES), (Advice("view", (pronoun,)), prior))
     elif any(" about " in name for name in names):
         advice = (Advice("off axis"), prior)
+    else:
+        advice = (Advice("measure", (f"{', '.join(names)} of {pronoun}",)), prior, Advice("fix", (pronoun,)))
     return Finding(FindingKind.FREE, keys, numbers, advice)
 
 
@@ -93,7 +90,8 @@ def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
         if not names:
             sight, components = None, pattern.component_names(v)
             names = named(U, np.eye(len(components)), components) or _turning(U, v, pattern, values)
-            names = names or _mixed(U, components)
+            taking = [name for name, u in zip(components, np.abs(U).max(axis=1), strict=True) if u >= SHARE]
+            names = names or (f"a direction of {', '.join(taking)}",) * U.shape[1]
         out.append(Single(v, names, sight))
     return out
 
@@ -120,12 +118,6 @@ def _beside(v: int, pattern: Pattern) -> Index:
         at = np.logical_or.reduce([variables == v for variables in batch.variables])
         neighbors += [variables[at] for variables in batch.variables]
     return np.setdiff1d(np.concatenate(neighbors), [v])
-
-
-def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
-    """A name for each of q directions that are no axes."""
-    taking = [name for name, u in zip(components, np.abs(U).max(axis=1), strict=True) if u >= SHARE]
-    return tuple(f"a direction of {', '.join(taking)}" for _ in range(U.shape[1]))
 
 
 def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:

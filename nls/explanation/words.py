@@ -2,116 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, groupby
+from math import isfinite
 from typing import Any
 
 from models.advice import listed
-from models.listing import some
+from models.findings import Sentences
+from models.listing import number, some
 from models.manifolds.units import unit
 from nls.analysis.observable import in_unit
-from nls.explanation.findings import Explanation, Finding, FindingKind, Part, number
-from nls.explanation.rejections import unverified
+from nls.explanation.findings import ChoiceKind, Explanation, Finding, FindingKind, Part
 
-__all__ = ["sentence", "together"]
-
-SHOWN = 12  # findings, and rows of a table
-FEW = 3  # of a list of measurements
-Numbers = dict[str, Any]
-
-
-def sentence(finding: Finding) -> str:
-    """A finding in words, without what helps."""
-    lines = f" [{some(list(dict.fromkeys(finding.places)), FEW)}]" if finding.places else ""
-    return SENTENCES[finding.kind](finding) + lines
-
-
-def _implausible(f: Finding) -> str:
-    from nls.missions.checks import Explained, Implausible, Reading, Trial
-    from nls.missions.checks.words import sentence as of_table
-
-    if "trials" in f.numbers:
-        trials = (Trial(**{**trial, "reading": Reading(**trial["reading"])}) for trial in f.numbers["trials"])
-        return of_table(Explained(**{**f.numbers, "trials": tuple(trials)}))
-    readings = tuple(Reading(**reading) for reading in f.numbers["readings"])
-    return of_table(Implausible(**{**f.numbers, "readings": readings}))
-
-
-def _not_converged(f: Finding) -> str:
-    n = f.numbers
-    return f"no optimum was found ({n['reason']}); the other findings are about the values {n['values']}"
-
-
-def _no_optimum(f: Finding) -> str:
-    return (
-        f"these values are no optimum: one Gauss-Newton step lowers chi2 by {number(f.numbers['fall'])}, from "
-        f"{number(f.numbers['chi2'])}; measurements are judged as after that step"
-    )
-
-
-def _local_minimum(f: Finding) -> str:
-    return (
-        f"these values are a local minimum: chi2 is {number(f.numbers['chi2'])} here and {number(f.numbers['lower'])} "
-        "at another minimum, found without the suspects; the findings below are about that one"
-    )
-
-
-def _ill_conditioned(_: Finding) -> str:
-    return "weights or scales of the measurements differ too much for A'A, which keeps 13 digits"
-
-
-def directions(f: Finding) -> list[str]:
-    """Every free direction of a finding in words; none of a finding of another kind."""
-    if f.kind is not FindingKind.FREE:
-        return []
-    n = f.numbers
-    if n["moved"] == "as one":
-        scope = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
-        return [f"{name} {scope} {f.keys[0]!r}" for name in n["directions"]]
-    if n["moved"] == "together":
-        return [_free(f)]
-    poses = n["seen_from"] or [""] * len(f.keys)
-    return [
-        f"{key!r}: {name}" + (f" as seen from {pose}" if pose else "")
-        for key, pose in zip(f.keys, poses, strict=True)
-        for name in n["directions"]
-    ]
-
-
-def _free(f: Finding) -> str:
-    n = f.numbers
-    if n["moved"] == "together":
-        several = len(f.keys) > 1
-        comma = ", " if several else " and "
-        moved = [f"{comma.join(names)} of {key!r}" for key, names in zip(f.keys, n["components"], strict=True)]
-        unknowns = sum(map(len, n["components"]))
-        how = "can move" if unknowns == 1 else "can move together" if several else "cannot be told apart"
-        return f"{some(moved)} {how}"
-    names = ", ".join(n["directions"])
-    if n["moved"] == "as one":
-        scope = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
-        return f"{names} {scope} {f.keys[0]!r}, moved as one"
-    pronoun = "it" if len(f.keys) == 1 else "them"
-    if not n["seen_from"]:
-        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {pronoun}"
-    points = some([f"{key!r} (from {pose})" for key, pose in zip(f.keys, n["seen_from"], strict=True)])
-    count = "this point is" if len(f.keys) == 1 else f"these {len(f.keys)} points are"
-    how = "seen once" if n["seen_once"] else "seen more than once, but only from where that does not show"
-    return f"{names} of {points}, as seen by the sensor: {count} {how}"
-
-
-def _unmeasured(f: Finding) -> str:
-    return f"{some(f.keys)}: no measurement; the value is the initial guess"
-
-
-def _separate_parts(f: Finding) -> str:
-    sizes = f.numbers["variables"]
-    parts = some([f"{size} with {key!r}" for size, key in zip(sizes, f.keys, strict=True)])
-    return (
-        f"the graph has {len(sizes)} parts that no measurement joins ({parts}); their relative position is the initial "
-        "guess"
-    )
-
-
+FEW = 3  # of a list of measurements, or landmarks
 READINGS = {
     "exchanged": "with its two variables exchanged",
     "transposed": "with its rotation transposed",
@@ -122,21 +25,73 @@ READINGS = {
 }
 
 
-def _misread(f: Finding) -> str:
+def directions(f: Finding) -> list[str]:
+    """Every free direction of a finding in words; none of a finding of another kind."""
+    if f.kind is not FindingKind.FREE:
+        return []
     n = f.numbers
-    ways = " or ".join(f"{kind} {READINGS[reading]}" for kind, reading in n["readings"])
-    return (
-        f"chi2 falls from {number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected, when "
-        f"measurements are read otherwise: {ways}"
-    )
+    if n["moved"] == "together":
+        return [_together(f)]
+    if n["moved"] == "as one":
+        return [f"{name} {_scope(f)}" for name in n["directions"]]
+    poses = n["seen_from"] or [""] * len(f.keys)
+    return [
+        f"{key!r}: {name}" + (f" as seen from {pose}" if pose else "")
+        for key, pose in zip(f.keys, poses, strict=True)
+        for name in n["directions"]
+    ]
+
+
+def _together(f: Finding) -> str:
+    moved, several = f.numbers["components"], len(f.keys) > 1
+    names = [f"{(', ' if several else ' and ').join(own)} of {key!r}" for key, own in zip(f.keys, moved, strict=True)]
+    alone = sum(map(len, moved)) == 1
+    return f"{some(names)} {'can move' if alone else 'can move together' if several else 'cannot be told apart'}"
+
+
+def _scope(f: Finding) -> str:
+    count = f.numbers["variables"]
+    return f"of {f'all {count} variables joined to ' if count > 1 else ''}{f.keys[0]!r}"
+
+
+def _free(f: Finding) -> str:
+    n = f.numbers
+    if n["moved"] == "together":
+        return _together(f)
+    names = ", ".join(n["directions"])
+    if n["moved"] == "as one":
+        return f"{names} {_scope(f)}, moved as one"
+    if not n["seen_from"]:
+        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {_pronoun(len(f.keys))}"
+    points = some([f"{key!r} (from {pose})" for key, pose in zip(f.keys, n["seen_from"], strict=True)])
+    count = "this point is" if len(f.keys) == 1 else f"these {len(f.keys)} points are"
+    how = "seen once" if n["seen_once"] else "seen more than once, but only from where that does not show"
+    return f"{names} of {points}, as seen by the sensor: {count} {how}"
+
+
+def _pronoun(count: int) -> str:
+    return "it" if count == 1 else "them"
+
+
+def _separate_parts(f: Finding) -> str:
+    sizes = f.numbers["variables"]
+    parts = some([f"{size} with {key!r}" for size, key in zip(sizes, f.keys, strict=True)])
+    joined = f"the graph has {len(sizes)} parts that no measurement joins ({parts})"
+    return f"{joined}; their relative position is the initial guess"
+
+
+def _fall(n: Mapping[str, Any]) -> str:
+    return f"chi2 falls from {number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected"
+
+
+def _misread(f: Finding) -> str:
+    ways = " or ".join(f"{kind} {READINGS[reading]}" for kind, reading in f.numbers["readings"])
+    return f"{_fall(f.numbers)}, when measurements are read otherwise: {ways}"
 
 
 def _swapped(f: Finding) -> str:
-    n, (first, second) = f.numbers, f.keys
-    return (
-        f"{first!r} and {second!r} are one another in {n['sightings']} sightings: exchanged, chi2 falls from "
-        f"{number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected"
-    )
+    count = f.numbers["sightings"]
+    return f"{f.keys[0]!r} and {f.keys[1]!r} are one another in {count} sightings: exchanged, {_fall(f.numbers)}"
 
 
 def _clock(f: Finding) -> str:
@@ -149,10 +104,9 @@ def _clock(f: Finding) -> str:
 
 
 def _calibration(f: Finding) -> str:
-    n, ways = f.numbers, [_calibrated(**calibration) for calibration in f.numbers["calibrations"]]
+    ways = [_calibrated(**calibration) for calibration in f.numbers["calibrations"]]
     several = " (nothing tells these apart)" if len(ways) > 1 else ""
-    fall = f"from {number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected"
-    return f"{', or '.join(ways)}{several}; with that chi2 falls {fall}"
+    return f"{', or '.join(ways)}{several}; with that {_fall(f.numbers)}"
 
 
 def _calibrated(kind: str, quantity: str, components: list[str], correction: list[float], sigma: list[float]) -> str:
@@ -184,8 +138,8 @@ def _doubtful(f: Finding) -> str:
         rival = f"one of {n['rivals']} others, such as {n['rival']}" if n["rivals"] > 1 else n["rival"]
         text += f"; or {rival}, as nothing tells them apart"
     if "removed" in n:
-        pronoun = "it" if n["removed"] == 1 else f"these {n['removed']}"
-        text += f"; without {pronoun} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
+        without = "it" if n["removed"] == 1 else f"these {n['removed']}"
+        text += f"; without {without} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
     if n["readings"]:
         text += f". It fits {' or '.join(READINGS[reading] for reading in n['readings'])}"
     return text
@@ -198,26 +152,15 @@ def _many_outliers(f: Finding) -> str:
 
 def _sigmas(f: Finding) -> str:
     n = f.numbers
-    ratio = n["chi2"] / n["expected"]
-    without = ("", ", without the suspect", ", without the suspects")[min(n["without"], 2)]
-    text = (
-        f"{n['kind']}{without}: chi2 {number(n['chi2'])} is {number(float(f'{ratio:.2g}'))} times its expectation of "
-    )
-    text += number(n["expected"])
-    return (
-        text
-        + {
-            "small": f"; the middle one is {n['typical']:.2g} times too far off: sigmas about that much too small",
-            "few": "; the middle one is as expected: a few are far off",
-            "unknown": "; wrong sigmas, an outlier, or a local minimum",
-            "large": f"; sigmas about {ratio**-0.5:.2g} times too large",
-        }[n["cause"]]
-    )
-
-
-def _rejected(f: Finding) -> str:
-    n = f.numbers
-    return f"{n['kernel']} rejects {n['off']} of {n['of']} measurements of {n['factor']} at these values"
+    ratio, without = n["chi2"] / n["expected"], ("", ", without the suspect", ", without the suspects")
+    cause = {
+        "small": f"the middle one is {n['typical']:.2g} times too far off: sigmas about that much too small",
+        "few": "the middle one is as expected: a few are far off",
+        "unknown": "wrong sigmas, an outlier, or a local minimum",
+        "large": f"sigmas about {ratio**-0.5:.2g} times too large",
+    }[n["cause"]]
+    times = f"{number(float(f'{ratio:.2g}'))} times its expectation of {number(n['expected'])}"
+    return f"{n['kind']}{without[min(n['without'], 2)]}: chi2 {number(n['chi2'])} is {times}; {cause}"
 
 
 def _turn(f: Finding) -> str:
@@ -226,17 +169,11 @@ def _turn(f: Finding) -> str:
     return f"{n['factor']}: its error is {n['error']:.3g}, nearly a turn{companions}; is it an angle?"
 
 
-def _twins(f: Finding) -> str:
-    a, b = f.keys
-    return (
-        f"{a!r} and {b!r} are {f.numbers['distance']:.2g} m apart, {f.numbers['sigmas']:.2g} sigmas, and never seen "
-        "from one pose: the same point under two numbers?"
-    )
-
-
 def _unverified(f: Finding) -> str:
     n = f.numbers
-    return f"accepted, not verified: {unverified(n['factors'], n['redundancy'], n['meters'], n['sigmas'])}"
+    moves = f"the map moves {n['meters']:.3g} m ({n['sigmas']:.2g} sigmas)"
+    motion = moves if isfinite(n["meters"]) else "the graph falls apart"
+    return f"accepted, not verified: {some(n['factors'], 1)}: redundancy {n['redundancy']:.2f}, {motion} without it"
 
 
 def _repeated(f: Finding) -> str:
@@ -252,18 +189,38 @@ def _unchecked(f: Finding) -> str:
     few = n["count"] <= len(n["factors"])
     names = some(n["factors"]) if few else f"{n['count']} measurements, such as {', '.join(n['factors'][:FEW])}"
     if n["believed"]:
-        return f"{names}: believed as stated, no other measurement checks {'it' if n['count'] == 1 else 'them'}"
+        return f"{names}: believed as stated, no other measurement checks {_pronoun(n['count'])}"
     return f"no other measurement checks {names}: an error there cannot be seen"
 
 
-SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
-    FindingKind.IMPLAUSIBLE: _implausible,
-    FindingKind.NOT_CONVERGED: _not_converged,
-    FindingKind.NO_OPTIMUM: _no_optimum,
-    FindingKind.LOCAL_MINIMUM: _local_minimum,
-    FindingKind.ILL_CONDITIONED: _ill_conditioned,
+def _rejected(f: Finding) -> str:
+    n = f.numbers
+    scaled = "" if f"{n['sigma0']:.3g}" == "1" else f" (sigmas times {n['sigma0']:.3g})"
+    right = "less than one is" if n["by_chance"] < 1 else f"about {n['by_chance']:.0f} are"
+    expected = f"{right} expected by chance at {100 * n['probability']:.6g} %"
+    return f"{n['count']:,} of {n['doubted']:,} doubted measurements rejected{scaled}; {expected}"
+
+
+def _left(f: Finding) -> str:
+    n = f.numbers
+    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} doubted measurements of theirs agree"
+
+
+SENTENCES: Sentences = {
+    FindingKind.NOT_CONVERGED: "no optimum was found ({reason}); the other findings are about the values {values}",
+    FindingKind.NO_OPTIMUM: (
+        "these values are no optimum: one Gauss-Newton step lowers chi2 by {fall!n}, from {chi2!n}; measurements are "
+        "judged as after that step"
+    ),
+    FindingKind.LOCAL_MINIMUM: (
+        "these values are a local minimum: chi2 is {chi2!n} here and {lower!n} at another minimum, found without the "
+        "suspects; the findings below are about that one"
+    ),
+    FindingKind.ILL_CONDITIONED: (
+        "weights or scales of the measurements differ too much for A'A, which keeps 13 digits"
+    ),
     FindingKind.FREE: _free,
-    FindingKind.UNMEASURED: _unmeasured,
+    FindingKind.UNMEASURED: "{keys!l}: no measurement; the value is the initial guess",
     FindingKind.SEPARATE_PARTS: _separate_parts,
     FindingKind.MISREAD: _misread,
     FindingKind.SWAPPED: _swapped,
@@ -275,26 +232,32 @@ SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.OUTLIER: _doubtful,
     FindingKind.MANY_OUTLIERS: _many_outliers,
     FindingKind.SIGMAS: _sigmas,
-    FindingKind.REJECTED: _rejected,
+    FindingKind.REJECTED: "{kernel} rejects {off} of {of} measurements of {factor} at these values",
     FindingKind.TURN: _turn,
-    FindingKind.TWINS: _twins,
+    FindingKind.TWINS: (
+        "{0!r} and {1!r} are {distance:.2g} m apart, {sigmas:.2g} sigmas, and never seen from one pose: the same point "
+        "under two numbers?"
+    ),
     FindingKind.UNVERIFIED: _unverified,
     FindingKind.REPEATED: _repeated,
     FindingKind.UNCHECKED: _unchecked,
+    ChoiceKind.REJECTED: _rejected,
+    ChoiceKind.CONTACTS: (
+        "{count:,} of {doubted:,} contacts rejected; {by_chance:.0f} expected by chance at {probability!p:.6g} %"
+    ),
+    ChoiceKind.LEFT: _left,
 }
 
 
 def summary(e: Explanation) -> str:
     """One to three sentences: what is determined, whether chi2 is as expected, whether something is suspicious."""
-    most = "at least " if e.capped else ""
-    if e.nullity:
-        free = f"{most}{e.nullity} {'direction is' if e.nullity == 1 else 'directions are'} free"
-        determined = f"Of {e.unknowns:,} unknowns {free}."
-    else:
-        determined = f"{e.unknowns:,} unknowns, all determined."
     kinds = [finding.kind for finding in e.findings]
-    if FindingKind.IMPLAUSIBLE in kinds:
-        determined = f"Tables of the mission are implausible. {determined}"
+    determined = "Tables of the mission are implausible. " if FindingKind.IMPLAUSIBLE in kinds else ""
+    if e.nullity:
+        free = f"{e.nullity} {'direction is' if e.nullity == 1 else 'directions are'} free"
+        determined += f"Of {e.unknowns:,} unknowns {'at least ' if e.capped else ''}{free}."
+    else:
+        determined += f"{e.unknowns:,} unknowns, all determined."
     if FindingKind.NOT_CONVERGED in kinds:
         return f"{determined} No optimum was found."
     if FindingKind.NO_OPTIMUM in kinds:
@@ -307,50 +270,42 @@ def summary(e: Explanation) -> str:
         fits = f"chi2, {number(e.chi2)}, is as expected."
     else:
         fits = f"chi2 is {number(e.chi2 / e.dof)} times its expectation ({number(e.chi2)}, {e.dof:,} expected)."
-    remarks = []
-    if FindingKind.LOCAL_MINIMUM in kinds:
-        remarks.append("This is a local minimum.")
-    if FindingKind.CALIBRATION in kinds:
-        remarks.append("A calibration is off.")
-    if closures := kinds.count(FindingKind.WRONG_CLOSURE):
-        remarks.append(f"{closures} loop {'closure is' if closures == 1 else 'closures are'} probably wrong.")
-    if outliers := kinds.count(FindingKind.OUTLIER):
-        remarks.append(f"{outliers} {'measurement does' if outliers == 1 else 'measurements do'} not fit the others.")
-    if FindingKind.MANY_OUTLIERS in kinds:
-        remarks.append("Many measurements do not fit the others.")
-    if not e.findings:
-        remarks.append("Nothing suspicious.")
-    return " ".join([determined, fits, *remarks])
+    closures, outliers = kinds.count(FindingKind.WRONG_CLOSURE), kinds.count(FindingKind.OUTLIER)
+    remarks = {
+        "This is a local minimum.": FindingKind.LOCAL_MINIMUM in kinds,
+        "A calibration is off.": FindingKind.CALIBRATION in kinds,
+        f"{closures} loop {'closure is' if closures == 1 else 'closures are'} probably wrong.": closures,
+        f"{outliers} {'measurement does' if outliers == 1 else 'measurements do'} not fit the others.": outliers,
+        "Many measurements do not fit the others.": FindingKind.MANY_OUTLIERS in kinds,
+        "Nothing suspicious.": not kinds,
+    }
+    return " ".join([determined, fits, *(remark for remark, due in remarks.items() if due)])
 
 
 def report(e: Explanation, shell: bool = False) -> str:
     """Everything in words, as a terminal shows it; advice for Python, or for the command line."""
-    lines = [e.summary, ""]
-    for first, findings in together(e.findings[:SHOWN]):
-        lines += [f"{first + k}. {_stopped(sentence(finding))}" for k, finding in enumerate(findings)]
+    lines, shown = [e.summary, ""], 12
+    for first, findings in together(e.findings[:shown]):
+        lines += [f"{k}. {f.says}{'' if f.says.endswith(('.', '?')) else '.'}" for k, f in enumerate(findings, first)]
         about = f"{first} to {first + len(findings) - 1}: " if len(findings) > 1 else ""
         lines += [f"   -> {about}{words}" for words in listed(findings[0].advice, shell)]
-    if (more := len(e.findings) - SHOWN) > 0:
+    if (more := len(e.findings) - shown) > 0:
         lines.append(f"and {more} more findings")
     lines += [""] if e.findings else []
     parts = f"{len(e.components)} parts" if len(e.components) != 1 else "one part"
-    lines.append(
-        f"graph       {e.variables:,} variables in {parts}, {e.measurements:,} measurements ({e.rows:,} numbers); "
-        f"gauge: {e.gauge}"
-    )
-    lines.append(
-        f"rank        {'at most ' if e.capped else ''}{e.rank:,} of {e.unknowns:,} unknowns"
-        + (f", {'at least ' if e.capped else ''}{e.nullity} free" if e.nullity else "")
-    )
+    size = f"{e.variables:,} variables in {parts}, {e.measurements:,} measurements ({e.rows:,} numbers)"
+    free = f", {'at least ' if e.capped else ''}{e.nullity} free" if e.nullity else ""
+    lines += [
+        f"graph       {size}; gauge: {e.gauge}",
+        f"rank        {'at most ' if e.capped else ''}{e.rank:,} of {e.unknowns:,} unknowns{free}",
+    ]
     if e.dof > 0:
         within = f"{number(e.low)} to {number(e.high)} in 95 % of all cases"
-        lines.append(
-            f"chi2        {number(e.chi2)}, {e.dof:,} expected ({within})" + (", without kernels" if e.robust else "")
-        )
+        kernels = ", without kernels" if e.robust else ""
+        lines.append(f"chi2        {number(e.chi2)}, {e.dof:,} expected ({within}){kernels}")
     if e.chi2_without is not None:
-        lines.append(
-            f"            {number(e.chi2_without[0])} without the suspects, {number(e.chi2_without[1])} expected"
-        )
+        chi2, dof = map(number, e.chi2_without)
+        lines.append(f"            {chi2} without the suspects, {dof} expected")
     if e.parts:
         lines += ["", f"{'kind':28s} {'measured':>8s} {'chi2':>10s} {'expected':>10s}   95 %"]
         lines += [_row(part) for part in e.parts]
@@ -372,20 +327,10 @@ def report(e: Explanation, shell: bool = False) -> str:
 
 def together(findings: Sequence[Finding]) -> list[tuple[int, list[Finding]]]:
     """Findings that follow each other and have the same advice, together; with the number of the first, from 1."""
-    groups: list[tuple[int, list[Finding]]] = []
-    for count, finding in enumerate(findings, 1):
-        if groups and groups[-1][1][0].advice == finding.advice:
-            groups[-1][1].append(finding)
-        else:
-            groups.append((count, [finding]))
-    return groups
+    groups = [list(alike) for _, alike in groupby(findings, key=lambda finding: finding.advice)]
+    return [(end - len(alike) + 1, alike) for end, alike in zip(accumulate(map(len, groups)), groups, strict=True)]
 
 
 def _row(part: Part) -> str:
     within = f"{number(part.low)} - {number(part.high)}" if part.expected > 1e-6 else "-"
     return f"{part.name:28s} {part.measurements:8,d} {number(part.chi2):>10s} {number(part.expected):>10s}   {within}"
-
-
-def _stopped(text: str) -> str:
-    """With a full stop; names of variables keep their small letter."""
-    return text if text.endswith((".", "?")) else f"{text}."

@@ -79,7 +79,7 @@ def annotate(axes: Sequence[Axes], chi2: float, result: Result, times: float, ti
     times : by how much the map before is drawn smaller.
     title : of the figure; none where it is empty.
     """
-    from nls.explanation.findings import number
+    from models.listing import number
     from nls.plot.convergence import convergence
 
     left, middle, right = axes

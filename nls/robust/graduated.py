@@ -152,15 +152,11 @@ class Robustified:
 
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected, how many by chance, doubts, unverified groups, and the first rejected ones."""
-        from nls.explanation.rejections import left, rejections, unverified
+        from nls.explanation.doubts import of_choice, unverified
 
-        lines = [rejections(len(self.rejected), self.doubted, self.expected_by_chance, self.probability, self.sigma0)]
-        if self.left:
-            names, count = [x.variable for x in self.left], sum(x.measurements for x in self.left)
-            lines.append(left(names, count))
+        lines = [finding.says for finding in of_choice(self)]
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
-        for g in self.unverified:
-            lines.append(f"accepted, not verified: {unverified(g.names, g.redundancy, g.meters, g.sigmas)}")
+        lines += [unverified(group).says for group in self.unverified]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + ([f"  and {len(self.rejected) - most} more"] if len(self.rejected) > most else [])
 

@@ -6,13 +6,14 @@ Every kind of doubt, its sentence, its bound and what decides it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from math import exp, gamma, log, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from models.algebra import Mask
+from models.findings import Numbered, Sentences, register
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Fit, Result
@@ -40,29 +41,52 @@ AWAY = 0.01  # part of the extent by which the map of another choice is away, at
 LARGEST = 700.0  # exponent of a float
 
 
-class DoubtKind(Enum):
-    """Why an estimate is doubtful; the value is the sentence."""
+class DoubtKind(StrEnum):
+    """Why an estimate is doubtful."""
 
-    FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
-    DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
-    CONTRADICTED = "{count} of {total} kept closures contradict the others: without them the map moves {percent:.2g} %"
-    UNCHECKED = "a wrong closure would pass with a probability of {percent:.2g} %: too little checks the closures"
-    ALONE = (
+    FEW_KEPT = "FEW_KEPT"
+    DEAD_RECKONING = "DEAD_RECKONING"
+    CONTRADICTED = "CONTRADICTED"
+    UNCHECKED = "UNCHECKED"
+    ALONE = "ALONE"
+    RIVAL = "RIVAL"
+    WEAK = "WEAK"
+    STRAINED = "STRAINED"
+    UNEXPLAINED = "UNEXPLAINED"
+    SIGMAS = "SIGMAS"
+
+
+APART = "{meters:.3g} m ({fraction!p:.2g} % of its extent) and {radians:.2g} rad"
+SENTENCES: Sentences = {
+    DoubtKind.FEW_KEPT: "{count} of {total} doubted measurements were kept, less than half",
+    DoubtKind.DEAD_RECKONING: "the kept closures span {count} of the {total} odometry steps that all closures span",
+    DoubtKind.CONTRADICTED: (
+        "{count} of {total} kept closures contradict the others: without them the map moves {fraction!p:.2g} %"
+    ),
+    DoubtKind.UNCHECKED: (
+        "a wrong closure would pass with a probability of {fraction!p:.2g} %: too little checks the closures"
+    ),
+    DoubtKind.ALONE: (
         "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
-        " and without them the map moves {percent:.2g} %"
-    )
-    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {apart} away"
-    WEAK = (
-        "{count} of {total} kept closures are wrong with odds of {number:.2g} to 1: without them the map is {apart}"
-        " away, {sigmas:.2g} of its sigmas"
-    )
-    STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
-    UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
-    SIGMAS = "most neighboring closures differ by {number:.3g} sigmas: these are too small, or most are wrong"
+        " and without them the map moves {fraction!p:.2g} %"
+    ),
+    DoubtKind.RIVAL: (
+        "another choice fits about as well, its cost {number:+.2g} rejections, and its map is " + APART + " away"
+    ),
+    DoubtKind.WEAK: (
+        "{count} of {total} kept closures are wrong with odds of {number:.2g} to 1: without them the map is "
+        + APART
+        + " away, {sigmas:.2g} of its sigmas"
+    ),
+    DoubtKind.STRAINED: "the noise of the map is {number:.3g} times that between neighboring closures",
+    DoubtKind.UNEXPLAINED: "chi2 of the kept measurements is {number:.3g} times its degrees of freedom",
+    DoubtKind.SIGMAS: "most neighboring closures differ by {number:.3g} sigmas: these are too small, or most are wrong",
+}
+register(__name__, *DoubtKind)
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Doubt(Numbered):
     """One reason for doubt, and its numbers.
 
     Attributes
@@ -84,10 +108,14 @@ class Doubt:
     radians: float = float("nan")
     sigmas: float = float("nan")
 
+    def record(self) -> dict[str, Any]:
+        """The doubt for programs, and in words; `fraction` is ``part``."""
+        record = super().record()
+        part = record.pop("fraction")
+        return record | {"part": part}
+
     def __str__(self) -> str:
-        percent = 100 * self.fraction
-        apart = f"{self.meters:.3g} m ({percent:.2g} % of its extent) and {self.radians:.2g} rad"
-        return self.kind.value.format(**vars(self), percent=percent, apart=apart)
+        return self.says
 
 
 def doubts(result: Result, inlier_count: int, doubted: int, probability: float, tried: bool = False) -> list[Doubt]:

@@ -1,7 +1,8 @@
 """Closures and maps of scans under their public path; the rooms are `nls.missions.scans` and `nls.missions.checks`."""
 
+from nls.missions.checks.findings import SetupFinding, SetupKind
 from nls.missions.checks.scan_mounting import Mounting, mounting
-from nls.missions.checks.scan_setup import SetupFinding, SetupKind, check_setup
+from nls.missions.checks.scan_setup import check_setup
 from nls.missions.scans import (
     Closing,
     Drift,

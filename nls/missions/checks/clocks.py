@@ -16,26 +16,23 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Array, Mask
-from nls.missions.checks.alone import AIR, DAY, PRESSURES, WEATHER
+from nls.missions.checks.alone import DAY, air_in
 from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.folder.table import Table
 
-__all__ = ["of_clocks"]
 TRACK = ("dvl", "ahrs", "depth", "pressure", "gyro", "path")
-LOOSE = ("fixes", "ranges", "usbl", "contacts", "ship")
-UNITS, LIKE = (1e3, 1e6, 1e9, 1e-3, 1 / DAY), 0.05  # of a time in seconds, and how near a ratio of spans is to one
-PERIODS = (7 * DAY, DAY, 3600.0, 1800.0)  # of a clock of another zone, s
+TIMED = (*TRACK, "fixes", "ranges", "usbl", "contacts", "ship")
 LEAPS = (18.0, 37.0, 19.0)  # s: GPS - UTC, TAI - UTC, TAI - GPS
-SAME, MOST = 2.0, 3.0  # rows and s by which two clocks may differ
-SWITCHED, ALIKE = 15.0, 0.15  # s between sensors switched on one after the other; part by which two shifts differ
-COVERED = 0.9  # of the shorter one of two spans
-WET, DRY = 2.0, 1.0  # m below the shallowest depth: where no satellite is seen, and at the surface
-FEWEST, DEEP = 3, 0.2  # fixes; part of a dive that is below the surface
+SAME_CLOCK = 3.0  # s by which two clocks may differ
 
 
-def of_clocks(tables: dict[str, Table]) -> list[Implausible]:
+def clocks_by_spans(tables: dict[str, Table]) -> list[Implausible]:
     """Tables whose clock is off, and a depth that has the pressure of the air; lines are rows of the table."""
-    timed = [name for name in (*TRACK, *LOOSE) if name in tables and tables[name].has("time_s")]
+    timed = [
+        name
+        for name in (*TRACK, "fixes", "ranges", "usbl", "contacts", "ship")
+        if name in tables and tables[name].has("time_s")
+    ]
     times = {name: tables[name].floats("time_s")[:, 0] for name in timed}
     track = np.array([[t.min(), t.max()] for name, t in times.items() if name in TRACK])
     if not len(track):
@@ -62,18 +59,17 @@ def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
     """Times (n,) that have another unit than the track, or another zone."""
     own, length = np.array([t.min(), t.max()]), max(float(span[1] - span[0]), 1e-9)
     ratio = float(np.ptp(own)) / length
-    if factor := next((f for f in UNITS if abs(ratio / f - 1) < LIKE), None):
-        yield Implausible("span", file, 0, "time_s", ratio, 1.0, "", (Reading(Cause.UNIT, file, "time_s", factor),))
+    if factor := next((f for f in (1e3, 1e6, 1e9, 1e-3, 1 / DAY) if abs(ratio / f - 1) < 0.05), None):
+        yield Implausible.of("span", ratio, 1.0, "", Reading(Cause.UNIT, file, "time_s", factor))
         return
-    if own[0] < span[1] and own[1] > span[0] and np.abs(np.diff(own - span)) > MOST:
+    if own[0] < span[1] and own[1] > span[0] and np.abs(np.diff(own - span)) > SAME_CLOCK:
         return
-    for period in PERIODS:
+    for period in (7 * DAY, DAY, 3600.0, 1800.0):  # between clocks of two zones
         late = float(np.round(np.mean(own - span) / period) * period)
         overlap = min(own[1] - late, span[1]) - max(own[0] - late, span[0])
-        apart = np.abs(own - span - late).max() < MOST or own[0] > span[1] or own[1] < span[0]
-        if late and apart and overlap >= COVERED * min(np.ptp(own), length):
-            reading = Reading(Cause.ZONE, file, "time_s", late)
-            yield Implausible("late", file, 0, "time_s", float(own[0] - span[0]), 0.0, "s", (reading,))
+        apart = np.abs(own - span - late).max() < SAME_CLOCK or own[0] > span[1] or own[1] < span[0]
+        if late and apart and overlap >= 0.9 * min(np.ptp(own), length):
+            yield Implausible.of("late", own[0] - span[0], 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
             return
 
 
@@ -82,38 +78,41 @@ def _shifted(file: str, t: Array, span: Array) -> Iterator[Implausible]:
     apart = np.array([t.min(), t.max()]) - span
     leaps = (s * leap for leap in LEAPS for s in (1, -1) if np.abs(apart - s * leap).max() <= np.ptp(apart))
     late = next(leaps, float(apart.mean()))
-    if abs(late) > SWITCHED and np.ptp(apart) <= ALIKE * abs(late):
-        yield Implausible("late", file, 0, "time_s", late, 0.0, "s", (Reading(Cause.ZONE, file, "time_s", late),))
+    if abs(late) > 15.0 and np.ptp(apart) <= 0.15 * abs(late):  # less: sensors switched on one after the other
+        yield Implausible.of("late", late, 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
 
 
 def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterator[Implausible]:
     """Fixes that are under water at their times (n,), and at the surface earlier or later; or all of them at 10 m."""
-    top = float(z.min())
+    top, few, wet_from, dry_to = float(z.min()), 3, 2.0, 1.0  # m below it: no satellite is seen; it is the surface
 
     def deep(late: float) -> tuple[Mask, Array]:
         inside = (t - late >= t_z[0]) & (t - late <= t_z[-1])
         return inside, np.interp(t - late, t_z, z) - top
 
     inside, depth = deep(0.0)
-    unit = next((unit for unit in PRESSURES if abs(top / (unit * AIR) - 1) < WEATHER), None)
-    if unit and inside.sum() >= FEWEST and (depth[inside] < DRY * unit).all() and (z - top > WET * unit).mean() > DEEP:
-        reading = Reading(Cause.PRESSURE, file, "z_m", unit)
-        yield Implausible("surface", file, 0, "z_m", top, DRY, "m", (reading,))
-    wet = inside & (depth > WET)
+    unit = air_in(top)
+    if (
+        unit
+        and inside.sum() >= few
+        and (depth[inside] < dry_to * unit).all()
+        and (z - top > wet_from * unit).mean() > 0.2
+    ):
+        yield Implausible.of("surface", top, dry_to, "m", Reading(Cause.PRESSURE, file, "z_m", unit))
+    wet = inside & (depth > wet_from)
     own = np.array([t.min(), t.max()]) - span
     step = float(np.median(np.diff(np.sort(t)))) if len(t) > 1 else 0.0
-    lags = [*LEAPS, *(-leap for leap in LEAPS)] + [float(own.mean())] * bool(np.ptp(own) <= min(SAME * step, MOST))
+    lags = [*LEAPS, *(-leap for leap in LEAPS)] + [float(own.mean())] * bool(np.ptp(own) <= min(2 * step, SAME_CLOCK))
     rows = {}
     for late in lags:
         shifted, below = deep(late)
-        dry = shifted & (below < DRY)
-        enough = dry.sum() >= max(FEWEST, inside.sum()) or (dry.sum() >= FEWEST and 2 * wet.sum() >= inside.sum())
+        dry = shifted & (below < dry_to)
+        enough = dry.sum() >= max(few, inside.sum()) or (dry.sum() >= few and 2 * wet.sum() >= inside.sum())
         if enough and not (shifted & ~dry).any():
             rows[late] = int(dry.sum())
-    if wet.sum() >= FEWEST and rows:
+    if wet.sum() >= few and rows:
         late = max(rows, key=lambda late: (rows[late], -abs(late)))
         at = np.flatnonzero(wet)
-        of_depth = np.abs(np.array([t_z.min(), t_z.max()]) - span + late).max() < MOST  # it is that clock
+        of_depth = np.abs(np.array([t_z.min(), t_z.max()]) - span + late).max() < SAME_CLOCK  # it is that clock
         reading = Reading(Cause.ZONE, *((file, "time_s", -late) if of_depth else ("fixes.csv", "time_s", late)))
-        row = 0 if of_depth else int(at[0])
-        yield Implausible("under water", reading.file, row, "time_s", float(len(at)), 0.0, "", (reading,))
+        yield Implausible.of("under water", len(at), 0.0, "", reading, row=0 if of_depth else at[0])

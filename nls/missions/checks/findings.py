@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from models.finite import finite_or_none
-
-__all__ = ["Cause", "Implausible", "Reading", "TableError"]
+from models.findings import Numbered, Stated, register
+from nls.explanation.findings import FindingKind
 
 
 class Cause(StrEnum):
@@ -52,15 +52,10 @@ class Reading:
     factor: float = 1.0
     offset: float = 0.0
 
-
-class Numbered:
-    """A finding as numbers."""
-
     @property
-    def numbers(self) -> dict[str, Any]:
-        """Fields by name; a cause by its identifier."""
-        plain: dict[str, Any] = finite_or_none(asdict(self))  # type: ignore[call-overload]
-        return plain
+    def columns(self) -> list[str]:
+        """Columns by name."""
+        return self.column.split(", ")
 
 
 @dataclass(frozen=True)
@@ -86,11 +81,16 @@ class Implausible(Numbered):
     unit: str
     readings: tuple[Reading, ...]
     lines: tuple[int, ...] = ()
+    kind = FindingKind.IMPLAUSIBLE
 
-    @property
-    def place(self) -> str:
-        """``dvl.csv:2``."""
-        return f"{self.file}:{self.line}"
+    @classmethod
+    def of(
+        cls, check: str, measured: float, limit: float, unit: str, *readings: Reading, row: Any = 0, lines: Any = ()
+    ) -> Implausible:
+        """A finding about the file and column of its first reading, at a row, or all of some, of the table."""
+        first, at = readings[0], tuple(map(int, lines))
+        row = at[0] if at else int(row)
+        return cls(check, first.file, row, first.columns[0], float(measured), float(limit), unit, readings, at)
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,7 @@ class Explained(Numbered):
     chi2: float
     dof: int
     trials: tuple[Trial, ...]
+    kind = FindingKind.IMPLAUSIBLE
 
 
 @dataclass(frozen=True)
@@ -150,3 +151,41 @@ class TableError:
     fall: float = 0.0
     evident: bool = False
     hidden: bool = False
+
+
+class SetupKind(StrEnum):
+    """A wrong setup, the identifier that programs get."""
+
+    UNREPEATED = "unrepeated"
+    MIRRORED = "mirrored"
+    MOUNTING = "mounting"
+    TURNED = "turned"
+    TIME_OFFSET = "time_offset"
+    SIGMAS_TOO_LARGE = "sigmas_too_large"
+    SIGMAS_TOO_SMALL = "sigmas_too_small"
+
+
+register("nls.missions.checks.words", FindingKind.IMPLAUSIBLE, *SetupKind)
+
+
+@dataclass(frozen=True)
+class SetupFinding(Stated):
+    """A wrong setup.
+
+    Attributes
+    ----------
+    kind : of it.
+    numbers : by name, m, rad and s.
+
+        - ``unrepeated``: `scans` that were matched with those just before them, and how many of these `fit`.
+        - ``mirrored``: steps that turn and fit better as `given`, and `mirrored`.
+        - ``mounting``: `component` x, y or yaw, its `value` and `sigma` from the assumed one, and the `mount` (3,) that
+          follows.
+        - ``turned``: `value` and `sigma` of the yaw that is missing if nothing drifts sideways, and `mount`.
+        - ``time_offset``: `value`, by which the stamps of the scans are late, and `sigma`.
+        - ``sigmas_too_large``, ``sigmas_too_small``: `measurements` steps, drifts or closures, `chi2`, `dof`, `scale`
+          on the stated sigmas.
+    """
+
+    kind: SetupKind
+    numbers: Mapping[str, Any]

@@ -28,23 +28,21 @@ from factors import BetweenSensors, Cauchy, Covariance, Diagonal, Isotropic, Pri
 from factors.base import Factor
 from factors.keys import Keys, kinds
 from models import SE2, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 from nls.analysis.clock import central_differences
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.checks.scan_neighbors import neighbors
+from nls.missions.scans.field import Field
+from nls.missions.scans.matches import ACCEPTED, Fits, verdicts
+from nls.missions.scans.matching import match
 from nls.missions.scans.scans import Scans
 from nls.values import Values
 
-__all__ = ["COMPONENTS", "Mounting", "corrected", "lateral_drift", "mounting"]
-
 PRIOR = (2.0, 2.0, float(np.radians(10.0)), 10.0)  # sigmas of x, y, m, yaw, rad, and time, s, before the scans
 COMPONENTS = ("x", "y", "yaw", "time")
-LEFT = 0.9  # share of the sigma before that is left, above which a component is not determined
 SIGMAS = 3.0  # from the assumed value, above which a component is wrong, where it is by as much as LIMITS
 LIMITS = (0.5, 0.5, float(np.radians(3.0)), 0.5)  # m, rad, s: 1 m costs 0.3 m of a map, 1 s all of it
-KERNEL = 2.0  # sigmas: some matches of single scans are wrong
 x, m, mount, clock = kinds("x", "m", "scans_mount", "scans_clock_s")
 
 
@@ -77,8 +75,8 @@ class Mounting:
 
     @property
     def determined(self) -> npt.NDArray[np.bool_]:
-        """(4,) whether the scans say more than was known before."""
-        return np.asarray(self.share <= LEFT)
+        """(4,) whether the scans leave less than 0.9 of the sigma before."""
+        return np.asarray(self.share <= 0.9)
 
     @property
     def wrong(self) -> npt.NDArray[np.bool_]:
@@ -112,7 +110,7 @@ def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayL
     start.add(mount, SE2, np.zeros((1, 3)))
     factors: list[Factor] = [*graph.factors, Prior(mount[0], np.zeros((1, 3)), Diagonal(list(PRIOR[:3])))]
     if len(steps):
-        noise = Robust(Covariance(steps.covariance), Cauchy(KERNEL))
+        noise = Robust(Covariance(steps.covariance), Cauchy(2.0))  # some matches of single scans are wrong
         shown: Factor = BetweenSensors(x[steps.i], x[steps.j], steps.pose, noise, mount[0])
         if stamps is not None:
             w = central_differences(SE2, poses, stamps)
@@ -186,3 +184,54 @@ def _checked(times: npt.ArrayLike, count: int) -> Array:
     if t.shape != (count,) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise GraphError(f"times: shape {t.shape}; expected one rising number for each of {count} keyframes, s")
     return t
+
+
+@dataclass(frozen=True)
+class Neighbors:
+    """Steps as the scans show them.
+
+    Attributes
+    ----------
+    i, j : (n,) keyframes of a step.
+    pose : (n, 3) of j in the frame of i, x, y, m, and yaw, rad; of vehicle frames that belong to the assumed mounting.
+    covariance : (n, 3, 3) in the frame of j.
+    """
+
+    i: Index
+    j: Index
+    pose: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+
+def neighbors(poses: Array, scans: Scans) -> Neighbors:
+    """Matched scans of consecutive keyframes, from poses (count, 3); those that are ambiguous are left out."""
+    i, window = _chosen(*turns(poses, scans)), (2.0, 0.35)  # m, rad: a clock that is 3 s late at 7 deg/s
+    fits = match_steps(poses, scans, i, window)
+    good = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, np.full(len(i), window[0])) == ACCEPTED
+    covariance = 2 * fits.covariance[good]  # a scan is in two matches
+    return Neighbors(i[good], i[good] + 1, fits.pose[good], covariance)
+
+
+def turns(poses: Array, scans: Scans) -> tuple[Index, Array]:
+    """Keyframes i (n,) whose scan and the next one have 30 points, and the turns (n,) to i + 1, rad, 0 or above."""
+    enough = np.diff(scans.starts) >= 30
+    i = np.flatnonzero(enough[:-1] & enough[1:])
+    return i, np.abs(SE2.between(poses[i], poses[i + 1])[:, 2])
+
+
+def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> Fits:
+    """Scans of keyframes i + 1 matched with those of keyframes i (n,), around the steps of poses (count, 3)."""
+    S = SE2.between(poses[i], poses[i + 1])
+    return Fits.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in zip(i.tolist(), S, strict=True)])
+
+
+def _chosen(i: Index, turn: Array, half: int = 200) -> Index:
+    """Of steps i (n,) half with the largest turns (n,), which show a lever arm and a late clock, half of the rest."""
+    if len(i) <= 2 * half:
+        return i
+    order = np.argsort(-turn, kind="stable")
+    rest = np.sort(order[half:])
+    return np.sort(i[np.append(order[:half], rest[np.linspace(0, len(rest) - 1, half).astype(np.intp)])])

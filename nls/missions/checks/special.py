@@ -3,7 +3,7 @@ r"""Numbers that stand for none, as -32768, 9999, or 0 and 0 of a fix; and senso
 A number s of a column y is special where it is one that loggers write for none, in any unit, and is far from the rows
 around it:
 
-    |s - y_before|, |s - y_after| > JUMP max(q(|step|), |y_after - y_before|)
+    |s - y_before|, |s - y_after| > 4 max(q(|step|), |y_after - y_before|)
 
 with a quantile q of the steps between other rows; or where s is beyond all others by their range. Vehicles have 0, too:
 it is special between two rows only.
@@ -16,34 +16,43 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Array, Index, Mask, wrap
-from nls.missions.checks.alone import FASTEST
+from nls.missions.checks.alone import FASTEST, roughness
 from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.log import Fixes, Log
 from nls.missions.folder.columns import ANGLES, GEODETIC, VELOCITY
 from nls.missions.folder.dvl import bottom_lock
 from nls.missions.folder.table import Table
 
-__all__ = ["meant", "repeated", "special_values", "stale", "without"]
-NINES, WHOLE = (999, 9999, 99999, 999999, 9999999), (32767, 32768, 65535, 2147483647, 2147483648)
-NUMBERS = np.array([*NINES, *WHOLE], dtype=float)  # that loggers write for none, of either sign
+WHOLE = (2**15 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31)
+NUMBERS = np.array([999, 9999, 99999, 999999, 9999999, *WHOLE], dtype=float)  # for none, of either sign
 UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
-JUMP, USUAL = 4.0, 0.95  # usual steps, and the quantile of the steps that is one
-LEAST = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1e4}  # a jump, by the end of a name
+JUMPS = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1e4}  # the least, by the end of a name
 SINGLE = ("z_m", "pressure_pa", "range_m", "travel_time_s", "azimuth_rad", "bearing_rad", "elevation_rad")
 RATES = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 GROUPS = (VELOCITY, RATES, ANGLES, ("x_m", "y_m"), GEODETIC, *((name,) for name in SINGLE))  # measured together
-TABLES = ("dvl", "ahrs", "gyro", "depth", "pressure", "fixes", "path", "zpr", "odometry", "ranges", "usbl", "contacts")
-LARGEST = 1e12
+TABLES = [
+    "dvl",
+    "ahrs",
+    "gyro",
+    "depth",
+    "pressure",
+    "fixes",
+    "path",
+    "zpr",
+    "odometry",
+    "ranges",
+    "usbl",
+    "contacts",
+    "ship",
+]
 POSITIVE = ("range_m", "travel_time_s")
-OFTEN = 3  # rows with the largest range of all, or of one fix
-SLOW, CLEAR = 0.05, 5.0  # m/s of a vehicle that moves; sigmas that it has gone
-QUIET = 10.0  # part of the stated scatter that a sensor has at least
-MANY, LONG = 15, 5.0  # rows, and s, of one number
+OFTEN, MANY = 3, 15  # rows of one number: of a fix or of the largest range, of a sensor
+SLOW = 0.05  # m/s of a vehicle that moves
 
 
 def special_values(tables: dict[str, Table]) -> list[Implausible]:
     """Numbers that stand for none, by table, columns and number; lines are rows of the table."""
-    return [entry for name in (*TABLES, "ship") if name in tables for entry in _of_table(name, tables[name])]
+    return [entry for name in TABLES if name in tables for entry in _of_table(name, tables[name])]
 
 
 def without(tables: dict[str, Table], findings: list[Implausible]) -> dict[str, Table]:
@@ -59,9 +68,10 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
     measured: Mask = bottom_lock(table, []) if name == "dvl" else np.ones(len(table), dtype=bool)
     for group in GROUPS:
         columns = [column for column in group if table.has(column)]
-        if not columns or not np.abs(y := table.floats(*columns)).max() < LARGEST:
+        if not columns or not np.abs(y := table.floats(*columns)).max() < 1e12:
             continue  # a larger number is refused by the reader
-        listed = np.column_stack([_listed(y[:, k], column) for k, column in enumerate(columns)]) & measured[:, None]
+        listed = np.column_stack([_listed(y_k, column) for column, y_k in zip(columns, y.T, strict=True)])
+        listed &= measured[:, None]
         none = listed.any(axis=1)
         zero: Mask = (
             (y == 0).all(axis=1) & measured & np.array((len(columns) > 1 or group == ("z_m",)) and name != "odometry")
@@ -75,7 +85,7 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
                 if far.any():
                     here = [column for column, y_k in zip(columns, y.T, strict=True) if (y_k[far] == value).any()]
                     reading = Reading(cause, f"{name}.csv", ", ".join(here), float(value))
-                    yield _named("special value", reading, np.flatnonzero(far), float(value))
+                    yield Implausible.of("special value", value, 0.0, "", reading, lines=np.flatnonzero(far))
 
 
 def _listed(y: Array, column: str) -> Mask:
@@ -112,10 +122,10 @@ def _far(y: Array, rows: Mask, others: Mask, columns: list[str], zero: bool) -> 
     place = np.searchsorted(known, index)
     before, after = known[np.maximum(place - 1, 0)], known[np.minimum(place, len(known) - 1)]
     step = _between(y[known[1:]], y[known[:-1]], columns)[np.diff(known) == 1]
-    usual = np.quantile(step, USUAL, axis=0) if len(step) else np.zeros(len(columns))
-    least = [next((least for end, least in LEAST.items() if name.endswith(end)), 0.0) for name in columns]
+    usual = np.quantile(step, 0.95, axis=0) if len(step) else np.zeros(len(columns))
+    least = [next((jump for end, jump in JUMPS.items() if name.endswith(end)), 0.0) for name in columns]
     jump = np.minimum(_between(y, y[before], columns), _between(y, y[after], columns))
-    far = (jump > JUMP * np.maximum(usual, _between(y[after], y[before], columns))) & (jump > least)
+    far = (jump > 4.0 * np.maximum(usual, _between(y[after], y[before], columns))) & (jump > least)
     if not zero or columns[0] in GEODETIC:
         low, high = y[known].min(axis=0), y[known].max(axis=0)
         return np.asarray(rows & (far | (np.maximum(low - y, y - high) > np.maximum(high - low, least))).any(axis=1))
@@ -127,12 +137,6 @@ def _far(y: Array, rows: Mask, others: Mask, columns: list[str], zero: bool) -> 
 def _between(a: Array, b: Array, columns: list[str]) -> Array:
     """Distances (n, k) of numbers of columns; of angles the shorter way around."""
     return np.abs(wrap(a - b) if columns[0].endswith("_rad") else a - b)
-
-
-def _named(check: str, reading: Reading, rows: Index, measured: float, unit: str = "") -> Implausible:
-    """A finding about rows (k,) that are to be left out."""
-    at, column = tuple(rows.tolist()), reading.column.split(", ")[0]
-    return Implausible(check, reading.file, at[0], column, measured, 0.0, unit, (reading,), at)
 
 
 def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None) -> list[Implausible]:
@@ -156,7 +160,7 @@ def stale(log: Log | None, fixes: Fixes | None, path: tuple[Array, Array] | None
             stuck = _stuck(t, y, log.sigmas[sigma])
             if (stuck & (np.interp(t, log.t_v[rows], speed) > SLOW)).any():
                 reading, seconds = Reading(Cause.STALE, file, ", ".join(columns)), float(np.ptp(t[stuck]))
-                out.append(_named("repeated", reading, places[stuck], seconds, "s"))
+                out.append(Implausible.of("repeated", seconds, 0.0, "s", reading, lines=places[stuck]))
     return out
 
 
@@ -174,7 +178,7 @@ def repeated(tables: dict[str, Table]) -> Iterator[Implausible]:
         same = _held(t, y, often)
         if same.any() and len(np.unique(y[~same, 0])) > max(len(y) - same.sum(), MANY) / 2:
             reading = Reading(Cause.STALE, f"{name}.csv", ", ".join(columns))
-            yield _named("repeated", reading, np.flatnonzero(same), float(np.ptp(t[same])), "s")
+            yield Implausible.of("repeated", np.ptp(t[same]), 0.0, "s", reading, lines=np.flatnonzero(same))
 
 
 def _runs(y: Array) -> tuple[Index, Index]:
@@ -186,16 +190,15 @@ def _runs(y: Array) -> tuple[Index, Index]:
 
 def _repeats(first: Index, last: Index, count: int) -> Mask:
     """Which of the rows (count,) repeat the first one of a run."""
-    out = np.zeros(count, dtype=bool)
-    for begin, end in zip(first, last, strict=True):
-        out[begin + 1 : end + 1] = True
-    return out
+    edges = np.zeros(count + 1, dtype=int)
+    edges[first + 1], edges[last + 1] = 1, -1
+    return np.cumsum(edges[:-1]) > 0
 
 
 def _held(t: Array, y: Array, often: int) -> Mask:
     """Which rows of y (n, d) at times (n,) repeat one that so many others do, for long."""
     first, last = _runs(y)
-    many = (last - first >= often) & (t[last] - t[first] >= LONG)
+    many = (last - first >= often) & (t[last] - t[first] >= 5.0)
     return _repeats(first[many], last[many], len(y))
 
 
@@ -208,17 +211,16 @@ def _of_fixes(fixes: Fixes, path: tuple[Array, Array] | None) -> Iterator[Implau
     else:
         d = [np.column_stack([np.interp(fixes.t[k], path[0], c) for c in path[1][:, :2].T]) for k in (first, last)]
         moved, dt, limit = np.linalg.norm(d[1] - d[0], axis=1), fixes.t[last] - fixes.t[first], SLOW
-    old = (last - first >= OFTEN - 1) & (moved > CLEAR * fixes.sigma[first]) & (moved > limit * dt)
+    old = (last - first >= OFTEN - 1) & (moved > 5.0 * fixes.sigma[first]) & (moved > limit * dt)
     if old.any():
         rows = np.sort(fixes.rows[_repeats(first[old], last[old], len(fixes.t))])
-        yield _named(
-            "stale", Reading(Cause.STALE, "fixes.csv", ", ".join(fixes.columns)), rows, float(moved[old].max()), "m"
-        )
+        reading = Reading(Cause.STALE, "fixes.csv", ", ".join(fixes.columns))
+        yield Implausible.of("stale", moved[old].max(), 0.0, "m", reading, lines=rows)
 
 
 def _stuck(t: Array, y: Array, sigma: float) -> Mask:
     """Many equal rows (n,) of a sensor y (n, d) whose others scatter as stated, and hardly ever are the same."""
     stuck = _held(t, y, MANY)
     others = y[~stuck, 0]
-    rough = len(others) > MANY and 1.4826 * np.median(np.abs(np.diff(others, 3))) / np.sqrt(20.0) > sigma / QUIET
+    rough = len(others) > MANY and roughness(others) > sigma / 10.0
     return stuck & bool(rough and len(np.unique(others)) > len(others) / 2)

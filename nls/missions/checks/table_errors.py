@@ -24,7 +24,6 @@ from dataclasses import replace
 import numpy as np
 
 from factors import Heading, Position
-from factors.base import Factor
 from factors.shifted import Shifted
 from factors.xyh import HorizontalStep
 from models.algebra import Array, apply
@@ -42,24 +41,12 @@ from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["table_errors"]
 EVIDENT = 25.0  # fall of chi2 per its ratio: a chance of 1e-5 for a dozen errors
 SURE = 2.0  # standard deviations of the root of the fall: 98 of 100 errors of the hidden size are evident
-ROUNDING = 1e-9  # part of an error that rounding shows
-WALK = 1e-3  # part of the weight of a random walk that counts, so that no pose is free
-SAMPLES = 6  # poses, whose positions are compared
-DIRECTIONS = 18  # of an arm or a place, in a quarter turn
-HIDDEN = {  # sizes that matter
-    "heading": 0.2,
-    "depth": 1.0,
-    "zero of the depth": 2.0,
-    "scale": 0.02,
-    "place": 10.0,
-    "clock": 1.0,
-    "arm": 5.0,
-}
-MOST = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond which any is: a turn is not linear
-LARGEST = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # of a reading: beyond, another mistake is likelier
+HIDDEN = {"heading": 0.2, "depth": 1.0, "zero of the depth": 2.0, "scale": 0.02, "place": 10.0}  # sizes that matter
+HIDDEN |= {"clock": 1.0, "arm": 5.0}
+LARGEST_BELOW = {"heading": 1.0, "depth": 1.0, "clock": 3600.0, "arm": 100.0}  # beyond it any is: a turn is not linear
+LARGEST_SIZE = {"clock": 60.0, "drift": 0.1, "arm": 30.0, "scale": 0.3}  # beyond it another mistake is likelier
 ARMS = {"fixes.csv": ("arm_x_m", "arm_y_m"), "dvl.csv": ("x_m", "y_m")}
 
 
@@ -78,9 +65,10 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
     linear = LinearSystem.at(pattern, values)
     files = [file.removesuffix(".gz") for file in report.tables]
     walked = [file.endswith("motion.csv") for file in files]
-    blocks = [tuple(WALK * A for A in of) if walk else of for of, walk in zip(linear.blocks, walked, strict=False)]
+    light = [1e-3 if walk else 1.0 for walk in walked]  # part of the weight of a random walk, so that no pose is free
+    blocks = [tuple(part * A for A in of) for of, part in zip(linear.blocks, light, strict=False)]
     system = LinearSystem(pattern, [*blocks, *linear.blocks[len(blocks) :]], linear.b)
-    sampled = np.linspace(0, len(values.stack("x")) - 1, SAMPLES).astype(int)
+    sampled = np.linspace(0, len(values.stack("x")) - 1, 6).astype(int)
     at = pattern.starts[pattern.offsets["x"] + sampled]
     places = (at[at >= 0, None] + np.arange(3)).ravel()
     errors = _columns(pattern, values, report, files) if len(places) else {}
@@ -99,7 +87,7 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         left, moved = C - system.A @ taken, taken[places]  # by one unit of the error
         M, largest = left.T @ left, float(np.linalg.eigvalsh(C.T @ C).max())
         least = HIDDEN.get(quantity, np.inf)
-        if not np.linalg.eigvalsh(M).min() > ROUNDING * largest:
+        if not np.linalg.eigvalsh(M).min() > 1e-9 * largest:
             checked = quantity == "scale" and not {"gyro.csv", "pressure.csv"} & {*files}  # by the way down
             out.append(TableError(file, quantity, np.inf, hidden=least < np.inf and not checked))
             continue
@@ -109,7 +97,8 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
         ratio = max(1.0, float(chi2 - fall[j]) / max(dof, 1))
         below = float((np.sqrt(EVIDENT) + SURE) * np.sqrt(ratio) / _root_of_fall(M))
         hidden = bool(below > least and below * far.max() > 1)
-        entry = TableError(file, quantity, below if below < MOST.get(quantity, np.inf) else np.inf, hidden=hidden)
+        below = below if below < LARGEST_BELOW.get(quantity, np.inf) else np.inf
+        entry = TableError(file, quantity, below, hidden=hidden)
         if not any(walked) and (reading := _reading(file, quantity, j, float(size[j]), float(times.min()))):
             evident = bool(fall[j] > EVIDENT * ratio and abs(size[j]) * far[j] > 1)
             entry = replace(entry, reading=reading, sigma=float(M[j, j] ** -0.5), fall=float(fall[j]), evident=evident)
@@ -120,7 +109,7 @@ def table_errors(graph: FactorGraph, values: Values, chi2: float, dof: int, repo
 
 def _root_of_fall(M: Array) -> float:
     """The least root of the fall by an error of size 1, of one number or of two whose direction is not known."""
-    angle = np.linspace(0.0, np.pi, 2 * DIRECTIONS if len(M) > 1 else 1)
+    angle = np.linspace(0.0, np.pi, 36 if len(M) > 1 else 1)
     u = np.stack([np.cos(angle), np.sin(angle)][: len(M)])
     return float((np.abs(M @ u) / np.sqrt(np.diag(M))[:, None]).max(axis=0).min())
 
@@ -131,8 +120,7 @@ def _columns(
     """C (m, k) of what may be wrong with a table, by its file and quantity; factors are from files."""
     errors: dict[tuple[str, str], Array] = {}
     t = report.vertex_times.get("x")
-    if t is not None and not (np.diff(t) > 0).all():
-        t = None
+    t = None if t is None or not (np.diff(t) > 0).all() else t
     moving = {} if t is None else _moving(pattern, values, t)
     tags = {tag.removesuffix(".gz") for tag in report.tags}
     for batch, source, file in zip(pattern.batches, report.sources, files, strict=False):
@@ -148,7 +136,7 @@ def _columns(
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
     """What an error of this size is; a clock runs fast since a time."""
     table = file.rpartition("/")[2].removesuffix(".csv")
-    if not abs(size) < LARGEST.get(quantity, np.inf):
+    if not abs(size) < LARGEST_SIZE.get(quantity, np.inf):
         return None
     if quantity == "heading drift":
         return Reading(Cause.DRIFT, file, "yaw_rad", size)
@@ -160,11 +148,11 @@ def _reading(file: str, quantity: str, component: int, size: float, since: float
         return Reading(Cause.ARM, "dvl_mount.csv" if table == "dvl" else file, ARMS[f"{table}.csv"][component], size)
     if quantity == "scale" and table == "depth":
         return Reading(Cause.SCALE, file, "z_m", 1 + size)
-    turned = quantity in ("turn", "heading")
-    name = {"clock": f"{table}_clock_s", "scale": "dvl_scale", "turn": "dvl_yaw_rad", "heading": "declination_rad"}.get(
-        quantity
-    )
-    return Reading(Cause.CALIBRATION, "calibration.csv", name, -size if turned else size) if name else None
+    names = {"clock": f"{table}_clock_s", "scale": "dvl_scale", "turn": "dvl_yaw_rad", "heading": "declination_rad"}
+    if quantity not in names:
+        return None
+    size = -size if quantity in ("turn", "heading") else size
+    return Reading(Cause.CALIBRATION, "calibration.csv", names[quantity], size)
 
 
 def _errors(
@@ -205,7 +193,10 @@ def _errors(
         if np.any(factor.offset):
             yield file, "arm", -W[:, :, :2] @ rotation3(X.X[at, 3:])[:, :2, :2]
     if table in CLOCKED and t is not None and not known:
-        yield from _of_clocks(factor, W, values, moving, t[at], t[0], file)
+        by_kind = rates_by_time(factor, values, moving)
+        yield from _late(file, -apply(W, total(by_kind)), t[at], t[0])
+        if "s" in by_kind:  # the clock of the ship
+            yield from _late("ship.csv", apply(W, by_kind["s"]), t[at], t[0])
 
 
 def _of_legs(W: Array, z: Array, t_i: Array, t_j: Array) -> Iterator[tuple[str, str, Array]]:
@@ -223,16 +214,6 @@ def _late(file: str, late: Array, t: Array, first: float) -> Iterator[tuple[str,
     """Of rows at times (n,) that are late, or run fast since the first pose, with whitened rates (n, m)."""
     yield file, "clock", late[:, :, None]
     yield file, "drift", (late * (t - first)[:, None])[:, :, None]
-
-
-def _of_clocks(
-    factor: Factor, W: Array, values: Values, moving: dict[str, Array], t: Array, first: float, file: str
-) -> Iterator[tuple[str, str, Array]]:
-    """Of fixes, ranges and directions at times (n,): their own clock, and that of the ship; kinds move with twists."""
-    by_kind = rates_by_time(factor, values, moving)
-    yield from _late(file, -apply(W, total(by_kind)), t, first)
-    if "s" in by_kind:
-        yield from _late("ship.csv", apply(W, by_kind["s"]), t, first)
 
 
 def _moving(pattern: Pattern, values: Values, t: Array) -> dict[str, Array]:

@@ -30,8 +30,9 @@ from nls.analysis.calibrations import explains
 from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.missions.checks.alone import ROBUST
 from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
-from nls.missions.checks.readings import Alternative, corrected, readings
+from nls.missions.checks.log import Alternative, corrected, readings
 from nls.missions.determination import LEFT
 from nls.missions.folder.calibration import NAMES, wide
 from nls.missions.folder.columns import COLUMNS, GEODETIC
@@ -45,23 +46,16 @@ from nls.stages import announce
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["explained", "worth_trying"]
-
 Tables = dict[str, Table]
-QUARTER = np.pi / 2
 BEGINS = {  # of a constant, by the end of its name
-    "_rad": (0.0, QUARTER, -QUARTER, np.pi),
+    "_rad": (0.0, np.pi / 2, -np.pi / 2, np.pi),
     "_s": (0.0, 12.0, -12.0),
     "_scale": (0.0,),
 }
-LATER = (Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED)
-MOST = 2000  # rows of a table with which all are tried; those that explain it are solved with all rows
-SOLVED = 6  # of the other readings, those whose dead reckoning fits best
-BRIEF = 8  # iterations of one solution, from a dead reckoning that is near where the reading is right
-ROUNDS, SETTLED = 6, 1e-5  # solutions of one constant, and the part of the prior's sigma by which the last one moves
-ROUGH, WHITE = 1.4, 0.4  # scale of sigmas that are too small; correlation of residuals one after the other
-NORMAL = 1.4826  # standard deviation of normal numbers, over the median of their sizes
-IGNORED, FEW = 0.1, 0.25  # weight below which a kernel ignores a measurement; part of a table that it may ignore
+LATER = {Cause.UNKNOWN, Cause.OUTLIERS, Cause.CLOCK, Cause.NORTH, Cause.AXES, Cause.EARTH, Cause.SWAPPED, Cause.SIGN}
+MOST_ROWS = 2000  # of a table with which all are tried; those that explain it are solved with all rows
+SETTLED = 1e-5  # part by which the last solution of one constant moves, or a dead reckoning differs
+ROUGH = 1.4  # scale of sigmas that are too small
 
 
 def explained(
@@ -90,7 +84,9 @@ def explained(
     center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
     tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     whole = _mission(tables, elevation, chi2, dof)
-    few = {name: t.part(slice(None, None, -(-len(t) // MOST))) if name in TIMED else t for name, t in tables.items()}
+    few = {
+        name: t.part(slice(None, None, -(-len(t) // MOST_ROWS))) if name in TIMED else t for name, t in tables.items()
+    }
     thinned = any(len(table) < len(tables[name]) for name, table in few.items())
     mission = _mission(few, elevation) if thinned else whole
     trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings(mission.tables))]
@@ -104,7 +100,7 @@ def explained(
 
 def worth_trying(findings: Sequence[Implausible]) -> bool:
     """Whether the solver may tell more than the findings of the tables: none is of special values or units."""
-    return all(reading.cause in (*LATER, Cause.SIGN) for finding in findings for reading in finding.readings)
+    return all(reading.cause in LATER for finding in findings for reading in finding.readings)
 
 
 @dataclass(frozen=True)
@@ -134,15 +130,20 @@ class Mission:
                 continue
         for chi2, number, graph, start in sorted(begun, key=itemgetter(0))[:most]:
             if chi2 <= self.limit or anywhere:
-                fit = solved(graph, start, start=False, iterations=BRIEF)
+                fit = brief(graph, start)
                 if fit is not None and fit.dof >= self.dof:
                     yield number, fit
+
+
+def brief(graph: FactorGraph, start: Values) -> Fit | None:
+    """A brief solution, from a dead reckoning that is near where the reading is right."""
+    return solved(graph, start, start=False, iterations=8)
 
 
 def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) -> Mission:
     """A mission with chi2 and dof as given, or as solved."""
     graph, start, report = _read(tables, elevation)
-    if not dof and (fit := solved(graph, start, start=False, iterations=BRIEF)) is not None:
+    if not dof and (fit := brief(graph, start)) is not None:
         chi2, dof = fit.chi2, fit.dof
     try:
         limit = graph.chi2(start) * (1 + SETTLED)
@@ -196,7 +197,7 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
     fit, value = min(at(*(begins or usual)), key=lambda pair: pair[0].chi2, default=(None, 0.0))
     if fit is None or fit.chi2 > HALF * mission.chi2:
         return
-    for _ in range(ROUNDS):
+    for _ in range(6):
         before, value = value, float(fit.values[Kind(name)[0]][0])
         if abs(value - before) < SETTLED * prior or not (again := at(value, anywhere=True)):
             break
@@ -224,7 +225,7 @@ def _tried(mission: Mission, alternatives: Sequence[Alternative], sigma: float =
     """Other readings of its tables, whose factor has a standard deviation."""
     others = [(a, tables) for a in alternatives if (tables := a.on_tables(mission.tables))]
     announce("trying other readings")
-    for number, fit in mission.optima([tables for _, tables in others], SOLVED):
+    for number, fit in mission.optima([tables for _, tables in others], 6):  # whose dead reckoning fits best
         if explains(fit, mission.chi2, mission.dof):
             yield Trial(others[number][0].reading, sigma, fit.chi2, fit.dof)
 
@@ -238,17 +239,13 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
         fit = solved(FactorGraph(robust, graph.fixed), mission.start, start=False)
         if fit is None:
             continue
-        kept = [factor.weights(fit.values) > IGNORED for factor in robust]
-        rest = sum(float(f.chi2(fit.values)[rows].sum()) for f, rows in zip(robust, kept, strict=True))
-        lost = [
-            (int((~rows).sum()), len(rows), fit.values.gather(f)[0].space.dim)
-            for f, rows in zip(robust, kept, strict=True)
-            if f.name == name
-        ]
-        share = sum(some for some, *_ in lost) / sum(every for _, every, _ in lost)
-        dof = fit.dof - sum(some * size for some, _, size in lost)
+        kept = [(factor, factor.weights(fit.values) > 0.1) for factor in robust]  # of others the kernel ignores
+        rest = sum(float(f.chi2(fit.values)[rows].sum()) for f, rows in kept)
+        lost = [(f, int((~rows).sum())) for f, rows in kept if f.name == name]
+        share = sum(count for _, count in lost) / sum(len(f) for f, _ in lost)
+        dof = fit.dof - sum(count * fit.values.gather(f)[0].space.dim for f, count in lost)
         trial = Trial(Reading(Cause.KERNEL, file, name, share), 0.0, rest, dof)
-        if share <= FEW and expected(trial):
+        if share <= 0.25 and expected(trial):
             yield trial
 
 
@@ -276,8 +273,8 @@ def _sigmas(mission: Mission) -> list[Trial]:
     pattern = scaled.graph.pattern(scaled.result.values)
     b = LinearSystem.at(pattern, scaled.result.values).b
     e = np.concatenate([b[k.rows].reshape(len(k), -1) for k in pattern.batches if k.model.factor.name == name])
-    white = np.abs(np.sum(e[1:] * e[:-1])) < WHITE * np.sum(e**2)
-    if not (columns and white and NORMAL * np.median(np.abs(e)) > 1 / ROUGH):
+    white = np.abs(np.sum(e[1:] * e[:-1])) < 0.4 * np.sum(e**2)
+    if not (columns and white and ROBUST * np.median(np.abs(e)) > 1 / ROUGH):
         return []
     reading = Reading(Cause.SIGMA, file, ", ".join(columns), scale)
     return [Trial(reading, large[0].sigma, scaled.result.chi2_final, scaled.result.dof)]

@@ -1,21 +1,20 @@
-"""Findings about the tables of a mission in words; no other file has these sentences."""
+"""Findings about missions in words: implausible tables, what explains chi2, the setup of scans. All are here."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from models.findings import Sentences, Stated
 from models.listing import several
-from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, Trial
+from nls.explanation.findings import FindingKind
+from nls.missions.checks.findings import Cause, Reading, SetupKind, Trial
 from nls.missions.checks.special import meant
 from nls.missions.folder.calibration import NAMES, wide
 
-__all__ = ["record", "sentence"]
-COARSE = 1.0  # s: sigma of a lag that is one of a list
-LISTED = 100  # runs of lines
 PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
 LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
@@ -29,7 +28,7 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
-NUMBERS = {  # of a check: what was measured, and what its limit is
+CHECKS = {  # of a check: what was measured, and what its limit is
     "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
     "special value": "{rows} with {measured} are far from the rows around them",
     "bottom lock": "valid is 1 in {percent} of the rows, and the rows of 0 are smooth",
@@ -53,7 +52,200 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "jumps": "{percent} of the fixes jump away from those before and after; expected below {limit_percent}",
     "way down": "depth and DVL disagree about the way down by {percent} of it; expected below {limit_percent}",
 }
-CAUSES = {
+
+
+def _implausible(f: Stated) -> str:
+    """Where, which number, what is expected, what the cause is and what to do; or what explains chi2."""
+    n = f.numbers
+    if "trials" in n:
+        return _explained(n)
+    readings, rows = [Reading(**reading) for reading in n["readings"]], n.get("lines", ())
+    words = {name: f"{n[name]:.4g} {n['unit']}".strip() for name in ("measured", "limit")}
+    words |= {name: f"{100 * part:.3g} %" for name, part in (("percent", n["measured"]), ("limit_percent", n["limit"]))}
+    words |= {"ratio": f"{readings[0].factor:.3g}", "rows": several(len(rows), "row")}
+    numbers = CHECKS[n["check"]].format(**words, side="below" if n["measured"] > n["limit"] else "above")
+    causes = "; or ".join(_cause(reading, lines(rows) if rows else "") for reading in readings)
+    return f"{n['file']}:{n['line']}: {n['column']} is implausible: {numbers}. Probable cause: {causes}"
+
+
+def lines(numbers: Sequence[int], most: int = 100) -> str:
+    """Lines of a file: the first of their runs, so many, and how many lines more there are.
+
+    Examples
+    --------
+    >>> lines([7, 8, 9, 10, 14]), lines([3])
+    ('lines 7 to 10, 14', 'line 3')
+    """
+    runs = np.split(np.array(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs[:most]]
+    more = sum(map(len, runs[most:]))
+    return f"line{'s' * (len(numbers) > 1)} {', '.join(words)}{f' and {more} more' if more else ''}"
+
+
+def _cause(r: Reading, rows: str = "") -> str:
+    """The cause and what to do; rows are the lines that it is about."""
+    text = words(r) if callable(words := CAUSES[r.cause]) else words
+    many = ", " in r.column
+    return text.format(
+        **vars(r),
+        lines=rows,
+        ratio=f"{float(f'{r.factor:.2g}'):g}",
+        has="have" if many else "has",
+        looks="look" if many else "looks",
+        origin=_origin(r),
+        act=f"leave out {rows} of {r.file}" if rows else "delete these rows",
+        mapping=f"in [{r.file.removesuffix('.csv')}] of the mapping",
+    )
+
+
+def _origin(r: Reading) -> str:
+    """Where latitudes and longitudes stand besides."""
+    return ", in origin.csv as well" if r.column.startswith(("lat_deg", "lon_deg")) else ""
+
+
+def _none(r: Reading) -> str:
+    names = r.column.split(", ")
+    numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
+    keys = ", ".join(f"{name} = {f'[{text}]' if ',' in text else text}" for name, text in numbers.items())
+    option = "missing" if r.cause == Cause.NONE or len(names) == 1 else "missing_together"
+    cure = f"write `{option} = {{{{ {keys} }}}}` {{mapping}}, or leave out {{lines}} of {{file}}"
+    return f"no {{column}} was measured there: {cure}"
+
+
+def _unit(r: Reading) -> str:
+    units = next(units for end, units in UNITS.items() if r.column.endswith(end))
+    name = next((unit for factor, unit in units.items() if abs(factor / r.factor - 1) < 1e-3), "")
+    act = f"multiply {{column}} by {1 / r.factor:.{10 if _origin(r) else 5}g}{{origin}}"
+    if r.factor > 1:
+        act = f"divide {{column}} by {r.factor:.{10 if _origin(r) else 5}g}"
+    mapped = f', or write `unit = "{name}"` for {{column}} {{mapping}}' if name else ""
+    return f"{{column}} of {{file}} {{looks}} like {name or 'another unit'}: {act}{mapped}"
+
+
+def _sign(r: Reading) -> str:
+    looks = "look as if they" if ", " in r.column else "looks as if it"
+    right = f"; {POSITIVE[r.column]}" if r.column in POSITIVE else ""
+    return (
+        f"{{column}} of {{file}} {looks} had the other sign: multiply {{column}} by -1{{origin}}, or write `sign = -1` "
+        f"for {{column}} {{mapping}}{right}"
+    )
+
+
+def _axes(r: Reading) -> str:
+    act = f"multiply {r.column.partition(', ')[2]} by -1, or " if ", " in r.column else ""
+    return f'{{column}} of {{file}} look like axes ahead, port and up: {act}write `frame = "FLU"` {{mapping}}'
+
+
+def _north(r: Reading) -> str:
+    if r.column == "bearing_rad":
+        return "{column} of {file} looks counted from north: take the heading of the ship from it"
+    east = "{column} of {file} {looks} counted from east, counterclockwise"
+    if r.column != "yaw_rad":  # the pitch has its sign, too
+        return east + ', as of axes ENU and FLU: write `frame = "ENU"` {mapping}'
+    cure = "or write `sign = -1, offset = 1.5708` for yaw_rad {mapping}"
+    return f"{east}: multiply yaw_rad by -1, then add 1.5708 to it, {cure}"
+
+
+def _pressure(r: Reading) -> str:
+    divide, scale = (f" and divide by {r.factor:g}", f"`scale = {1 / r.factor:g}` and ") if r.factor > 1 else ("", "")
+    return (
+        f"z_m of {{file}} looks like absolute pressure in {UNITS['_pa'][r.factor]}: subtract {10.1325 * r.factor:.6g} "
+        f"from z_m{divide}, or write {scale}`offset = -10.1325` for z_m {{mapping}}"
+    )
+
+
+def _earth(r: Reading) -> str:
+    axes, act = "north, east and down", ""
+    if r.factor < 0:
+        axes, act = "east, north and up", "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and "
+    return (
+        f"{{column}} of {{file}} look like velocities {axes}: {act}write `earth_axes = 1` in [dvl] of the mapping, or "
+        "give {file} a column earth_axes of 1"
+    )
+
+
+def _late(seconds: float, size: str) -> tuple[str, str]:
+    """How much a clock is off, and what to do with its times."""
+    return (f"{size} late", f"subtract {size} from") if seconds > 0 else (f"{size} early", f"add {size} to")
+
+
+def _clock(r: Reading) -> str:
+    late, act = _late(r.factor, f"{abs(r.factor):.3g} s")
+    cure = f"{act} time_s, or write `offset = {-r.factor:.3g}` for time_s {{mapping}}"
+    if (name := f"{r.file.removesuffix('.csv')}_clock_s") in NAMES:
+        cure = _row(name, r.factor, sigma=1.0)  # one of a list of lags
+    return f"times of {{file}} look about {late}: {cure}"
+
+
+def _zone(r: Reading) -> str:
+    late, act = _late(r.factor, f"{abs(r.factor):.9g} s")
+    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
+    why = LEAPS.get(abs(r.factor), "") or next(periods, "by the depth")
+    cure = f"{act} time_s, or write `offset = {-r.factor:.9g}` for time_s {{mapping}}"
+    return f"the clock of {{file}} looks {late} ({why}): {cure}"
+
+
+def _fast(r: Reading) -> str:
+    if r.column == "yaw_rad":
+        drift = f"{math.degrees(60 * r.factor):.2g} deg a minute"
+        return f"yaw_rad of {{file}} drifts by {drift}: log it by another compass"
+    act = f"divide time_s by {1 + r.factor:.12g}, then add {r.offset:.6f} s to it"
+    return f"the clock of {{file}} looks {100 * r.factor:.2g} % fast: {act}"
+
+
+def _row(name: str, value: float, sigma: float) -> str:
+    """A row of calibration.csv, with as many digits as sigma has two of.
+
+    The row's own sigma is wide: the measurements that say the number count once, when it is solved again.
+    """
+    digits = _digits(sigma)
+    row = f"write `{name},{value:.{digits}f},{wide(name):g}` in calibration.csv"
+    table = name.removesuffix("_clock_s")
+    cure = f", or write `offset = {-value:.{digits}f}` for time_s in [{table}] of the mapping"
+    return row + (cure if table != name else "")
+
+
+def _digits(sigma: float) -> int:
+    """Decimals of a number, of whose sigma two digits count."""
+    return max(0, 1 - math.floor(math.log10(sigma)))
+
+
+def _explained(n: Mapping[str, Any]) -> str:
+    """What explains chi2, in words, with the line to write."""
+    chi2 = f"{_size(n['chi2'])}"
+    if not n["trials"]:
+        return f"no single constant and no single table explains chi2 ({chi2}, {n['dof']:,} expected)"
+    trials = [Trial(**{**trial, "reading": Reading(**trial["reading"])}) for trial in n["trials"]]
+    best, alike = trials[0], ", and nothing tells them apart" if len(trials) > 1 else ""
+    one = "each of these constants explains" if alike else "one constant explains"
+    if best.reading.cause == Cause.KERNEL:
+        rows = f"{100 * best.reading.factor:.2g} % of the rows of {best.reading.file}"
+        one = f"no single constant explains chi2; without {rows} all others fit:"
+    fall = f"({chi2} -> {_size(best.chi2)}, {best.dof:,} expected)"
+    return f"{one} chi2 {fall}{alike}: {'; or '.join(map(_tried, trials))}"
+
+
+def _size(chi2: float) -> str:
+    return f"{chi2:,.0f}" if chi2 >= 100 else f"{chi2:.3g}"
+
+
+def _tried(trial: Trial) -> str:
+    r = trial.reading
+    if r.cause == Cause.KERNEL:
+        return f"look at these rows, or solve with --robust {r.column}=cauchy:1"
+    if r.cause == Cause.ARM:
+        looks, act, of = ("large", "subtract", "from") if r.factor > 0 else ("small", "add", "to")
+        cure = f"{act} {abs(r.factor):.2g} {of} {r.column}"
+        without = "; without that file it is 0" if r.file == "dvl_mount.csv" else ""
+        return f"{r.column} of {r.file} looks {abs(r.factor):.2g} +- {trial.sigma:.2g} m too {looks}: {cure}{without}"
+    if r.cause != Cause.CALIBRATION:
+        return _cause(r)
+    digits = _digits(trial.sigma)
+    value = f"{r.column} {r.factor:.{digits}f} +- {trial.sigma:.{digits}f}"
+    return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
+
+
+CAUSES: dict[Cause, str | Callable[[Reading], str]] = {
     Cause.INVERTED: "{column} of {file} looks inverted: write 1 with bottom lock and 0 without",
     Cause.STALE: "{column} of {file} repeat while the vehicle moves: leave out {lines} of {file}",
     Cause.STUCK: "the sensor of {file} looks stuck, or the column was filled: log it again",
@@ -63,229 +255,8 @@ CAUSES = {
     Cause.SWAPPED: "{column} of {file} look exchanged: exchange the names of {column}{origin}",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
     Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
-}
-
-
-def sentence(finding: Implausible | Explained) -> str:
-    """A finding in words: where, which number, what is expected, what the cause is and what to do."""
-    if isinstance(finding, Explained):
-        return _explained(finding)
-    measured, limit = (f"{number:.4g} {finding.unit}".strip() for number in (finding.measured, finding.limit))
-    numbers = NUMBERS[finding.check].format(
-        measured=measured,
-        limit=limit,
-        percent=f"{100 * finding.measured:.3g} %",
-        limit_percent=f"{100 * finding.limit:.3g} %",
-        side="below" if finding.measured > finding.limit else "above",
-        ratio=f"{finding.readings[0].factor:.3g}",
-        rows=several(len(finding.lines), "row"),
-    )
-    rows = lines(finding.lines) if finding.lines else ""
-    causes = "; or ".join(cause(reading, rows) for reading in finding.readings)
-    return f"{finding.place}: {finding.column} is implausible: {numbers}. Probable cause: {causes}"
-
-
-def record(finding: Implausible | Explained) -> dict[str, Any]:
-    """A finding for programs, and in words."""
-    return finding.numbers | {"sentence": sentence(finding)}
-
-
-def lines(numbers: Sequence[int]) -> str:
-    """Lines of a file: the first of their runs, and how many more there are.
-
-    Examples
-    --------
-    >>> lines([7, 8, 9, 10, 14]), lines([3])
-    ('lines 7 to 10, 14', 'line 3')
-    """
-    runs = np.split(np.array(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
-    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs[:LISTED]]
-    more = sum(map(len, runs[LISTED:]))
-    return f"line{'s' * (len(numbers) > 1)} {', '.join(words)}{f' and {more} more' if more else ''}"
-
-
-def cause(reading: Reading, rows: str = "") -> str:
-    """The cause and what to do; rows are the lines that it is about."""
-    if reading.cause in (Cause.NONE, Cause.ZEROS):
-        return f"{_none(reading)}, or leave out {rows} of {reading.file}"
-    of = {"column": reading.column, "file": reading.file, "factor": reading.factor, "lines": rows}
-    of["ratio"] = f"{float(f'{reading.factor:.2g}'):g}"
-    of |= {"has": "have" if ", " in reading.column else "has", "origin": _origin(reading)}
-    of["act"] = f"leave out {rows} of {reading.file}" if rows else "delete these rows"
-    return CAUSES[reading.cause].format(**of) if reading.cause in CAUSES else DETAILED[reading.cause](reading)
-
-
-def _none(r: Reading) -> str:
-    names = r.column.split(", ")
-    numbers = {name: ", ".join(f"{number:.10g}" for number in meant(name, r.factor)) for name in names}
-    keys = ", ".join(f"{name} = [{text}]" if "," in text else f"{name} = {text}" for name, text in numbers.items())
-    option = "missing" if r.cause is Cause.NONE or len(names) == 1 else "missing_together"
-    cure = _key(r, f"{option} = {{ {keys} }}")
-    return f"no {r.column} was measured there: {cure}"
-
-
-def _unit(r: Reading) -> str:
-    units = next(units for end, units in UNITS.items() if r.column.endswith(end))
-    name = next((unit for factor, unit in units.items() if abs(factor / r.factor - 1) < 1e-3), "")
-    looks = f"{'look' if ', ' in r.column else 'looks'} like {name or 'another unit'}"
-    digits = 5 if not _origin(r) else 10
-    act = f"multiply {r.column} by {1 / r.factor:.{digits}g}{_origin(r)}"
-    if r.factor > 1:
-        act = f"divide {r.column} by {r.factor:.{digits}g}"
-    mapping = _mapped(r, f'unit = "{name}"', r.column) if name else ""
-    return f"{r.column} of {r.file} {looks}: {act}{mapping}"
-
-
-def _mapped(r: Reading, key: str, column: str = "") -> str:
-    """The key of a mapping that cures as well."""
-    return f", or {_key(r, key, column)}"
-
-
-def _key(r: Reading, key: str, column: str = "") -> str:
-    return f"write `{key}`{f' for {column}' if column else ''} in [{r.file.removesuffix('.csv')}] of the mapping"
-
-
-def _sign(r: Reading) -> str:
-    positive = {
-        "z_m": "z is down",
-        "vz_m_s": "vz is down",
-        "vy_m_s": "vy is to starboard",
-        "vx_m_s": "vx is ahead",
-        "pitch_rad": "pitch is positive with the bow up",
-        "roll_rad": "roll is positive with the starboard side down",
-        "yaw_rad": "yaw is clockwise from north",
-        "x_m": "x is north",
-        "y_m": "y is east",
-        "lat_deg": "latitudes are north",
-        "lon_deg": "longitudes are east",
-    }.get(r.column, "")
-    looks = "look as if they" if ", " in r.column else "looks as if it"
-    return (
-        f"{r.column} of {r.file} {looks} had the other sign: multiply {r.column} by -1{_origin(r)}"
-        f"{_mapped(r, 'sign = -1', r.column)}{f'; {positive}' if positive else ''}"
-    )
-
-
-def _origin(r: Reading) -> str:
-    """Where latitudes and longitudes stand besides."""
-    return ", in origin.csv as well" if r.column.startswith(("lat_deg", "lon_deg")) else ""
-
-
-def _axes(r: Reading) -> str:
-    act = f"multiply {r.column.partition(', ')[2]} by -1, or " if ", " in r.column else ""
-    return f"{r.column} of {r.file} look like axes ahead, port and up: {act}{_frame(r, 'FLU')}"
-
-
-def _north(r: Reading) -> str:
-    if r.column == "bearing_rad":
-        return f"{r.column} of {r.file} looks counted from north: take the heading of the ship from it"
-    looks = "looks" if r.column == "yaw_rad" else "look"
-    east = f"{r.column} of {r.file} {looks} counted from east, counterclockwise"
-    if r.column != "yaw_rad":  # the pitch has its sign, too
-        return f"{east}, as of axes ENU and FLU: {_frame(r, 'ENU')}"
-    return f"{east}: multiply yaw_rad by -1, then add 1.5708 to it{_mapped(r, 'sign = -1, offset = 1.5708', 'yaw_rad')}"
-
-
-def _frame(r: Reading, frame: str) -> str:
-    return _key(r, f'frame = "{frame}"')
-
-
-def _pressure(r: Reading) -> str:
-    air, name = f"{10.1325 * r.factor:.6g}", UNITS["_pa"][r.factor]
-    divide, scale = (f" and divide by {r.factor:g}", f"`scale = {1 / r.factor:g}` and ") if r.factor > 1 else ("", "")
-    return (
-        f"z_m of {r.file} looks like absolute pressure in {name}: subtract {air} from z_m{divide}, or write {scale}"
-        f"`offset = -10.1325` for z_m in [{r.file.removesuffix('.csv')}] of the mapping"
-    )
-
-
-def _earth(r: Reading) -> str:
-    axes, act = "north, east and down", ""
-    if r.factor < 0:
-        axes, act = "east, north and up", "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and "
-    return (
-        f"{r.column} of {r.file} look like velocities {axes}: {act}write `earth_axes = 1` in [dvl] of the mapping, or "
-        f"give {r.file} a column earth_axes of 1"
-    )
-
-
-def _clock(r: Reading) -> str:
-    size = f"{abs(r.factor):.3g} s"
-    late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
-    looks = f"times of {r.file} look about {size} {late}"
-    if (name := f"{r.file.removesuffix('.csv')}_clock_s") in NAMES:
-        return f"{looks}: {_row(name, r.factor, COARSE)}"
-    return f"{looks}: {act} time_s{_mapped(r, f'offset = {-r.factor:.3g}', 'time_s')}"
-
-
-def _fast(r: Reading) -> str:
-    if r.column == "yaw_rad":
-        drift = f"{math.degrees(60 * r.factor):.2g} deg a minute"
-        return f"yaw_rad of {r.file} drifts by {drift}: log it by another compass"
-    act = f"divide time_s by {1 + r.factor:.12g}, then add {r.offset:.6f} s to it"
-    return f"the clock of {r.file} looks {100 * r.factor:.2g} % fast: {act}"
-
-
-def _arm(trial: Trial) -> str:
-    r, size = trial.reading, f"{abs(trial.reading.factor):.2g}"
-    looks, act, of = ("large", "subtract", "from") if r.factor > 0 else ("small", "add", "to")
-    without = "; without that file it is 0" if r.file == "dvl_mount.csv" else ""
-    looking = f"looks {size} +- {trial.sigma:.2g} m too {looks}"
-    return f"{r.column} of {r.file} {looking}: {act} {size} {of} {r.column}{without}"
-
-
-def _row(name: str, value: float, sigma: float) -> str:
-    """A row of calibration.csv, with as many digits as sigma has two of.
-
-    The row's own sigma is wide: the measurements that say the number count once, when it is solved again.
-    """
-    digits = max(0, 1 - math.floor(math.log10(sigma)))
-    row = f"write `{name},{value:.{digits}f},{wide(name):g}` in calibration.csv"
-    if not name.endswith("_clock_s"):
-        return row
-    file = name.removesuffix("_clock_s") + ".csv"
-    return row + _mapped(Reading(Cause.CLOCK, file, "time_s"), f"offset = {-value:.{digits}f}", "time_s")
-
-
-def _explained(finding: Explained) -> str:
-    """What explains chi2, in words, with the line to write."""
-    if not finding.trials:
-        return f"no single constant and no single table explains chi2 ({_size(finding.chi2)}, {finding.dof:,} expected)"
-    best = finding.trials[0]
-    one = "one constant explains" if len(finding.trials) == 1 else "each of these constants explains"
-    left = f"chi2 ({_size(finding.chi2)} -> {_size(best.chi2)}, {best.dof:,} expected)"
-    if best.reading.cause is Cause.KERNEL:
-        rows = f"{100 * best.reading.factor:.2g} % of the rows of {best.reading.file}"
-        one = f"no single constant explains chi2; without {rows} all others fit:"
-    alike = "" if len(finding.trials) == 1 else ", and nothing tells them apart"
-    return f"{one} {left}{alike}: {'; or '.join(map(_tried, finding.trials))}"
-
-
-def _size(chi2: float) -> str:
-    return f"{chi2:,.0f}" if chi2 >= 100 else f"{chi2:.3g}"
-
-
-def _tried(trial: Trial) -> str:
-    r = trial.reading
-    if r.cause is Cause.KERNEL:
-        return f"look at these rows, or solve with --robust {r.column}=cauchy:1"
-    if r.cause is not Cause.CALIBRATION:
-        return _arm(trial) if r.cause is Cause.ARM else cause(r)
-    digits = max(0, 1 - math.floor(math.log10(trial.sigma)))
-    value = f"{r.column} {r.factor:.{digits}f} +- {trial.sigma:.{digits}f}"
-    return f"{value}: {_row(r.column, r.factor, trial.sigma)}"
-
-
-def _zone(r: Reading) -> str:
-    size, words = f"{abs(r.factor):.9g} s", LEAPS.get(abs(r.factor), "")
-    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
-    words = words or next(periods, "by the depth")
-    late, act = ("late", f"subtract {size} from") if r.factor > 0 else ("early", f"add {size} to")
-    offset = _mapped(r, f"offset = {-r.factor:.9g}", "time_s")
-    return f"the clock of {r.file} looks {size} {late} ({words}): {act} time_s{offset}"
-
-
-DETAILED: dict[Cause, Callable[[Reading], str]] = {
+    Cause.NONE: _none,
+    Cause.ZEROS: _none,
     Cause.UNIT: _unit,
     Cause.SIGN: _sign,
     Cause.AXES: _axes,
@@ -295,4 +266,90 @@ DETAILED: dict[Cause, Callable[[Reading], str]] = {
     Cause.PRESSURE: _pressure,
     Cause.ZONE: _zone,
     Cause.DRIFT: _fast,
+}
+POSITIVE = {
+    "z_m": "z is down",
+    "vz_m_s": "vz is down",
+    "vy_m_s": "vy is to starboard",
+    "vx_m_s": "vx is ahead",
+    "pitch_rad": "pitch is positive with the bow up",
+    "roll_rad": "roll is positive with the starboard side down",
+    "yaw_rad": "yaw is clockwise from north",
+    "x_m": "x is north",
+    "y_m": "y is east",
+    "lat_deg": "latitudes are north",
+    "lon_deg": "longitudes are east",
+}
+
+
+def shown(name: str, value: float) -> str:
+    """A component of the mounting of a sonar, or the time of its clock, with its unit."""
+    return f"{math.degrees(value):.2g} deg" if name == "yaw" else f"{value:.2g} {'s' if name == 'time' else 'm'}"
+
+
+def _mounting(f: Stated) -> str:
+    n = f.numbers
+    name = n["component"]
+    key, mounted = f"{name}_rad" if name == "yaw" else f"{name}_m", dict(zip(LABELS, n["mount"], strict=False))[name]
+    return (
+        f"{LABELS[name]} looks wrong by {shown(name, n['value'])} +- {shown(name, n['sigma'])}. Write {key} = "
+        f"{mounted:.3g} {SONAR}, or measure it on the vehicle"
+    )
+
+
+def _turned(f: Stated) -> str:
+    n = f.numbers
+    return (
+        f"the sonar looks turned by {shown('yaw', n['value'])} +- {shown('yaw', n['sigma'])} from the assumed yaw. A "
+        f"drift of the vehicle to the side by {abs(n['value']):.2g} m per meter looks the same in scans. If nothing "
+        f"drifts, write yaw_rad = {n['mount'][2]:.3g} {SONAR}; the map turns with it"
+    )
+
+
+def _time_offset(f: Stated) -> str:
+    n = f.numbers
+    late, act = ("late", "subtract") if n["value"] > 0 else ("early", "add")
+    return (
+        f"times of the scans look {abs(n['value']):.3g} +- {n['sigma']:.2g} s {late} against the track: {act} "
+        f"{abs(n['value']):.3g} s, or set both clocks. Then choose the scans of the keyframes again"
+    )
+
+
+def _sigmas(f: Stated) -> str:
+    n = f.numbers
+    name, large, ratio = n["measurements"], n["scale"] < 1, max(n["scale"], 1 / n["scale"])
+    names = {"steps": "step and yaw", "drifts": "mean and stretch"}.get(name)
+    cure = f"State a {'smaller' if large else 'larger'} {names} in the section [drift] of mission.toml"
+    if names is None:
+        cure = f"Covariances of the map are too {'wide' if large else 'narrow'} by as much"
+        cure += "" if large else ": look at the mounting and at the noise of the points"
+    return (
+        f"sigmas of the {name} look {ratio:.2g} times too {'large' if large else 'small'}: chi2 {n['chi2']:.0f}, "
+        f"{n['dof']:.0f} expected, chi2/dof {n['chi2'] / n['dof']:.2f}. {cure}"
+    )
+
+
+SONAR = "in the section [sonar] of mission.toml"
+LABELS = {
+    "x": "place of the sonar ahead",
+    "y": "place of the sonar to the side",
+    "yaw": "yaw of the sonar",
+    "time": "time by which scans are late",
+}
+SENTENCES: Sentences = {
+    FindingKind.IMPLAUSIBLE: _implausible,
+    SetupKind.UNREPEATED: (
+        "scans do not show the same things from keyframe to keyframe: {fit} of {scans} fit those just before them. "
+        "Closures of such points are chance: detect fewer and stronger echoes, or check the units of ranges and "
+        "azimuths"
+    ),
+    SetupKind.MIRRORED: (
+        "azimuths look mirrored: {mirrored} steps that turn fit the other sign better, {given} fit this one. Change "
+        'the positive side, azimuth = "left" or "right", ' + SONAR
+    ),
+    SetupKind.MOUNTING: _mounting,
+    SetupKind.TURNED: _turned,
+    SetupKind.TIME_OFFSET: _time_offset,
+    SetupKind.SIGMAS_TOO_LARGE: _sigmas,
+    SetupKind.SIGMAS_TOO_SMALL: _sigmas,
 }

@@ -60,12 +60,11 @@ def read_mission(
         No such treatment of the elevation.
     """
     from nls.missions.checks import implausible
-    from nls.missions.checks.words import sentence
 
     tables, report = read_tables(folder)
     report.findings = implausible(tables, plane_of(tables.get("origin")))
     for finding in report.findings:
-        report.warn(sentence(finding))
+        report.warn(finding.says)
     try:
         if slow := [finding for finding in report.findings if finding.check == "time step" and "dvl" in tables]:
             table = tables[slow[0].file.removesuffix(".csv")]
@@ -75,7 +74,7 @@ def read_mission(
         if not report.findings:
             raise
         where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
-        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        message = "; ".join([str(error).removeprefix(where).strip(), *(finding.says for finding in report.findings)])
         raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
 
 

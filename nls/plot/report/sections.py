@@ -9,9 +9,10 @@ import numpy as np
 
 from models.advice import listed as listed_advice
 from models.errors import UnderconstrainedError
+from models.listing import number
 from nls.analysis.inspection import inspect
-from nls.explanation.findings import FindingKind, number
-from nls.explanation.words import sentence, together
+from nls.explanation.findings import FindingKind
+from nls.explanation.words import together
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
 from nls.plot.report.pictures import across, bar, picture
 from nls.plot.style import REJECTED
@@ -100,7 +101,7 @@ def findings(data: ReportData) -> Html:
     """What is wrong, and what helps."""
     items: list[Html] = []
     for first, alike in together(data.explanation.findings):
-        texts = [[tag("p", sentence(finding))] for finding in alike]
+        texts = [[tag("p", finding.says)] for finding in alike]
         if cures := listed_advice(alike[0].advice, data.shell):
             about = f" with {first} to {first + len(alike) - 1}" if len(alike) > 1 else ""
             texts[-1].append(tag("p", f"What helps{about}: {'; '.join(cures)}", class_="quiet"))

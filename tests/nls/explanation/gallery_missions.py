@@ -19,6 +19,18 @@ WRITE = 'write_mission("dive", FactorGraph([step, tilt, seen]), DIDSON_HIGH)\n'
 LOAD = 'graph, values, report = nls.load("dive")\n'
 SOLVE = LOAD + "result = graph.optimize(values)\n"
 
+
+def _case(title: str, broken: str, error: str, words: tuple[str, ...], cure: str = WRITE + SOLVE) -> Case:
+    """Lines after those that make a dive and what it sees."""
+    return Case(title, DIVE + SEEN + broken, error, words, cure)
+
+
+def _damaged(title: str, table: str, damage: str, words: tuple[str, ...]) -> Case:
+    """A table that is changed after it was written."""
+    lines = f'file = Path("dive", "{table}")\n_ = file.write_text(file.read_text().replace({damage}))\n'
+    return _case(title, WRITE + lines + LOAD, "GraphFileError", words)
+
+
 MISSIONS = (
     Case(
         "A folder that is no mission",
@@ -26,41 +38,25 @@ MISSIONS = (
         "GraphFileError",
         ("dive:", "no mission", "odometry.csv and zpr.csv", "it is empty"),
     ),
-    Case(
+    _case(
         "A contact of a pose that is not in the track",
-        DIVE
-        + SEEN
-        + WRITE
-        + 'with open("dive/contacts.csv", "a") as file:\n'
-        + '    _ = file.write("2,7,2.1,-0.2,0.01,0.01\\n")\n'
-        + LOAD,
+        f"""{WRITE}with open("dive/contacts.csv", "a") as file:
+    _ = file.write("2,7,2.1,-0.2,0.01,0.01\\n")
+{LOAD}""",
         "GraphFileError",
         ("contacts.csv:4:", "i 2", "no such pose in the track"),
-        WRITE + SOLVE,
     ),
-    Case(
+    _damaged(
         "A column that is not there",
-        DIVE
-        + SEEN
-        + WRITE
-        + 'file = Path("dive", "zpr.csv")\n'
-        + '_ = file.write_text(file.read_text().replace("pitch_rad", "pitch_deg"))\n'
-        + LOAD,
-        "GraphFileError",
+        "zpr.csv",
+        '"pitch_rad", "pitch_deg"',
         ("zpr.csv:1:", "unknown column 'pitch_deg'", "pitch_rad"),
-        WRITE + SOLVE,
     ),
-    Case(
+    _damaged(
         "A number that is none, in a table",
-        DIVE
-        + SEEN
-        + WRITE
-        + 'file = Path("dive", "contacts.csv")\n'
-        + '_ = file.write_text(file.read_text().replace("2.5", "nan"))\n'
-        + LOAD,
-        "GraphFileError",
+        "contacts.csv",
+        '"2.5", "nan"',
         ("contacts.csv:3:", "'nan' is not a number"),
-        WRITE + SOLVE,
     ),
     Case(
         "Angles in degrees",
@@ -79,9 +75,9 @@ MISSIONS = (
         + LOAD
         + "assert len(graph) == 1 + 2 + 2\n",
     ),
-    Case(
+    _case(
         "Two missions in one folder",
-        DIVE + SEEN + WRITE + 'write_mission("dive", FactorGraph([step, tilt]))\n',
+        WRITE + 'write_mission("dive", FactorGraph([step, tilt]))\n',
         "GraphFileError",
         ("sonar.csv:", "another mission", "give another folder"),
         'files = write_mission("other", FactorGraph([step, tilt]))\nassert len(files) == 2\n',

@@ -9,8 +9,12 @@ from pathlib import Path
 
 import nls
 from models.advice import ACTIONS, Advice
+from models.findings import Stated
 from nls import Finding
 from nls import FindingKind as Kind
+from nls.explanation.findings import ChoiceKind
+from nls.missions.checks.findings import Cause, Explained, Reading, SetupFinding, SetupKind, Trial
+from nls.robust import Doubt, DoubtKind
 
 __all__ = ["SNAPSHOT", "sentences"]
 
@@ -66,12 +70,38 @@ FINDINGS = (
     Finding(Kind.UNCHECKED, (x[3],), {"count": 1, "of": 9, "factors": ("ZPR(x3)",), "believed": False}),
     Finding(Kind.UNCHECKED, (x[0],), {"count": 9, "of": 9, "factors": ("Prior(x0)",), "believed": False}),
 )
+CHOICE = {"count": 17, "doubted": 2450, "by_chance": 24.6, "probability": 0.99, "sigma0": 1.01}
+FEW = {"count": 2, "doubted": 30, "by_chance": 0.028, "probability": 0.999, "sigma0": 1.0}
+OFF = {"value": 0.2, "sigma": 0.01, "mount": [0.5, 0.0, 0.2]}
+CHI2 = {"chi2": 360.0, "dof": 90.0, "scale": 2.0}
+DECLINATION = Trial(Reading(Cause.CALIBRATION, "calibration.csv", "declination_rad", -0.22), 0.003, 95.0, 100)
+FIXES = Trial(Reading(Cause.CALIBRATION, "calibration.csv", "fixes_clock_s", 3.1), 0.2, 95.0, 100)
+ARM = Trial(Reading(Cause.ARM, "dvl_mount.csv", "x_m", -3.0), 0.2, 95.0, 100)
+KERNEL = Trial(Reading(Cause.KERNEL, "fixes.csv", "Position", 0.07), 0.0, 95.0, 100)
+ROOMS: tuple[Stated, ...] = (  # of choices, doubts, scan setups and missions
+    Finding(ChoiceKind.REJECTED, (), CHOICE),
+    Finding(ChoiceKind.REJECTED, (), FEW),
+    Finding(ChoiceKind.CONTACTS, (), CHOICE),
+    Finding(ChoiceKind.LEFT, (), {"landmarks": ["l1", "l2", "l3", "l4"], "count": 9}),
+    *(Doubt(kind, 3, 9, 1.234, 0.0567, 1.5, 0.02, 4.3) for kind in DoubtKind),
+    SetupFinding(SetupKind.UNREPEATED, {"scans": 150, "fit": 12}),
+    SetupFinding(SetupKind.MIRRORED, {"given": 3, "mirrored": 60}),
+    *(SetupFinding(SetupKind.MOUNTING, OFF | {"component": name}) for name in ("x", "y", "yaw")),
+    SetupFinding(SetupKind.TURNED, OFF),
+    *(SetupFinding(SetupKind.TIME_OFFSET, OFF | {"value": late}) for late in (1.0, -1.0)),
+    SetupFinding(SetupKind.SIGMAS_TOO_LARGE, CHI2 | {"measurements": "drifts", "scale": 0.5}),
+    SetupFinding(SetupKind.SIGMAS_TOO_SMALL, CHI2 | {"measurements": "steps"}),
+    SetupFinding(SetupKind.SIGMAS_TOO_SMALL, CHI2 | {"measurements": "closures"}),
+    Explained(4000.0, 100, ()),
+    *(Explained(4000.0, 100, trials) for trials in ((DECLINATION,), (FIXES, ARM), (KERNEL,))),
+)
 
 
 def sentences() -> str:
     """All of them, one a line; of an action how Python writes it and how the command line does."""
     assert {finding.kind for finding in FINDINGS} == set(Kind)
-    lines = [f"{finding.kind}: {finding.says}" for finding in FINDINGS]
+    assert {room.kind for room in ROOMS} >= {*ChoiceKind, *DoubtKind, *SetupKind}
+    lines = [f"{finding.kind}: {finding.says}" for finding in (*FINDINGS, *ROOMS)]
     for action in ACTIONS:
         advice = Advice(action, ("A", "B", "c"))
         both = list(dict.fromkeys([advice.words(), advice.words(shell=True)]))

@@ -9,7 +9,7 @@ import pytest
 
 import nls
 import sim
-from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Range, Tukey
+from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Tukey
 from factors.robust import Kernel
 from models import SE2, SE3, R
 from models.algebra import Array
@@ -151,17 +151,6 @@ def test_many_wrong_closures_are_too_many_to_name() -> None:
     assert many.advice[0].action == "gnc"
 
 
-def test_a_range_that_is_no_range() -> None:
-    world = sim.subsea(np.random.default_rng(1), known_start=True)
-    values = world.graph.optimize(world.start).values
-    target = values[l[0]]
-    d = np.linalg.norm(target - values[x[5]][: len(target)])
-    graph = FactorGraph([*world.graph.factors, Range(x[5], l[0], d + 4.0, Isotropic(0.2))])
-    explanation = explained(graph, values)
-    assert [finding.keys for finding in explanation.findings if finding.kind == "outlier"] == [(x[5], l[0])]
-    assert "Range(x5, l0) is probably wrong: " in explanation.report()
-
-
 @for_all(factor=[0.5, 1.0, 2.0])
 def test_sigmas_of_the_wrong_size(factor: float) -> None:
     """Judged by kind, to a fifth, and no measurement is blamed for it."""
@@ -188,16 +177,7 @@ def test_a_kind_that_is_wrong_as_a_whole(case: tuple[list[float], str]) -> None:
     assert {"outlier", "wrong_closure"}.isdisjoint(found)
 
 
-def test_a_local_minimum_is_seen_from_a_lower_one() -> None:
-    k = np.arange(8)
-    graph = FactorGraph([Between(x[k], x[(k + 1) % 8], [1, 0, np.pi / 4], Isotropic(0.02))])
-    a = -k * np.pi / 4
-    explanation = explained(graph, Values({x: (SE2, np.column_stack([np.cos(a), np.sin(a), a - np.pi / 2]))}))
-    assert kinds(explanation) == ["local_minimum"]
-    assert "This is a local minimum." in explanation.summary
-
-
-def test_a_factor_made_from_a_function_and_an_angle_that_nobody_wrapped() -> None:
+def test_a_factor_made_from_a_function() -> None:
     """Such factors have no parts; what is wrong in them is named all the same."""
     angle = np.array([3.1, -3.1, 3.1])
 
@@ -208,10 +188,6 @@ def test_a_factor_made_from_a_function_and_an_angle_that_nobody_wrapped() -> Non
     explanation = explained(graph, Values({x: (R(1), [3.1])}))
     assert explanation.worst[0].factor == "minus(x0)"
     assert explanation.findings[0].kind == "outlier"
-    off = Factor.from_function(lambda X: X + 6.2, x[[0]], 1, Isotropic(0.1))
-    (finding,) = (f for f in nls.explain(FactorGraph([off]), Values({x: (R(1), [0.0])})).findings if f.kind == "turn")
-    assert finding.numbers["error"] == pytest.approx(-6.2)
-    assert [advice.action for advice in finding.advice] == ["wrap"]
     assert "repeated" not in kinds(explanation)
 
 

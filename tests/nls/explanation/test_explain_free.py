@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import pytest
 
 import nls
 import sim
 from factors import Bearing, Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range, RangeAzimuth
 from factors.replaced import replaced
 from models import SE2, SE3, R
-from models.algebra import Array
 from nls import FactorGraph, Values
 
 x, l = nls.kinds("x", "l")
@@ -20,20 +18,6 @@ x, l = nls.kinds("x", "l")
 
 def seen_from(graph: FactorGraph, values: Values) -> list[str]:
     return list(nls.explain(graph, values).free)
-
-
-def test_landmarks_in_the_plane() -> None:
-    """A range leaves the bearing, a bearing the range; a pose that sees one point turns about it."""
-    pose, values = Prior(x[0], [0, 0, 0], Isotropic(0.1)), Values({x: (SE2, [0, 0, 0]), l: (R(2), [3.0, 1.0])})
-    assert seen_from(FactorGraph([pose, Range(x[0], l[0], 3.0, Isotropic(0.1))]), values) == [
-        "l0: bearing as seen from x0"
-    ]
-    assert seen_from(FactorGraph([pose, Bearing(x[0], l[0], 0.3, Isotropic(0.1))]), values) == [
-        "l0: range as seen from x0"
-    ]
-    point = Prior(l[0], [3, 1], Isotropic(0.1))
-    sight = Landmark(x[0], l[0], [3, 1], Isotropic(0.1))
-    assert seen_from(FactorGraph([point, sight]), values) == ["x0: yaw about l0"]
 
 
 def test_a_pose_that_sees_points_on_one_line() -> None:
@@ -46,32 +30,6 @@ def test_a_pose_that_sees_points_on_one_line() -> None:
     assert len(explanation.free) == 1
     assert re.fullmatch(r"x0: roll about l[0-3]", explanation.free[0])
     assert explanation.findings[0].advice[0].action == "off axis"
-
-
-@pytest.mark.parametrize("motion", [[1, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0.1, 0.995]], ids=["surge", "yaw"])
-def test_the_elevation_of_an_imaging_sonar(motion: list[float]) -> None:
-    """Seen twice, where that does not show: the elevation; with a heave nothing."""
-    for heave in (0.0, 0.5):
-        X = SE3.stack([[0, 0, 0, 0, 0, 0, 1], motion + np.array([0, 0, heave, 0, 0, 0, 0])]) if motion[6] == 1 else None
-        X = SE3.compose([[0, 0, 0, 0, 0, 0, 1.0]], _unit(motion)) if X is None else X[1:]
-        X = np.concatenate([SE3.identity(), X + np.array([0, 0, heave if motion[6] != 1 else 0, 0, 0, 0, 0])])
-        point = np.array([[5.0, 0.5, 0.0 if motion[6] == 1 else 1.0]])
-        p = np.matvec(SE3.rotation(X).mT, point - X[:, :3])
-        z = np.column_stack([np.linalg.norm(p, axis=1), np.arctan2(p[:, 1], p[:, 0])])
-        contact = RangeAzimuth(x[[0, 1]], l[0], z, Diagonal(range=0.01, azimuth=0.005))
-        step = Between(x[0], x[1], SE3.between(X[:1], X[1:])[0], Isotropic(0.01))
-        graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1)), step, contact])
-        explanation = nls.explain(graph, Values({x: (SE3, X), l: (R(3), point)}))
-        assert explanation.free == (() if heave else ("l0: elevation as seen from x0",))
-        assert explanation.nullity == (0 if heave else 1)
-        if not heave:
-            assert [advice.action for advice in explanation.findings[0].advice] == ["roll", "aperture"]
-
-
-def _unit(motion: list[float]) -> Array:
-    q = np.array([motion], dtype=float)
-    q[:, 3:] /= np.linalg.norm(q[:, 3:])
-    return q
 
 
 def test_three_hundred_points_seen_once() -> None:

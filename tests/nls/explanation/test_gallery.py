@@ -36,19 +36,6 @@ def test_cases_are_short_and_check_something() -> None:
         assert not case.cure or re.search(r"result =|^assert ", case.cure, flags=re.MULTILINE), case.title
 
 
-def test_a_finding_is_asked_for_by_kind_keys_and_advice() -> None:
-    """It is asked for at the values of the error, or of the result."""
-    loose = "graph = FactorGraph([chain, Prior(x[0], [0.0, 0.0, 0.0], Isotropic(0.1), components=('x', 'y'))])\n"
-    refused, damped = "graph.optimize(values)\n", "result = graph.optimize(values, LevenbergMarquardt())\n"
-    asked = ("free", "x0", "prior measure fix")
-    for broken, error in ((refused, "UnderconstrainedError"), (damped, "")):
-        finding = run(Case("Loose", loose + broken, error, (), explained=asked)).finding
-        assert finding is not None
-        assert finding.says.startswith("yaw about x0 of all 5 variables")
-    for other in (("free", "x0", "prior"), ("free", "x1", "prior measure fix"), None):
-        assert run(Case("Loose", loose + damped, "", (), explained=other)).finding is None
-
-
 def test_problems_are_seen() -> None:
     """A case that says something else than the library is found out, and so is a cure that does not cure."""
 

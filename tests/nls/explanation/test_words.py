@@ -20,7 +20,6 @@ from nls.analysis.suspects import Suspects
 from nls.explanation import Finding, FindingKind, Measurement, words
 from nls.explanation.doubts import CURES, certifies, graduates, of_suspects
 from nls.explanation.naming import _loose
-from nls.explanation.rejections import rejections
 from nls.explanation.words import together
 from nls.plot import report as page
 from tests.combinations import for_all
@@ -143,13 +142,3 @@ def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
 def test_every_reading_has_its_words_and_its_action() -> None:
     assert set(READINGS) == set(words.READINGS) == set(CURES)
     assert set(CURES.values()) <= set(ACTIONS)
-
-
-def test_rejections_are_compared_with_those_by_chance() -> None:
-    counted = rejections(17, 2450, 24.6, 0.99, 1.01)
-    assert counted == (
-        "17 of 2,450 doubted measurements rejected (sigmas times 1.01); about 25 are expected by chance at 99 %"
-    )
-    assert rejections(2, 30, 0.028, 0.999, 1.0) == (
-        "2 of 30 doubted measurements rejected; less than one is expected by chance at 99.9 %"
-    )

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from factors import ZPR, Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
+from models.listing import number
 from nls import FactorGraph, Marginals, Values
-from nls.explanation.findings import number
 from nls.missions.scans import dead_reckoning
 from nls.plot import before_after, convergence, spy, trajectory
 from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x

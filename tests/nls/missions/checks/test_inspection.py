@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from models import SE3
 from nls.missions.checks import Cause, Fixes, Log, Reading, of_log
-from nls.missions.checks.words import sentence
 from tests.combinations import for_all
 from tests.nls.missions.checks.spoils import SPOILS
 from tests.nls.missions.checks.vehicle import SIGMAS, clean
@@ -26,7 +24,7 @@ def same(a: Reading, b: Reading) -> bool:
     return b.cause is Cause.SIGMA or abs(a.factor - b.factor) <= 0.25 * abs(b.factor)
 
 
-@for_all(name=list(SPOILS), seed=[3, 8])
+@for_all(name=list(SPOILS), seed=[3])
 def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
     spoil, reading = SPOILS[name]
     findings = of_log(spoil(clean(seed)))
@@ -34,9 +32,11 @@ def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
     named = [reading for entry in findings for reading in entry.readings]
     assert any(same(entry, reading) for entry in named), (name, named)
     assert len(named) <= 4, (name, named)
+    for entry in findings:
+        assert re.match(rf"{entry.file}:\d+: {entry.column} is implausible: [^{{]+Probable cause: [^{{]+$", entry.says)
 
 
-@for_all(seed=list(range(20)))
+@for_all(seed=list(range(10)))
 def test_a_right_log_is_plausible(seed: int) -> None:
     log = clean(seed, drop_outs=seed % 2 == 0)
     assert of_log(log) == []
@@ -64,7 +64,7 @@ def test_a_real_log_is_plausible(number: int, every: int, data: Path, script: Ca
         SIGMAS | {"sigma_v_m_s": 0.02, "sigma_z_m": 0.05},
         fixes if every else None,
     )
-    assert [sentence(entry) for entry in of_log(log)] == []
+    assert [entry.says for entry in of_log(log)] == []
 
 
 def test_a_short_lag_is_no_cause_as_a_lever_arm_looks_the_same() -> None:
@@ -81,8 +81,8 @@ def test_a_velocity_without_another_sensor_that_tells_has_several_units() -> Non
     level = replace(log, v=300 / 1.4 * log.v, z=9.0 + 0.01 * np.sin(log.t_z), fixes=None)
     finding = of_log(level)[0]
     assert [reading.factor for reading in finding.readings] == [1000.0, 100.0]
-    assert "mm/s" in sentence(finding)
-    assert "cm/s" in sentence(finding)
+    assert "mm/s" in finding.says
+    assert "cm/s" in finding.says
 
 
 def test_fixes_that_jump_are_no_disagreement_of_sensors() -> None:
@@ -114,12 +114,3 @@ def test_fixes_far_away_may_have_latitude_and_longitude_exchanged_or_of_another_
         fixes = replace(log.fixes, p=away, others=read, columns=("lat_deg", "lon_deg"))
         reading = of_log(replace(log, fixes=fixes))[-1].readings[0]
         assert reading == near or (near is None and reading.cause is Cause.FAR)
-
-
-@pytest.mark.parametrize("name", list(SPOILS))
-def test_a_sentence_says_where_the_number_the_limit_and_the_cure(name: str) -> None:
-    for entry in of_log(SPOILS[name][0](clean(3))):
-        text = sentence(entry)
-        assert re.match(rf"{entry.file}:\d+: {entry.column} is implausible: ", text)
-        assert "Probable cause: " in text
-        assert "{" not in text

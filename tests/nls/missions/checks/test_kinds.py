@@ -13,10 +13,9 @@ import pytest
 import nls
 from models.algebra import Array
 from nls.missions.checks import Cause, Fixes, Log, implausible
+from nls.missions.checks.agreement import of_fixes
 from nls.missions.checks.alone import tilt_of
-from nls.missions.checks.clocks import of_clocks
-from nls.missions.checks.track import of_fixes
-from nls.missions.checks.words import sentence
+from nls.missions.checks.clocks import clocks_by_spans
 from nls.missions.folder.columns import COLUMNS, OPTIONAL
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
@@ -38,28 +37,26 @@ def column(name: str, change: Callable[[Array], Array]) -> Change:
     return apply
 
 
-@for_all(late=[18.0, -18.0, 37.0, 25.0, 3600.0, -7200.0, 604800.0], kind=["log", "path"], seed=[1, 2])
-def test_fixes_of_another_clock_are_named_with_the_offset(late: float, kind: str, seed: int, tmp_path: Path) -> None:
-    files = changed(kinds(dive(seed))[kind], "fixes", column("time_s", lambda t: t + late))
-    (finding,) = findings(tmp_path / f"{kind}{late}{seed}", files)
+LATE = [
+    ("fixes", late, kind) for late in (18.0, -18.0, 37.0, 25.0, 3600.0, -7200.0, 604800.0) for kind in ("log", "path")
+]
+LATE += [("depth", late, "log") for late in (18.0, -37.0)]
+
+
+@for_all(case=LATE, seed=[1])
+def test_a_clock_that_is_off_is_named_with_the_offset(case: tuple[str, float, str], seed: int, tmp_path: Path) -> None:
+    table, late, kind = case
+    files = changed(kinds(dive(seed))[kind], table, column("time_s", lambda t: t + late))
+    (finding, *_) = findings(tmp_path / f"{table}{kind}{late}{seed}", files)
     (reading,) = finding.readings
-    assert (reading.cause, reading.file) == (Cause.ZONE, "fixes.csv")
+    assert (reading.cause, reading.file) == (Cause.ZONE, f"{table}.csv")
     assert abs(reading.factor - late) < 1.5  # the rows are a second apart
-    assert abs(late) < 20 or abs(late) > 1000 or late == 37 or reading.factor != 18
-    if late in (18.0, 3600.0):
+    if table == "fixes" and late in (18.0, 3600.0):
         act = f"subtract {late:g} s from time_s, or write `offset = {-late:g}` for time_s in [fixes] of the mapping"
-        assert act in sentence(finding)
+        assert act in finding.says
 
 
-@for_all(late=[18.0, -37.0], seed=[1, 2])
-def test_a_depth_of_another_clock_is_not_taken_for_that_of_the_fixes(late: float, seed: int, tmp_path: Path) -> None:
-    files = changed(with_fixes(dive(seed)), "depth", column("time_s", lambda t: t + late))
-    (reading,) = findings(tmp_path / f"{late}{seed}", files)[0].readings
-    assert (reading.cause, reading.file) == (Cause.ZONE, "depth.csv")
-    assert abs(reading.factor - late) < 1.5
-
-
-@for_all(seed=[1, 2, 3], on_deck=[5.0, 18.0, 37.0, 600.0])
+@for_all(seed=[1, 2], on_deck=[5.0, 18.0, 37.0, 600.0])
 def test_a_receiver_that_is_on_before_and_after_the_dive_has_the_right_clock(
     seed: int, on_deck: float, tmp_path: Path
 ) -> None:
@@ -94,7 +91,7 @@ def test_times_of_one_table_in_another_unit(table: str, factor: float, tmp_path:
 def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
     path = changed(path_of(replace(dive(3), fixes=None)), "path", column("time_s", lambda t: 45631.9 + t / 86400.0))
     (finding,) = findings(tmp_path / "days", path)
-    assert 'unit = "day"' in sentence(finding)
+    assert 'unit = "day"' in finding.says
 
 
 DEPTHS: dict[str, tuple[Callable[[Array], Array], Cause, float]] = {
@@ -106,15 +103,15 @@ DEPTHS: dict[str, tuple[Callable[[Array], Array], Cause, float]] = {
 }
 
 
-@for_all(name=list(DEPTHS), kind=["depth", "path"], seed=[1, 2])
+@for_all(name=list(DEPTHS), kind=["depth", "path"], seed=[1])
 def test_a_depth_of_another_sign_or_with_the_air_is_named(name: str, kind: str, seed: int, tmp_path: Path) -> None:
     change, cause, factor = DEPTHS[name]
     files = with_fixes(dive(seed)) if kind == "depth" else path_of(dive(seed))
     found = findings(tmp_path / f"{name[-3:]}{kind}{seed}", changed(files, kind, column("z_m", change)))
     first = [(entry.file, entry.readings[0].cause, entry.readings[0].factor) for entry in found]
-    assert (f"{kind}.csv", cause, factor) in first[:1], [sentence(entry) for entry in found]
+    assert (f"{kind}.csv", cause, factor) in first[:1], [entry.says for entry in found]
     if cause is Cause.PRESSURE:
-        assert "`offset = -10.1325` for z_m in [" in sentence(found[0])
+        assert "`offset = -10.1325` for z_m in [" in found[0].says
 
 
 def test_a_vehicle_ten_meters_deep_has_no_air_in_its_depth(tmp_path: Path) -> None:
@@ -128,7 +125,7 @@ def test_a_vehicle_ten_meters_deep_has_no_air_in_its_depth(tmp_path: Path) -> No
     assert [entry for entry in findings(tmp_path / "level", level) if entry.column == "z_m"] == []
 
 
-@for_all(name=["x", "y", "swapped"], seed=[1, 4])
+@for_all(name=["x", "y", "swapped"], seed=[1])
 def test_a_path_that_goes_elsewhere_than_its_heading(name: str, seed: int, tmp_path: Path) -> None:
     def mirror(names: list[str], y: Array) -> Array:
         y[:, 1:3] = {"x": y[:, 1:3] * [-1, 1], "y": y[:, 1:3] * [1, -1], "swapped": y[:, 2:0:-1]}[name]
@@ -167,7 +164,7 @@ def earth(log: Log, east_first: bool) -> Log:
     return replace(log, v=np.column_stack([*both, log.v[:, 2]]))
 
 
-@for_all(east_first=[False, True], seed=[1, 2, 3])
+@for_all(east_first=[False, True], seed=[1, 2])
 def test_velocities_in_axes_of_the_world(east_first: bool, seed: int, tmp_path: Path) -> None:
     files = with_fixes(earth(clean(seed, drop_outs=False), east_first))
     found = findings(tmp_path / f"{east_first}{seed}", files)
@@ -220,25 +217,13 @@ def test_a_log_that_is_no_log_in_seconds_is_refused_before_its_poses_are_made(fa
     assert cure in str(e.value)
 
 
-@for_all(late=[6.0, -7.0, 8.0], seed=[1, 2])
-def test_a_number_of_calibration_csv_is_no_second_doubt(late: float, seed: int, tmp_path: Path) -> None:
-    """The attitude is late: its cure is a line, and with that line nothing is left to say."""
-    log = clean(seed)
-    files = with_fixes(replace(log, t_a=log.t_a + late))
-    assert findings(tmp_path / f"{late}{seed}", files)
-    line = {"calibration": f"name,value,sigma\nahrs_clock_s,{late},0.1\n"}
-    assert findings(tmp_path / f"{late}{seed}cured", files | line) == []
-
-
-@for_all(table=["dvl", "ahrs", "depth"], late=[18.0, -18.0, 25.0], seed=[1, 2])
-def test_a_sensor_that_begins_and_ends_late_has_a_late_clock(
-    table: str, late: float, seed: int, tmp_path: Path
-) -> None:
-    files = changed(with_fixes(clean(seed)), table, column("time_s", lambda t: t + late))
-    (finding,) = findings(tmp_path / f"{table}{late}{seed}", files)
-    (reading,) = finding.readings
-    assert (reading.cause, reading.file) == (Cause.ZONE, f"{table}.csv")
-    assert abs(reading.factor - late) < 1.0
+@for_all(table=["dvl", "ahrs", "depth"], late=[18.0, -18.0, 25.0])
+def test_a_sensor_that_begins_and_ends_late_has_a_late_clock(table: str, late: float, tmp_path: Path) -> None:
+    (finding,) = findings(
+        tmp_path / f"{table}{late}", changed(with_fixes(clean(1)), table, column("time_s", lambda t: t + late))
+    )
+    assert (finding.readings[0].cause, finding.readings[0].file) == (Cause.ZONE, f"{table}.csv")
+    assert abs(finding.readings[0].factor - late) < 1.0
 
 
 def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clocks(tmp_path: Path) -> None:
@@ -256,10 +241,10 @@ def test_sensors_that_are_switched_on_and_off_one_after_the_other_have_right_clo
             t = table.floats("time_s")[:, 0]
             cut[name] = copy(table)
             cut[name].lines = table.lines[(t >= t[0] + begin) & (t <= t[-1] - end)]
-        assert of_clocks(cut) == [], trial
+        assert clocks_by_spans(cut) == [], trial
 
 
-@for_all(seed=[1, 2], wild=[30, 31])
+@for_all(seed=[1], wild=[30, 31])
 def test_wild_headings_are_named_also_side_by_side_and_turns_of_the_number_are_none(
     seed: int, wild: int, tmp_path: Path
 ) -> None:

@@ -11,8 +11,6 @@ import pytest
 import nls
 import sim
 from nls.cli import main
-from nls.missions.checks.words import sentence
-from nls.missions.folder.table import csv_text
 from nls.missions.folder.write import write_mission
 from tests.combinations import for_all
 from tests.nls.missions.checks.missions import files_of
@@ -23,7 +21,7 @@ from tests.nls.missions.folder.mission_files import TINY, folder
 
 def findings_of(path: Path) -> list[str]:
     """Sentences about a folder."""
-    return [sentence(entry) for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
+    return [entry.says for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
 
 
 @for_all(
@@ -77,15 +75,3 @@ def test_solve_and_explain_name_the_doubt(tmp_path: Path, capsys: pytest.Capture
     assert main(["explain", path, "--json", str(tmp_path / "e.json")]) == 0
     assert "1. dvl.csv:2: vx_m_s is implausible" in capsys.readouterr().out
     assert json.loads((tmp_path / "e.json").read_text())["findings"][0]["kind"] == "implausible"
-
-
-def test_an_error_of_the_reader_names_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = SPOILS["yaw in degrees"][0](clean(1, minutes=4.0))
-    fixes = log.fixes
-    assert fixes is not None
-    sigma = np.column_stack([fixes.sigma, fixes.sigma]) / np.sqrt(2)
-    text = csv_text(["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"], fixes.t, fixes.p, sigma).decode()
-    assert main(["solve", str(folder(tmp_path / "m", files_of(log) | {"fixes": text}))]) == 2
-    error = capsys.readouterr().err
-    assert "expected radians, -2 pi to 2 pi" in error
-    assert "yaw_rad of ahrs.csv looks like deg: divide yaw_rad by 57.296" in error

@@ -10,7 +10,6 @@ import pytest
 
 from models.algebra import Array, wrap
 from nls.missions import read_mission
-from nls.missions.checks.words import sentence
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.positioned import csv
 
@@ -42,7 +41,7 @@ def rov(
         "fixes": csv(FIXES, t[::4], place(p), np.full((200, 2), 0.5)),
         "noise": NOISE,
     }
-    return [sentence(finding) for finding in read_mission(folder(path, files))[2].findings]
+    return [finding.says for finding in read_mission(folder(path, files))[2].findings]
 
 
 def spikes(z: Array) -> Array:

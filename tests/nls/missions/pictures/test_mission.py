@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 import nls
 from factors import Diagonal, Isotropic, Prior
 from models import SE3, R
-from nls.explanation.findings import number
+from models.listing import number
 from nls.missions import MissionReport, elevations, track_of
 from nls.missions.pictures.mission import landmark_map, plan, plan_before_after, track
 from tests.nls.missions.folder.mission_files import folder
