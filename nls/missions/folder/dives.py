@@ -264,15 +264,10 @@ def _closed(
             if here[0] != k or there[0] not in placed or keys[0] not in dives[k][1] or keys[1] not in placed[there[0]]:
                 continue
             z = np.atleast_2d(euler.to_se3([0.0, 0.0, step[row, 2], *step[row, :2], 0.0]))
-            X = _level(placed[there[0]][keys[1]])
-            return dives[k][1][keys[0]], SE3.compose(X, SE3.inverse(z) if one == k else z)[0]
+            state = euler.from_se3(placed[there[0]][keys[1]]).reshape(-1)
+            level = np.atleast_2d(euler.to_se3([0.0, 0.0, state[2], *state[3:5], 0.0]))
+            return dives[k][1][keys[0]], SE3.compose(level, SE3.inverse(z) if one == k else z)[0]
     return None
-
-
-def _level(X: Array) -> Array:
-    """A pose (7,) without its tilt and depth, as (1, 7)."""
-    state = euler.from_se3(np.atleast_2d(X))[0]
-    return np.atleast_2d(euler.to_se3([0.0, 0.0, state[2], *state[3:5], 0.0]))
 
 
 def _shared(values: Values, world: Values) -> tuple[Array, Array]:

@@ -132,18 +132,17 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             lines.append(f"# [{table}]   # {', '.join(map(repr, chosen.values()))}: no column looks like their time")
         if table in tables or not set(needed) <= set(chosen):
             continue
-        if table == "fixes" and "dvl" in tables and all(guess(column, log.names) for column in (*ANGLES, "z_m")):
-            continue  # a whole pose beside a DVL is a truth
-        if table == "truth" and "fixes" in tables[drafted:]:
-            continue
-        whole = table == "path" and {*ANGLES, *PLACE} <= set(chosen) and "odo" not in plain(chosen["x_m"])
-        if whole or (table == "path" and "dvl" in tables):
-            continue  # sensors measure the way; a whole pose that is not called odometry is a truth
+        pose = all(guess(column, log.names) for column in (*ANGLES, "z_m"))
+        whole = {*ANGLES, *PLACE} <= set(chosen) and "odo" not in plain(chosen["x_m"])
         acoustic = "beacon" in chosen or "slant" in plain(chosen.get("range_m", "")).split()
-        if table == "ranges" and ("contacts" in tables or not acoustic):
-            continue  # a range alone may be one of an echo sounder, or a setting of the sonar
-        if "path" in (tables[drafted:] if table == "truth" else tables) and table in ("ahrs", "depth", "truth"):
-            continue  # the path has these columns
+        path = "path" in (tables[drafted:] if table == "truth" else tables)  # which has the columns of the others
+        if {
+            "fixes": pose and "dvl" in tables,  # a whole pose beside a DVL is a truth
+            "truth": path or "fixes" in tables[drafted:],
+            "path": whole or "dvl" in tables,  # sensors measure the way; not called odometry, a whole pose is a truth
+            "ranges": "contacts" in tables or not acoustic,  # one of an echo sounder, or a setting of the sonar
+        }.get(table, path and table in ("ahrs", "depth")):
+            continue
         tables.append(table)
         used |= set(chosen.values())
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]

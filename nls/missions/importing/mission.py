@@ -306,14 +306,11 @@ class Logs:
                     cure = f"name one of its columns, or leave {option} out"
                     raise section.error(option, f"[{section.table}] uses no column of {log}; {cure}")
             return Log("", "", [], [], np.zeros(1, dtype=np.intp))
-        named = section.options.get("file")
-        if named is not None:
-            if Path(named).name not in self.paths:
-                near = did_you_mean(Path(named).name, self.paths)
-                given = ", ".join(self.paths.values())
-                rest = f"is not among the logs that are given{near or ';'} given: {given}"
-                raise section.error("file", f"{named!r} {rest}")
-            return self._log(section, Path(named).name)
+        if (named := section.options.get("file")) is not None:
+            if (name := Path(named).name) not in self.paths:
+                rest = f"{did_you_mean(name, self.paths) or ';'} given: {', '.join(self.paths.values())}"
+                raise section.error("file", f"{named!r} is not among the logs that are given{rest}")
+            return self._log(section, name)
         if len(self.paths) == 1:
             return self._log(section, next(iter(self.paths)))
         if "topic" in section.options:
@@ -331,8 +328,8 @@ class Logs:
             raise section.error("", f"[{section.table}] may be of several logs; write {write}")
         if not logs:
             raise section.error("", f"[{section.table}] is of no log that is given; write file or topic")
-        nearest = max(logs.values(), key=lambda log: sum(name in log.names for name in section.used))
-        return nearest  # whose missing column is refused with the closest one
+        # the nearest, whose missing column is refused with the closest one
+        return max(logs.values(), key=lambda log: sum(name in log.names for name in section.used))
 
     def _log(self, section: Section, name: str) -> Log:
         """One log, read as the section says."""
@@ -343,9 +340,8 @@ class Logs:
             if topic is None:
                 raise section.error("", f"{name} is a bag; write topic = one of {', '.join(map(repr, bag.topics))}")
             if topic not in bag.topics:
-                near = did_you_mean(topic, bag.topics) or ";"
-                listed = ", ".join(map(repr, bag.topics))
-                raise section.error("topic", f"{name} has no topic {topic!r}{near} it has {listed}")
+                rest = f"{did_you_mean(topic, bag.topics) or ';'} it has {', '.join(map(repr, bag.topics))}"
+                raise section.error("topic", f"{name} has no topic {topic!r}{rest}")
             if (name, topic) not in self._read:
                 self._read[name, topic] = bag.log(topic)
             return self._read[name, topic]

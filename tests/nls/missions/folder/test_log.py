@@ -11,6 +11,7 @@ import nls
 from factors import XYH
 from models import SE3
 from nls import GraphFileError
+from nls.missions.folder.timeline import poses_of_rows
 from tests.nls.io.g2o_files import assert_refused
 from tests.nls.missions.folder.mission_files import NOISE, folder, raw, tables
 
@@ -84,3 +85,12 @@ def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_pat
     white = 0.01**2 * dt**2 * (n - 1)  # the samples at its ends, half in either leg, count by half, not a quarter
     assert Sigma[0, 0] == pytest.approx(white + 0.002**2, rel=1e-3)
     assert Sigma[1, 1] == pytest.approx(white, rel=1e-2)
+
+
+def test_poses_denser_than_the_rows_of_a_sensor_know_no_more_than_the_rows() -> None:
+    rows, poses = np.arange(0.0, 100.0), np.arange(0.0, 99.0, 0.25)
+    grown = poses_of_rows(rows, poses)
+    assert (1 / grown**2).sum() == pytest.approx(99, rel=0.05)  # of 396 poses
+    assert poses_of_rows(rows, rows).tolist() == [1.0] * 100
+    near = np.sort(np.append(np.arange(0.0, 9.0), 4.05))  # two poses between two of many rows
+    assert poses_of_rows(np.arange(0.0, 10.0, 0.1), near).tolist() == [1.0] * 10

@@ -12,8 +12,8 @@ from tests.combinations import for_all
 from tests.nls.io.g2o_files import cases
 from tests.nls.missions.importing.logs import imported
 
-LOG = "t,z,word,Altitude [m],p [dbar],late\n0,5,deep,-5,5,0\n1,5,deep,-5,5,700000\n"
-DEPTH = '[depth]\ntime_s = "t"\nz_m = "z"'
+LOG = "t,depth,word,Altitude [m],p [dbar],late\n0,5,deep,-5,5,0\n1,5,deep,-5,5,700000\n"
+DEPTH = '[depth]\ntime_s = "t"\nz_m = "depth"'
 
 # a mapping, of which DEPTH stands for the three lines above; words of the error
 REFUSED = cases(r"""
@@ -55,7 +55,7 @@ dvl = { time_s = "t", vx = "u" } | :1: dvl.csv has no column 'vx'
 [poses]\ni = { row = 10000000000000000000000000000000000000000 } | :2: i: row is 1000
 [poses]\ni = { row = true } | row is True; expected the number of the first row, such as { row = 0 }
 [sonar]\nname = '''a\nb''' | expected one line [name = '''a]
-time_s = "t"\nseparator = "ab"\n\n[depth]\nz_m = "z" | :2: separator is 'ab'
+time_s = "t"\nseparator = "ab"\n\n[depth]\nz_m = "depth" | :2: separator is 'ab'
 DEPTH\nmissing = true | :4: missing is True; expected numbers and words that stand for none
 DEPTH\nmissing = [1, []] | :4: missing is [1, []]; expected numbers
 DEPTH\nmissing = { z = 1 } | :4: missing: 'z' is not mapped here; did you mean 'z_m'?
@@ -77,17 +77,17 @@ DEPTH\ndate = "15.08.2022" | :4: date is '15.08.2022'; expected the day of the f
 DEPTH\ndate = "2022-08-15"\ntime_format = "%d.%m.%Y %H:%M" | has a date and so has date; leave date out
 DEPTH\n[noise]\ntime_format = "%Y" | :5: [noise] has no column of times; leave time_format out
 DEPTH\n[poses]\ni = 0\ntime_s = 1\ndate = "2022-08-15" | [poses] has no column of times; leave date out
-[depth]\ntime_s = "late"\nz_m = "z"\ndate = "2022-08-15" | log.csv:3: 700000 s is later than a day or a week of GPS;
-[depth]\ntime_s = "t"\nz_m = "zz" | :3: log.csv has no column 'zz'; write z_m = "z"; it has
-[depth]\ntime_s = "t" | :1: [depth] has no z_m; write z_m = "z"
+[depth]\ntime_s = "late"\nz_m = "depth"\ndate = "2022-08-15" | log.csv:3: 700000 s is later than a day or a week of GPS;
+[depth]\ntime_s = "t"\nz_m = "dept" | :3: log.csv has no column 'dept'; write z_m = "depth"; it has
+[depth]\ntime_s = "t" | :1: [depth] has no z_m; write z_m = "depth"
 [depth]\ntime_s = "t"\nz_m = "Altitude [m]" | write z_m = { column = "Altitude [m]", up = true }, or up = false
 [depth]\ntime_s = "t"\nz_m = "p [dbar]" | 'p [dbar]' is in dbar, pressure; z_m is a length, m; scale and offset
-[depth]\ntime_s = "t"\nz_m = { column = "z", unit = "dbar" } | ; of a pressure give scale
+[depth]\ntime_s = "t"\nz_m = { column = "depth", unit = "dbar" } | ; of a pressure give scale
 [depth]\ntime_s = "t"\nz_m = "word" | 'deep' is not a number; correct it, or name another column; in the mapping write
-[depth]\ntime_s = "word"\nz_m = "z" | log.csv:2: word: 'deep' is not a number
-[depth]\ntime_s = 3\nz_m = "z" | time_s is a constant, and times rise
-[depth]\ntime_s = "Altitude [m]"\nz_m = "z" | 'Altitude [m]' is in m, length; time_s is a time, s
-[depth]\ntime_s = { column = "t", scale = 1e10 }\nz_m = "z" | log.csv:3: t: 1e+10 s is no time
+[depth]\ntime_s = "word"\nz_m = "depth" | log.csv:2: word: 'deep' is not a number
+[depth]\ntime_s = 3\nz_m = "depth" | time_s is a constant, and times rise
+[depth]\ntime_s = "Altitude [m]"\nz_m = "depth" | 'Altitude [m]' is in m, length; time_s is a time, s
+[depth]\ntime_s = { column = "t", scale = 1e10 }\nz_m = "depth" | log.csv:3: t: 1e+10 s is no time
 DEPTH\njoin = 3 | mapping.toml:4:
 DEPTH\nskip = 9 | has no row; expected a line of names and rows of values; correct skip
 DEPTH\nwhere = { column = "x", equals = 1 } | mapping.toml:4:
@@ -114,7 +114,7 @@ t,z\n,1 | mapping.toml:2: no row of log.csv has all that [depth] needs: time_s h
 )
 def test_a_log_is_refused(case: list[str], tmp_path: Path) -> None:
     with pytest.raises(GraphFileError) as error:
-        imported(tmp_path, DEPTH, log=case[0] + "\n")
+        imported(tmp_path, DEPTH.replace('depth"', 'z"'), log=case[0] + "\n")
     assert case[1] in str(error.value)
 
 
