@@ -52,14 +52,11 @@ class Stated:
         """
         kind = self.kind
         if (table := _TABLES.get((type(kind), kind))) is None:
-            raise LookupError(
-                f"{kind!r} has no sentence yet; import the room that makes such findings, as nls.missions"
-            )
-        words = import_module(table).SENTENCES[kind]
-        text = (
-            words(self) if callable(words) else _Words().vformat(words, self.keys, {"keys": self.keys, **self.numbers})
-        )
-        return str(text)
+            raise LookupError(f"{kind!r} has no sentence yet; import the room of such findings, as nls.missions.checks")
+        words: str | Callable[[Any], str] = import_module(table).SENTENCES[kind]
+        if callable(words):
+            return words(self)
+        return _Words().vformat(words, self.keys, {"keys": self.keys, **self.numbers})
 
     def record(self) -> dict[str, Any]:
         """The finding for programs, and in words."""

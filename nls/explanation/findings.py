@@ -54,7 +54,7 @@ class ChoiceKind(StrEnum):
     LEFT = "left_landmarks"
 
 
-register("nls.explanation.words", *FindingKind, *ChoiceKind)
+register("nls.explanation.words", *(set(FindingKind) - {FindingKind.IMPLAUSIBLE}), *ChoiceKind)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ Every kind of doubt, its sentence, its bound and what decides it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum
 from math import exp, gamma, log, sqrt
 from typing import Any, NamedTuple
 
@@ -41,47 +41,34 @@ AWAY = 0.01  # part of the extent by which the map of another choice is away, at
 LARGEST = 700.0  # exponent of a float
 
 
-class DoubtKind(StrEnum):
-    """Why an estimate is doubtful."""
-
-    FEW_KEPT = "FEW_KEPT"
-    DEAD_RECKONING = "DEAD_RECKONING"
-    CONTRADICTED = "CONTRADICTED"
-    UNCHECKED = "UNCHECKED"
-    ALONE = "ALONE"
-    RIVAL = "RIVAL"
-    WEAK = "WEAK"
-    STRAINED = "STRAINED"
-    UNEXPLAINED = "UNEXPLAINED"
-    SIGMAS = "SIGMAS"
-
-
 APART = "{meters:.3g} m ({fraction!p:.2g} % of its extent) and {radians:.2g} rad"
-SENTENCES: Sentences = {
-    DoubtKind.FEW_KEPT: "{count} of {total} doubted measurements were kept, less than half",
-    DoubtKind.DEAD_RECKONING: "the kept closures span {count} of the {total} odometry steps that all closures span",
-    DoubtKind.CONTRADICTED: (
+
+
+class DoubtKind(Enum):
+    """Why an estimate is doubtful; the value is the sentence."""
+
+    FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
+    DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
+    CONTRADICTED = (
         "{count} of {total} kept closures contradict the others: without them the map moves {fraction!p:.2g} %"
-    ),
-    DoubtKind.UNCHECKED: (
-        "a wrong closure would pass with a probability of {fraction!p:.2g} %: too little checks the closures"
-    ),
-    DoubtKind.ALONE: (
+    )
+    UNCHECKED = "a wrong closure would pass with a probability of {fraction!p:.2g} %: too little checks the closures"
+    ALONE = (
         "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
         " and without them the map moves {fraction!p:.2g} %"
-    ),
-    DoubtKind.RIVAL: (
-        "another choice fits about as well, its cost {number:+.2g} rejections, and its map is " + APART + " away"
-    ),
-    DoubtKind.WEAK: (
+    )
+    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is " + APART + " away"
+    WEAK = (
         "{count} of {total} kept closures are wrong with odds of {number:.2g} to 1: without them the map is "
         + APART
         + " away, {sigmas:.2g} of its sigmas"
-    ),
-    DoubtKind.STRAINED: "the noise of the map is {number:.3g} times that between neighboring closures",
-    DoubtKind.UNEXPLAINED: "chi2 of the kept measurements is {number:.3g} times its degrees of freedom",
-    DoubtKind.SIGMAS: "most neighboring closures differ by {number:.3g} sigmas: these are too small, or most are wrong",
-}
+    )
+    STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
+    UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
+    SIGMAS = "most neighboring closures differ by {number:.3g} sigmas: these are too small, or most are wrong"
+
+
+SENTENCES: Sentences = {kind: kind.value for kind in DoubtKind}
 register(__name__, *DoubtKind)
 
 
@@ -112,7 +99,7 @@ class Doubt(Numbered):
         """The doubt for programs, and in words; `fraction` is ``part``."""
         record = super().record()
         part = record.pop("fraction")
-        return record | {"part": part}
+        return record | {"kind": self.kind.name, "part": part}
 
     def __str__(self) -> str:
         return self.says

@@ -101,7 +101,7 @@ def sentences() -> str:
     """All of them, one a line; of an action how Python writes it and how the command line does."""
     assert {finding.kind for finding in FINDINGS} == set(Kind)
     assert {room.kind for room in ROOMS} >= {*ChoiceKind, *DoubtKind, *SetupKind}
-    lines = [f"{finding.kind}: {finding.says}" for finding in (*FINDINGS, *ROOMS)]
+    lines = [f"{finding.record().get('kind', finding.kind)}: {finding.says}" for finding in (*FINDINGS, *ROOMS)]
     for action in ACTIONS:
         advice = Advice(action, ("A", "B", "c"))
         both = list(dict.fromkeys([advice.words(), advice.words(shell=True)]))

@@ -72,7 +72,6 @@ def test_mirrored_azimuths_are_named(right: Right) -> None:
     (finding,) = check_setup(graph, values, scans.mirrored(), times=t)
     assert finding.kind is SetupKind.MIRRORED
     assert finding.numbers["mirrored"] > 10 * finding.numbers["given"]
-    assert 'azimuth = "left" or "right"' in finding.says
 
 
 def test_a_mirror_needs_steps_and_most_of_them() -> None:
@@ -96,13 +95,12 @@ def test_the_mounting_is_estimated() -> None:
     assert corrected(scans, estimate, values).mount[0] == pytest.approx(estimate.value[0])
 
 
-def test_a_sensor_ahead_is_named() -> None:
-    graph, values, scans, _ = mission(laps())
+def test_a_sensor_ahead_is_named(right: Right) -> None:
+    graph, values, scans, _, _ = right
     (finding,) = check_setup(graph, values, scans.at([2.0, 0.0, 0.0]))
     assert finding.kind is SetupKind.MOUNTING
     assert finding.record()["numbers"]["component"] == "x"
     assert abs(finding.numbers["mount"][0]) < 3 * finding.numbers["sigma"]
-    assert "place of the sonar ahead looks wrong by -" in finding.says
 
 
 def test_a_turned_sonar_and_a_drift_to_the_side_are_not_told_apart() -> None:
@@ -110,7 +108,6 @@ def test_a_turned_sonar_and_a_drift_to_the_side_are_not_told_apart() -> None:
     (finding,) = check_setup(graph, values, scans)
     assert finding.kind is SetupKind.TURNED
     assert abs(finding.numbers["value"] - 0.2) < 3 * finding.numbers["sigma"]
-    assert "looks the same in scans" in finding.says
 
 
 def test_a_late_clock_is_named() -> None:
@@ -118,7 +115,6 @@ def test_a_late_clock_is_named() -> None:
     (finding,) = check_setup(graph, values, scans, times=t)
     assert finding.kind is SetupKind.TIME_OFFSET
     assert abs(finding.numbers["value"] - 1.0) < 3 * finding.numbers["sigma"]
-    assert "s late against the track: subtract" in finding.says
 
 
 def test_scans_of_a_late_clock_are_moved_to_their_poses(right: Right) -> None:
@@ -145,7 +141,6 @@ def test_sigmas_of_steps_and_closures(right: Right) -> None:
     assert sum(fit.dof for fit in shown.values()) < closing.result.dof
     exact = [f for f in check_setup(graph, values, scans, closing) if f.kind is SetupKind.SIGMAS_TOO_LARGE]
     assert {f.numbers["measurements"] for f in exact} <= {"drifts", "closures"}
-    assert all("times too large: chi2" in f.says for f in exact)
     doubtful = [Fit("closures", *numbers) for numbers in ((24.0, 100.0), (26.0, 100.0), (410.0, 100.0), (2.0, 10.0))]
     assert [fit.too_large for fit in doubtful] == [True, False, False, False]
     assert [fit.too_small for fit in doubtful] == [False, False, True, False]
@@ -165,9 +160,9 @@ def test_what_is_wrong_is_far_in_sigmas_and_in_meters() -> None:
     assert estimate.wrong.tolist() == [True, False, False, False]
 
 
-def test_clutter_is_named() -> None:
+def test_clutter_is_named(right: Right) -> None:
     """Random points close loops by chance; no scan shows those of the scan before it."""
-    graph, values, scans, t = mission(laps())
+    graph, values, scans, t, _ = right
     rng, n = np.random.default_rng(0), 25 * len(scans)
     r, azimuth = rng.uniform(1, 20, n), rng.uniform(-1.1, 1.1, n)
     points = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)])
@@ -175,7 +170,6 @@ def test_clutter_is_named() -> None:
     (finding,) = check_setup(graph, values, clutter, times=t)
     assert finding.kind is SetupKind.UNREPEATED
     assert finding.numbers["fit"] < 0.25 * finding.numbers["scans"]
-    assert "Closures of such points are chance" in finding.says
 
 
 def test_dead_reckoning_alone_says_nothing_of_its_sigmas() -> None:
