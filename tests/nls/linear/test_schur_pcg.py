@@ -11,7 +11,7 @@ import nls
 from factors import Isotropic, Landmark, Prior
 from factors.bundle import CAMERA, LENS, BundleProjection
 from models import SE2, SE3, R
-from nls import PCG, Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Schur, Values
+from nls import PCG, Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Schur, Stop, Values
 from nls.linear.factorization import SingularSystemError, UnsolvedSystemError
 from nls.linear.schur.pcg import PCGDecomposition, conjugate
 from nls.linear.schur.solver import SchurDecomposition, independent, twins
@@ -185,3 +185,11 @@ def test_options_that_are_not_possible(option: str, wrong: list[object]) -> None
     for value in wrong:
         with pytest.raises(nls.OptionError, match=f"{option}: .* is not possible"):
             PCG(**{option: value})  # type: ignore[arg-type]
+
+
+def test_levenberg_marquardt_damps_more_where_steps_do_not_arrive() -> None:
+    """With strong damping S is nearly M, and a few steps do."""
+    sample = bundle()
+    damped = LevenbergMarquardt(Stop(max_iterations=1), damping=1e-6)
+    result = sample.graph.optimize(sample.values, damped, PCG(1e-6, max_steps=12))
+    assert result.history[1].damping > 1e-4

@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from models import R
 from models.algebra import Array
 from models.errors import EvaluationError, LeadlineError, UnderconstrainedError
-from nls import Result, Stop
+from nls import Result, Status, Stop, Values
 from nls.optimizers import OPTIMIZERS
 from tests.nls.optimizers.mgh import PROBLEMS, Problem, p
 
@@ -127,3 +128,19 @@ def test_the_problems_are_written_down_correctly() -> None:
         tolerance = 1e-7 * max(1.0, np.abs(problem.f(X)).max())
         np.testing.assert_allclose(numeric, problem.jacobian(X)[0], rtol=1e-5, atol=tolerance, err_msg=problem.name)
         np.testing.assert_allclose(problem.f(X)[1], problem.f(X[1:2])[0], rtol=1e-13, atol=1e-13)
+
+
+SADDLE = 6  # steps to where chi2 falls by 5e-8 of itself
+
+
+@DAMPED
+def test_beside_a_saddle(name: str) -> None:
+    """As near as the digits of chi2 allow to tell; and with no budget to leave it, which is then the reason."""
+    saddle, optimizer = stationary_point(WOOD, np.array([-0.97, 0.95, -0.97, 0.95])), OPTIMIZERS[name]
+    result = WOOD.graph().optimize(Values({p: (R(4), [saddle + 1e-6 * np.eye(4)[0]])}), optimizer())
+    assert result.converged, result.reason
+    assert result.chi2_final < 1e-10
+    limited = WOOD.graph().optimize(WOOD.values(), optimizer(Stop(max_iterations=SADDLE)))
+    stopped = WOOD.graph().optimize(WOOD.values(), optimizer(callback=lambda it: it.number == SADDLE))
+    assert [limited.status, stopped.status] == [Status.MAX_ITERATIONS, Status.STOPPED]
+    assert limited.history[-1].number == stopped.history[-1].number == SADDLE

@@ -215,3 +215,11 @@ def test_zero_residuals_at_the_start(name: str) -> None:
     graph = FactorGraph([Prior(p[0], [1.0, 2.0, 0.5], Isotropic(0.1))])
     result = optimize(graph, Values({p: (SE2, [1.0, 2.0, 0.5])}), name, Stop(0.0, 0.0, 0.0))
     assert (result.status, result.iterations, result.chi2_final) == (Status.CONVERGED, 0, 0.0)
+
+
+def test_a_short_step_that_misses_its_promise_is_no_arrival() -> None:
+    """A Jacobian thirty times too large: the update is below its threshold, and so is the fall below its promise."""
+    graph, start = scalar(lambda X: X - 1.0, 1.00001, lambda X: np.full((1, 1, 1), 30.0))
+    result = optimize(graph, start, "gauss-newton", Stop(update_tol=1e-6))
+    assert (result.status, result.rule) == (Status.STALLED, "promise_missed")
+    assert "factors.check_jacobians" in result.reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,13 @@ import pytest
 import nls
 from factors import Between, Factor, Information, Isotropic, Prior
 from models import SE2, SE3, R
-from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, Optimizer, Status, Stop, Values
+from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Status, Stop, Values
 from nls.cli import main
-from nls.optimizers import OPTIMIZERS, automatic
+from nls.optimizers import OPTIMIZERS, automatic, stop
 from nls.optimizers.step import Thresholds
 from tests.nls.graphs import circle, p, pose_graph, scalar
 
 ALL = pytest.mark.parametrize("name", OPTIMIZERS)
-
-
-# ---- one rule at a time: the verdict where its inequality holds, none where one part of it does not
 
 
 # ---- thresholds in force
@@ -199,3 +197,18 @@ def test_the_damped_default_is_as_patient(monkeypatch: pytest.MonkeyPatch) -> No
     result = graph.optimize(start)
     assert (result.method, result.converged) == ("levenberg-marquardt", True)
     assert 100 < result.iterations < 1000
+
+
+def test_a_refused_step_along_a_plateau_is_no_arrival() -> None:
+    watch = SimpleNamespace(level_steps=6, history=[Iteration(7, 50.0, 0.1)])
+    step: Any = SimpleNamespace(watch=watch, tol=Thresholds(), promised=4e-5, agreed=True, invisible=True)
+    step.system = SimpleNamespace(chi2=50.0)
+    for rule in (stop.promise_small, stop.promise_invisible):
+        verdict = rule(step)
+        assert verdict is not None
+        assert verdict.status is Status.DIVERGED
+        watch.level_steps = 5
+        verdict = rule(step)
+        assert verdict is not None
+        assert verdict.status is Status.CONVERGED
+        watch.level_steps = 6

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from factors import Factor
-from models import R
+from models import SE2, R
 from nls import Dogleg, FactorGraph, LevenbergMarquardt, Values
-from nls.optimizers.problem import Problem, Undamped
-from tests.nls.graphs import p
+from nls.optimizers.problem import FAINT, Problem, Undamped
+from tests.nls.graphs import p, pose_graph
 from tests.nls.solving import make
 
 
@@ -28,3 +28,16 @@ def test_the_exact_step_keeps_a_direction_that_only_A_sees(angle: float, free: b
         result = graph.optimize(values, optimizer)
         assert not result.converged or result.chi2_final == pytest.approx(1.0 if keeps else 2.0, rel=1e-5)
         assert result.converged or keeps
+
+
+def test_the_damping_of_a_singular_system_is_the_least_that_works() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    system = sample.graph.linearize(sample.values)
+    undamped, D = Undamped(Problem(system.pattern, make("lu"))), system.column_norms
+    dx = undamped.step(system, D)
+    assert FAINT < undamped.damping < 1e-8
+    assert undamped.free is None  # nobody asked
+    undamped.step(system, D, strict=True)
+    assert undamped.free is system
+    shortest = np.linalg.pinv(system.A.toarray()) @ system.b
+    assert system.times(dx) == pytest.approx(system.times(shortest), abs=1e-4 * np.abs(system.b).max())
