@@ -15,12 +15,8 @@ from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
 
-__all__ = ["Observability", "columns", "in_unit", "shown"]
-
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
-INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
 HEADS = ("", "one sigma", "all else known", "compared")
-CORRELATED = 0.9  # correlations at least this high are printed
 
 Row = tuple[str, str, str, str]
 
@@ -97,7 +93,7 @@ class Observability:
         """A step (d,) by its components: ``"y 0.012 m, pitch -0.42 deg"``; what hardly takes part is left out."""
         step = np.asarray(step, dtype=float)
         size = np.abs(step * self.weights)
-        indices = np.flatnonzero(size >= INVOLVED * size.max())
+        indices = np.flatnonzero(size >= 0.2 * size.max())
         return ", ".join(f"{self.components[i]} {in_unit(step[i], self.units[i])}" for i in indices)
 
     @property
@@ -130,7 +126,7 @@ class Observability:
             notes.append(f"weakest direction, one sigma: {self.direction(self.weak[0])}")
         r = self.correlation
         for i, j in zip(*np.triu_indices(len(r), 1), strict=True):
-            if abs(r[i, j]) >= CORRELATED:
+            if abs(r[i, j]) >= 0.9:
                 notes.append(f"correlated: {self.components[i]} and {self.components[j]}, {r[i, j]:.3f}")
         return notes
 

@@ -18,10 +18,7 @@ from factors.keys import Keys
 from models.algebra import Array, Index, Mask
 from nls.sparse.pattern import Pattern
 
-__all__ = ["BEYOND", "Outsized", "outsized"]
-
 BEYOND = 1e6  # times all others
-FEW = 3  # measurements of a kind, fewer have no others
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,7 @@ def _informations(model: Model, names: tuple[str, ...]) -> Array:
 def _far(lengths: Array) -> tuple[Index, float]:
     """Rows of the lengths beyond 10^6 times the median, the longest first, and the median of those above 0."""
     positive = lengths[lengths > 0]  # comparisons with nan are False
-    if len(positive) < FEW:
+    if len(positive) < 3:  # fewer have no others
         return np.zeros(0, dtype=np.intp), np.nan
     median = float(np.median(positive))
     return _falling(lengths, lengths > BEYOND * median), median
@@ -125,7 +122,7 @@ def _beyond(informations: Array) -> tuple[Index, float]:
     The others are more than half; informations of 0 say nothing and are left out.
     """
     known = np.sort(informations[informations > 0])
-    if len(known) < FEW:
+    if len(known) < 3:
         return np.zeros(0, dtype=np.intp), np.nan
     gaps = np.flatnonzero(known[1:] > BEYOND * known[:-1])
     gaps = gaps[2 * (gaps + 1) > len(known)]

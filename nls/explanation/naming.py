@@ -15,8 +15,7 @@ from models import LieGroup
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
 from models.sensors import point_in_frame
-from nls.analysis.freedom import Freedom
-from nls.analysis.world_motions import AXES, NEAR, SAME, Motion, generators, motions, places
+from nls.analysis.freedom import AXES, NEAR, SAME, Freedom, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
 from nls.sparse.pattern import Pattern

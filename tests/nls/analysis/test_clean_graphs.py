@@ -11,8 +11,7 @@ from nls.analysis.calibrations import calibrations
 from nls.analysis.clock import clock_offsets
 from nls.analysis.leave_one_out import checks
 from nls.analysis.linearization import Checked, Linearization
-from nls.analysis.misread_kinds import misread_kinds
-from nls.analysis.misread_measurements import misread_measurements
+from nls.analysis.misread import misread_kinds, misread_measurements
 from nls.analysis.scales import outsized
 from nls.analysis.suspects import suspects
 from nls.analysis.swapped_landmarks import swapped_landmarks

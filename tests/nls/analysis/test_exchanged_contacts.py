@@ -6,7 +6,7 @@ import numpy as np
 
 import sim
 from models.algebra import Mask
-from nls.analysis.exchanged_contacts import exchanged_contacts
+from nls.analysis.swapped_landmarks import exchanged_contacts
 
 RNG = np.random.default_rng
 

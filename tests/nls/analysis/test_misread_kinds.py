@@ -8,7 +8,7 @@ import pytest
 from factors import Between, Diagonal, Isotropic, Position
 from models import SE2
 from nls import FactorGraph, Values, kinds
-from nls.analysis.misread_kinds import misread_kinds
+from nls.analysis.misread import misread_kinds
 from tests.nls.graphs import walk
 from tests.nls.misreadings import clean, misread, optimum
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nls import FactorGraph, Values
-from nls.analysis.misread_measurements import MisreadMeasurement, misread_measurements
+from nls.analysis.misread import MisreadMeasurement, misread_measurements
 from tests.combinations import for_all
 from tests.nls.misreadings import clean, doubted, misread_one, optimum, wrong_closure
 

@@ -11,7 +11,6 @@ import sim
 from factors import Between, Isotropic, Prior
 from models import SE3
 from nls import FactorGraph, Marginals, Values, kinds
-from nls.analysis.motions import motion_covariances
 
 (x,) = kinds("x")
 PAIRS = np.array([[7, 2], [0, 9], [4, 4], [2, 7], [11, 38], [0, 0], [7, 2]])
@@ -35,7 +34,7 @@ def test_pairs_of_one_pose_alone_join_nothing() -> None:
     world = sim.ring(np.random.default_rng(2))
     C = Marginals(world.graph, world.truth, pairs=[(x[[5]], x[[5]])]).cross(x[[5]], x[[5]], frame="body")
     np.testing.assert_allclose(C[0], Marginals(world.graph, world.truth).covariance(x[5], frame="body"), rtol=1e-9)
-    motion = motion_covariances(world.graph, world.truth, x[[5]], x[[25]])
+    motion = Marginals(world.graph, world.truth, pairs=[(x[[5]], x[[25]])]).relative(x[[5]], x[[25]])
     assert np.linalg.eigvalsh(motion[0]).min() > 0
 
 
@@ -51,7 +50,7 @@ def test_motions_against_samples() -> None:
         X.append(SE3.compose(X[-1], step[None]))
     values = Values({x: (SE3, np.concatenate(X))})
     i, j = np.array([0, 1, 3]), np.array([4, 3, 1])
-    Sigma = motion_covariances(graph, values, x[i], x[j])
+    Sigma = Marginals(graph, values, pairs=[(x[i], x[j])]).relative(x[i], x[j])
     noisy = [np.broadcast_to(values[x[0]], (N, 7))]
     for step in steps:
         moved = SE3.compose(noisy[-1], np.broadcast_to(step, (N, 7)))

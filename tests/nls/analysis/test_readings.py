@@ -31,7 +31,7 @@ from models.algebra import Array
 from models.errors import GraphError
 from models.manifolds.so3 import rotation3
 from nls import FactorGraph, Values, kinds
-from nls.analysis.readings import READINGS
+from nls.analysis.misread import READINGS
 from nls.analysis.scales import outsized
 from tests.combinations import for_all
 

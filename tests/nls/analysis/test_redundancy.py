@@ -13,8 +13,7 @@ from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
-from nls.analysis.closure_groups import closure_groups
-from nls.analysis.redundancy import Common, _common
+from nls.analysis.redundancy import Common, _common, closure_groups
 from tests.combinations import for_all
 
 x, y, p = kinds("x", "y", "p")

@@ -19,8 +19,15 @@ from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters.base import steps
 from nls.filters.fastslam import FastSLAM
 from nls.filters.motion import copies
-from nls.filters.particle_map import ParticleMap, each_once
-from nls.filters.particles import covariance, effective, mean, normalized_weights, systematic
+from nls.filters.particles import (
+    ParticleMap,
+    covariance,
+    each_once,
+    effective,
+    mean,
+    normalized_weights,
+    systematic,
+)
 from tests.combinations import for_all
 
 Array = npt.NDArray[np.float64]

@@ -17,6 +17,7 @@ from models.errors import UnderconstrainedError
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.robust.contacts import TRIED, agreement, along, misfit
 from nls.robust.landmarks import landmarks_of
+from nls.starts.parts import put_back
 
 x, l = kinds("x", "l")
 RNG = np.random.default_rng
@@ -95,7 +96,7 @@ def test_blocks_of_contacts_are_judged_as_all_at_once(monkeypatch: pytest.Monkey
     mission = floor(3, 0.1)
     track = along(*poses_of(mission), "x")
     one = agreement(mission.contacts, mission.start, track, 0.12)
-    monkeypatch.setattr("nls.robust.contacts.AT_ONCE", 40 * TRIED)
+    monkeypatch.setattr("nls.robust.contacts.PAIRS_AT_ONCE", 40 * TRIED)
     many = agreement(mission.contacts, mission.start, track, 0.12)
     np.testing.assert_array_equal(one.kept, many.kept)
     np.testing.assert_allclose(one.points, many.points, atol=1e-12)
@@ -193,7 +194,7 @@ def test_a_landmark_that_lost_nothing_stays_however_little_is_known() -> None:
     assert present.stack("l").numbers.tolist() == [1]
     moved = present.copy()
     moved[l[1]] = [7.0, 7.0]
-    np.testing.assert_array_equal(landmarks.merged(values, moved)[l], [[3, 4], [7, 7], [1, 0]])
+    np.testing.assert_array_equal(put_back(values, moved)[l], [[3, 4], [7, 7], [1, 0]])
     (every,) = landmarks.kept([np.ones(4, dtype=bool)], values, lost=False)
     assert every.tolist() == [True, True, False, True]  # l2 is held
 

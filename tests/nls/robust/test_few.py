@@ -13,9 +13,8 @@ from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds, posegraph
 from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow
-from nls.robust.consistency import LOW, neighbors
 from nls.robust.growth import path_covariances
-from nls.robust.loop_graph import loop_graph
+from nls.robust.loop_graph import LOW, loop_graph, neighbors
 
 (x,) = kinds("x")
 N = 40
@@ -104,7 +103,7 @@ def test_what_is_no_graph_and_no_loss_is_refused(track: tuple[Between, Values]) 
 def test_two_closures_disagree_by_chi2_of_the_loop_they_make(
     space: LieGroup, turned: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nls.robust.consistency.FEW", 1)  # one pair is enough to see its chi2
+    monkeypatch.setattr("nls.robust.loop_graph.ENOUGH_PAIRS", 1)  # one pair is enough to see its chi2
     rng = np.random.default_rng(3)
     n, d, k = 30, space.dim, np.arange(29)
     step = space.exp(0.4 * rng.normal(size=(n - 1, d)))

@@ -16,11 +16,10 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified, grow
-from nls.robust.consistency import Neighbors, Odometry, neighbors
 from nls.robust.groups import FITS, WIDE, misfits, witnesses
 from nls.robust.growth import path_covariances
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
-from nls.robust.loop_graph import loop_graph
+from nls.robust.loop_graph import Neighbors, Odometry, loop_graph, neighbors
 from nls.robust.truncated_least_squares import lowest
 
 (x,) = kinds("x")

@@ -23,7 +23,7 @@ N = 40
 STEP = np.array([1.0, 0.0, 2 * np.pi / N])
 SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
 STEPS = np.arange(N - 1)
-STATED = growth.Scales(sigma0=1.0, rho=1.0, meters=10.0)
+STATED = (1.0, 1.0, 10.0)  # sigma0, rho, meters
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_paths_are_the_same_however_many_are_searched_together(circle: Values, m
     together = path_covariances(edges, circle[x], i, j, 10.0)
     assert (np.linalg.eigvalsh(together[i != j]) > 0).all()
     for size in (1, 3 * N):
-        monkeypatch.setattr(growth, "TOGETHER", size)
+        monkeypatch.setattr(growth, "PLACES", size)
         np.testing.assert_array_equal(path_covariances(edges, circle[x], i, j, 10.0), together)
 
 
@@ -155,7 +155,7 @@ def test_closures_worse_than_their_neighborhood_widen_the_test_up_to_the_stated_
     scales: list[float] = []
     tested = growth._tested
 
-    def noted(known: Edges, loops: Edges, T: Any, scale: growth.Scales, *rest: Any) -> Any:
+    def noted(known: Edges, loops: Edges, T: Any, scale: tuple[float, float, float], *rest: Any) -> Any:
         scales.append(scale.sigma0)
         return tested(known, loops, T, scale, *rest)
 

@@ -17,8 +17,7 @@ from nls import FactorGraph, GaussNewton, Values, initialize, kinds
 from nls.metrics import ate
 from nls.missions.folder.table import csv_text
 from nls.optimizers import LevenbergMarquardt, Result, Status
-from nls.starts import STARTS
-from nls.starts.candidates import Candidates
+from nls.starts import STARTS, Candidates
 from tests.nls.graphs import between, pose_graph
 from tests.nls.missions.folder.mission_files import folder
 
