@@ -26,11 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Isotropic, Prior, Shifted
-from factors.base import Factor
+from factors import Factor, Isotropic, Prior, Shifted, Sighting
 from factors.keys import Keys, Kind
 from factors.predicted import predicted
-from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved

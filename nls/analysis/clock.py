@@ -71,7 +71,8 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
     Measurements of one pose and of points or nothing else are tested. At constant velocity in the axes of the body a
     forgotten lever arm ahead looks the same: dt times the speed.
     """
-    speeds = {name: velocities(stack) for name, stack in _tracks(values)}
+    stacks = {n: s for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MEASUREMENTS}
+    speeds = {name: velocities(stack) for name, stack in stacks.items()}
     kinds = {
         name: [k for k, _ in kind]
         for name, kind in kinds_of(checked.linear.pattern, count).items()
@@ -139,11 +140,6 @@ def central_differences(group: LieGroup, X: Array, t: Array | Index) -> Array:
     place = np.arange(len(X))
     before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(place) - 1)
     return np.asarray(group.log(group.between(X[before], X[after])) / (t[after] - t[before])[:, None])
-
-
-def _tracks(values: Values) -> list[tuple[str, Stack]]:
-    """Kinds of poses that have a velocity."""
-    return [(n, s) for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MEASUREMENTS]
 
 
 def _moving(checked: Checked, k: int, speeds: Mapping[str, object]) -> list[str]:

@@ -42,7 +42,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import Kind
-from models import LieGroup, Manifold
+from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.analysis.chi_squared import mahalanobis
@@ -104,7 +104,8 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
     tables = []
     for number, (batch, closing) in enumerate(zip(pattern.batches, closures(pattern), strict=True)):
         index = np.flatnonzero(closing)
-        if len(index) and {*batch.kinds[:2]} <= tracks and _has_positions(pattern.manifolds[batch.kinds[0]]):
+        manifold = pattern.manifolds[batch.kinds[0]]
+        if len(index) and {*batch.kinds[:2]} <= tracks and manifold.position(manifold.identity()).shape[-1]:
             ends = np.stack([place[batch.variables[slot][index]] for slot in (0, 1)], axis=1)
             late = ends.argmax(axis=1)
             tables.append(np.column_stack([np.full(len(index), number), index, late, np.sort(ends, axis=1)]))
@@ -118,10 +119,6 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
         numbers, indices, slots = table[members, :3].T
         kinds = tuple(sorted({*pattern.batches[numbers[0]].kinds[:2]}))
         yield ClosureGroup(numbers, indices, slots, kinds)
-
-
-def _has_positions(manifold: Manifold) -> bool:
-    return bool(manifold.position(manifold.identity()).shape[-1])
 
 
 @dataclass(frozen=True)

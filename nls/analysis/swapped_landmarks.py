@@ -28,10 +28,9 @@ from itertools import combinations
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
-from factors.sighting import Sighting
 from models.algebra import Array, Index, Mask
 from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, decisive, expected, solved, supported

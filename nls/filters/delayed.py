@@ -19,10 +19,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.joined import joined
 from factors.keys import Keys
-from factors.sighting import Sighting
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, apply
 from models.sensors import cartesian

@@ -24,9 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
-from factors.sighting import Sighting
 from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError

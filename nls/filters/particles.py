@@ -21,9 +21,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
-from factors.sighting import Sighting
 from models import LieGroup, Manifold
 from models.algebra import Array, Index, apply, gram, product
 from models.errors import GraphError

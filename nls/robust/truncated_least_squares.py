@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from factors.base import Factor
-from factors.robust import GemanMcClure
+from factors import Factor, GemanMcClure
 from models.algebra import Array, Mask
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph

@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
-from factors.sighting import Sighting
 from factors.sonar import first_contacts
 from models import SE3
 from models.algebra import Array, Index, Numbers

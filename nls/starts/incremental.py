@@ -108,7 +108,10 @@ class _Growth:
 
     def __init__(self, graph: FactorGraph, values: Values, stage_size: int | None) -> None:
         self.parts, points = Parts(graph, values), _points(graph, values)
-        poses = {kind: values.stack(kind).numbers for kind in _poses(graph, values)}
+        # in SE2 or SE3, and not the place of a sensor
+        places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
+        kinds = {kind for kind, stack in values.stacks.items() if stack.manifold in (SE2, SE3)} - places
+        poses = {kind: values.stack(kind).numbers for kind in kinds}
         numbers = np.sort(np.concatenate([np.zeros(0, np.int64), *poses.values()]))
         stage_size = min(50, max(len(numbers) // 20, 1)) if stage_size is None else stage_size
         last = np.unique(numbers[stage_size - 1 : -1 : stage_size])  # of every stage but the last
@@ -211,12 +214,6 @@ class _Falls:
         little = iteration.chi2 > (1 - self.fraction) * self.before
         self.before = iteration.chi2
         return little
-
-
-def _poses(graph: FactorGraph, values: Values) -> set[str]:
-    """Kinds of poses: in SE2 or SE3, and not the place of a sensor."""
-    places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
-    return {kind for kind, stack in values.stacks.items() if stack.manifold in (SE2, SE3)} - places
 
 
 def _points(graph: FactorGraph, values: Values) -> set[str]:

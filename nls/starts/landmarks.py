@@ -25,9 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.mount import named_singularity
-from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, Mask, Numbers, apply
 from nls.gauge import fixed_of

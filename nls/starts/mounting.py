@@ -32,12 +32,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor
+from factors import Factor, Isotropic, Prior, Range, Sighting
 from factors.keys import Keys
-from factors.noise import Isotropic, square
-from factors.prior import Prior
-from factors.range import Range
-from factors.sighting import Sighting
+from factors.noise import square
 from models import SE3, R, wrap
 from models.advice import Advice
 from models.algebra import Array, Index, Mask

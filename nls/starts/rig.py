@@ -90,7 +90,9 @@ def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_point
         values, known = _placed(graph, values, pairs, three_points)
         values = where_ranges_say(graph, values, pairs, unknown)
         values = turned_to_azimuths(values, pairs, unknown)
-    return _from_rays(pairs, values, known)
+    views = [(factor, ~known[pairs.points.index(factor.keys[1])]) for factor in pairs.factors]
+    # the points that are not known where the rays of their pixels meet, or where they were
+    return locate_points(FactorGraph([factor[alone] for factor, alone in views if alone.any()]), values)
 
 
 def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Mask]:
@@ -156,9 +158,3 @@ def _far_apart(v: Array) -> list[int]:
     b = int(np.argmax(np.linalg.norm(v - v[a], axis=1)))
     c = int(np.argmax(np.linalg.norm(np.cross(v - v[a], v[b] - v[a]), axis=1)))
     return [a, b, c]
-
-
-def _from_rays(pairs: Pairs, values: Values, known: Mask) -> Values:
-    """The points that are not known where the rays of their pixels meet, or where they were."""
-    views = [(factor, ~known[pairs.points.index(factor.keys[1])]) for factor in pairs.factors]
-    return locate_points(FactorGraph([factor[alone] for factor, alone in views if alone.any()]), values)
