@@ -94,7 +94,7 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of 
 
 
 class Judged(Protocol):
-    """What has chi2 and degrees of freedom."""
+    """An optimum with chi2 and degrees of freedom."""
 
     @property
     def chi2(self) -> float: ...
@@ -163,7 +163,7 @@ def expected(fit: Judged) -> bool:
 
 
 def nearest(fits: Sequence[J]) -> tuple[J, ...]:
-    """Those of the lowest chi2, which nothing tells apart, the lowest first."""
+    """The optima of the lowest chi2, which nothing tells apart, the lowest first."""
     ordered = sorted(fits, key=lambda fit: fit.chi2)
     limit = ordered[0].chi2 + EQUAL * scale(ordered[0]) if ordered else 0.0
     return tuple(fit for fit in ordered if fit.chi2 <= limit)

@@ -28,7 +28,7 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
-SAME = 1e-4  # sine of the angle between a motion and the free directions
+SAME_MOTION = 1e-4  # sine of the angle between a motion and the free directions
 NEAR = 1e-3  # of the extent: a center this near to a variable is there
 
 
@@ -149,10 +149,10 @@ def motions(N: Array, G: Array) -> tuple[list[Motion], Array]:
     outside = scaled @ V - Q @ (Q.T @ (scaled @ V))
     _, s, Wt = np.linalg.svd(np.linalg.qr(outside, mode="r"))
     size = np.linalg.norm(scaled @ V @ Wt.T, axis=0)
-    K = np.linalg.qr(V @ Wt[np.pad(s, (0, len(Wt) - len(s))) <= SAME * size].T)[0]
+    K = np.linalg.qr(V @ Wt[np.pad(s, (0, len(Wt) - len(s))) <= SAME_MOTION * size].T)[0]
     remainder = Q - _onto(scaled @ K, Q)
     U, s, _ = np.linalg.svd(remainder, full_matrices=False)
-    pure = [k for k in range(len(active)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME]
+    pure = [k for k in range(len(active)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME_MOTION]
     decomposition = np.linalg.svd(K - np.eye(len(active))[:, pure] @ K[pure], full_matrices=False)
     coefficients = [np.eye(len(active))[k] for k in pure]
     coefficients += list(decomposition[0].T[: K.shape[1] - len(pure)])

@@ -26,7 +26,7 @@ from nls.analysis.variable import check_one, observability
 from nls.graph import FactorGraph
 from nls.values import Values
 
-AXES = {"x": "surge", "y": "sway", "z": "heave", "roll": "roll", "pitch": "pitch", "yaw": "yaw"}
+MOTION_NAMES = {"x": "surge", "y": "sway", "z": "heave", "roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def _simple(group: LieGroup) -> dict[str, Array]:
     steps = {"stay": np.zeros(group.dim)}
     for step, name in zip(np.eye(group.dim), group.components, strict=True):
         amount, label = (0.5, "0.5 m") if name in ("x", "y", "z") else (turn, "10 deg")
-        steps[f"{AXES[name]} {label}"] = amount * step
+        steps[f"{MOTION_NAMES[name]} {label}"] = amount * step
     return steps
 
 

@@ -23,7 +23,7 @@ from nls.posegraph import closures, odometry
 from nls.sparse.pattern import Batch, Pattern, measuring
 
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
-UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
+UNSEEN_REDUNDANCY = 1e-9  # redundancy of a direction; what is less is rounding
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class Observability:
 
     @property
     def sigma_known(self) -> Array:
-        """The same (d,) if all else, the other components too, were known; inf where no measurement reacts."""
+        """Sigmas (d,) if all else, the other components too, were known; inf where no measurement reacts."""
         informed = np.sqrt(self.known) > FREE * self.weights
         return np.where(informed, 1 / np.sqrt(np.where(informed, self.known, 1.0)), np.inf)
 
@@ -98,7 +98,7 @@ class Observability:
 
     @property
     def _comparable(self) -> list[str]:
-        """What is alike (d) for components that may be compared: their unit, or where they have none their name."""
+        """Labels (d) that comparable components share: their unit, or where they have none their name."""
         return [unit or name for name, unit in zip(self.components, self.units, strict=True)]
 
     def _head(self) -> str:
@@ -116,7 +116,7 @@ class Observability:
         return rows
 
     def _notes(self) -> list[str]:
-        """What is free, what is weakest, what is correlated."""
+        """Lines on free, weakest and correlated directions."""
         notes = []
         for n, companions in zip(self.free, self.with_free, strict=True):
             size = np.abs(n * self.weights)

@@ -46,7 +46,7 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.analysis.chi_squared import mahalanobis
-from nls.analysis.leave_one_out import UNSEEN
+from nls.analysis.leave_one_out import UNSEEN_REDUNDANCY
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
@@ -62,8 +62,10 @@ from nls.starts.chordal import chordal
 from nls.system import LinearSystem
 from nls.values import Values
 
-WINDOW = 20  # steps at either end between closures of one group
-SIGMAS = 3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
+GROUP_WINDOW = 20  # steps at either end between closures of one group
+MOVED_SIGMAS = (
+    3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
+)
 PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
 GROUPS_TOGETHER = 8  # solved for: city10000 in half of the time
 
@@ -100,7 +102,7 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
     masks = zip(pattern.batches, odometry(pattern), strict=True)
     tracks = {batch.kinds[0] for batch, steps in masks if steps.any()}
     sizes = [len(numbers) for numbers in pattern.numbers.values()]
-    place = places(pattern) + np.repeat((WINDOW + 1) * np.arange(len(sizes)), sizes)  # none reaches the next kind
+    place = places(pattern) + np.repeat((GROUP_WINDOW + 1) * np.arange(len(sizes)), sizes)  # none reaches the next kind
     tables = []
     for number, (batch, closing) in enumerate(zip(pattern.batches, closures(pattern), strict=True)):
         index = np.flatnonzero(closing)
@@ -112,7 +114,7 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
     if not tables:
         return
     table = np.concatenate(tables)
-    a, b = cKDTree(table[:, 3:].astype(float)).query_pairs(WINDOW, p=np.inf, output_type="ndarray").T
+    a, b = cKDTree(table[:, 3:].astype(float)).query_pairs(GROUP_WINDOW, p=np.inf, output_type="ndarray").T
     label = connected(a, b, len(table))
     order = np.argsort(label, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
@@ -225,7 +227,7 @@ def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]
             M, v = N - U.T @ PU, C.T @ system.b[rows]
             F = _whitening(N)
             rho, E = np.linalg.eigh(F.T @ M @ F)  # eigenvalues of N^-1 M
-            observable = rho > UNSEEN
+            observable = rho > UNSEEN_REDUNDANCY
             along = (F @ E)[:, observable]
             n = along @ (along.T @ v / rho[observable])
             redundancy = float(np.clip(rho, 0, 1).mean()) if len(rho) else 1.0  # without weight it says nothing
@@ -251,7 +253,7 @@ def _whitening(N: Array) -> Array:
     """F (d, q) with F'N F = I, q the rank of N; meters and radians in units of their own."""
     scale = 1 / np.sqrt(np.where(np.diagonal(N) > 0, np.diagonal(N), 1.0))
     s, V = np.linalg.eigh(scale[:, None] * N * scale)
-    nonzero = s > UNSEEN * s.max()
+    nonzero = s > UNSEEN_REDUNDANCY * s.max()
     return np.asarray(scale[:, None] * V[:, nonzero] / np.sqrt(s[nonzero]))
 
 
@@ -263,7 +265,7 @@ def _judged(
     Groups whose linear step is below half of both bounds are not solved for.
     """
     # a redundancy of 0.1 shows a tenth of a common error; wrong groups that carried manhattan had 1e-8 to 3e-6
-    if common.redundancy > 0.1 or (common.observable and common.t < (0.5 * SIGMAS) ** 2):
+    if common.redundancy > 0.1 or (common.observable and common.t < (0.5 * MOVED_SIGMAS) ** 2):
         return None
     before = group.places(values)
     extent = float(np.ptp(before, axis=0).max())
@@ -278,7 +280,7 @@ def _judged(
         q = (before - after)[known]
         meters, rms = float(moved.max()), float(np.sqrt(np.square(moved).mean()))
         sigmas = float(np.sqrt(mahalanobis(q, Sigma[known]).max()))
-        if rms < PART * extent or sigmas < SIGMAS:
+        if rms < PART * extent or sigmas < MOVED_SIGMAS:
             return None
     closures_of = tuple(zip(group.batch.tolist(), group.index.tolist(), strict=True))
     names = tuple(graph.factors[factor].describe(index) for factor, index in closures_of)

@@ -167,7 +167,7 @@ def _distance(pattern: Pattern, values: Values, key: Keys) -> float:
 
 
 def _weights(units: tuple[str, ...], norms: Array, length: float) -> Array:
-    """What a unit of each component (d,) counts: meters, `length` meters a radian, all else by its own column of A_k.
+    """Weights of a unit of each component (d,): meters, `length` meters a radian, all else by its own column of A_k.
 
     Scaled so that A_k / w has columns of length 1 in the mean: |E n| for n = w dx of length 1 then is the part of the
     information that is left.
@@ -200,7 +200,7 @@ def _upright(V: Array, w: Array) -> Array:
 
 
 def _with(system: LinearSystem, columns: Index, moved: Array) -> str:
-    """What else moves in a free direction, by kinds: "x, y, z of x; x, y, z of l"."""
+    """Companions that move in a free direction, by kinds: "x, y, z of x; x, y, z of l"."""
     pattern = system.pattern
     owner, component = pattern.column_owner()
     kind = np.searchsorted(list(pattern.offsets.values()), owner[columns], side="right") - 1

@@ -61,7 +61,7 @@ from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-SMALLEST = 1.0  # redundancy: one number of its own that a scale is estimated from
+LEAST_REDUNDANCY = 1.0  # redundancy: one number of its own that a scale is estimated from
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,9 @@ class VarianceComponent:
         redundancy = f"{round(self.redundancy, 6) + 0.0:.3g}" if self.redundancy < 100 else f"{self.redundancy:.0f}"
         share = f"redundancy {redundancy} of {self.numbers} numbers"
         if not self.known:
-            reason = "no other measurement checks them" if self.redundancy < SMALLEST else "their errors do not show"
+            reason = (
+                "no other measurement checks them" if self.redundancy < LEAST_REDUNDANCY else "their errors do not show"
+            )
             return f"{self.name}: stated sigmas kept, {reason} ({share})"
         return f"{self.name}: stated sigmas times {self.scale:.3g} +- {self.sigma:.2g} ({share})"
 
@@ -207,7 +209,7 @@ def variance_components(
         ended = result.status in (Status.STOPPED, Status.INTERRUPTED, Status.MAX_TIME)
         residuals = Residuals(_checked(factors, graph, values, gauge), every)
         v, r = residuals.v, residuals.r
-        vague = free & (((r < SMALLEST) & (v <= r)) | (r < UNCHECKED * residuals.numbers) | (v <= 1e-12 * r))
+        vague = free & (((r < LEAST_REDUNDANCY) & (v <= r)) | (r < UNCHECKED * residuals.numbers) | (v <= 1e-12 * r))
         if ended:  # by the caller, who wants no further rounds
             break
         if vague.any():
@@ -217,11 +219,11 @@ def variance_components(
             continue
         step, sd = residuals.step(free)
         if (np.abs(step) <= 0.02 * sd).all() and result.converged:
-            if (few := free & (r < SMALLEST)).any():
+            if (few := free & (r < LEAST_REDUNDANCY)).any():
                 last, free, again = np.zeros(0), free & ~few, again & ~few
                 theta[few] = 0.0
                 continue
-            second = ~free & again & (r >= SMALLEST)  # nothing checked them while other scales were wrong
+            second = ~free & again & (r >= LEAST_REDUNDANCY)  # nothing checked them while other scales were wrong
             settled = not second.any()
             if settled:
                 break

@@ -206,7 +206,7 @@ class Filter(Abstract):
 
     @property
     def method(self) -> str:
-        """Its name and options, for reports."""
+        """Name and options of the filter, for reports."""
         return type(self).__name__
 
     @abstractmethod

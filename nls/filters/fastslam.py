@@ -181,7 +181,7 @@ class FastSLAM(Filter):
             of.start(new, self.manifold, self.X)
 
     def _know(self, factor: Factor) -> None:
-        """What is known of landmarks without a pose, such as a chart: they begin there, or are updated."""
+        """Knowledge of landmarks without a pose, such as a chart: they begin there, or are updated."""
         of = self._map(factor.keys[0].kind)
         for once in each_once(factor):
             known, new = of.known(once)
@@ -207,7 +207,7 @@ class FastSLAM(Filter):
         return copies(factor, manifolds, self.particles)
 
     def _about(self, factor: Factor, pose: Keys) -> str:
-        """What a factor is about: the pose, a landmark, or a sighting of a landmark from the pose."""
+        """Subject of a factor: the pose, a landmark, or a sighting of a landmark from the pose."""
         if factor.kernel is not None:
             message = f"{factor!r} has a robust kernel; particles are weighed by Gaussian noise alone"
             raise GraphError(f"FastSLAM: {message}", factor.keys, factor.name)

@@ -38,7 +38,10 @@ from nls.robust.loop_graph import LoopGraph, Neighbors, unit_variance
 from nls.values import Values
 
 LARGE = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
-WIDE, FITS = 1.6, 0.999  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
+WIDER_GATE, FITS = (
+    1.6,
+    0.999,
+)  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def misfits(judged: Iterable[Witness], result: Result, loops: LoopGraph) -> Mask
     wrong = np.zeros(len(loops.closures), dtype=bool)
     for witness in judged:
         gate = chi2_gate(len(witness.members) * loops.poses.group.dim, FITS)
-        wrong[witness.members] = witness.t > WIDE * noise * gate
+        wrong[witness.members] = witness.t > WIDER_GATE * noise * gate
     return wrong
 
 

@@ -43,7 +43,7 @@ from nls.robust.loop_graph import LoopGraph, loop_graph
 from nls.starts.chordal import chordal
 from nls.values import Values
 
-SHARE = 0.25  # of those that pass, accepted in one round
+ACCEPTED_SHARE = 0.25  # of those that pass, accepted in one round
 PLACES = 10_000_000  # that paths are kept to, from all sources searched together: 120 MB
 
 
@@ -107,7 +107,7 @@ def grown(loops: LoopGraph) -> Growth:
         fits, order, P[left] = _tested(known, closures[left], T, scales, near.cluster[left], P[left])
         if not len(fits):
             break
-        last = np.sort(order)[ceil(SHARE * len(fits)) - 1]
+        last = np.sort(order)[ceil(ACCEPTED_SHARE * len(fits)) - 1]
         new = left[fits[order <= last]]  # all of those that are as certain: their numbers must not decide
         accepted[new] = True
         values, s = _solved(loops, values, accepted)

@@ -25,7 +25,7 @@ from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence
 from nls.starts.chordal import chordal
 
-WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
+HEAVY_TAILS = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
 MANY_CLOSURES = 600  # among which none is exchanged: there are others that check each
 
 
@@ -76,7 +76,7 @@ class Preselection:
             return None
         if verdict.strain(loops, first) > verdict.STRAIN:
             return None
-        variance = min(WIDE**2 * noise, 1.0)
+        variance = min(HEAVY_TAILS**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
         if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.STILL:
@@ -88,7 +88,7 @@ class Preselection:
         loops, growth = self.loops, grown(self.loops)
         first = lowest(loops.graph.only(growth.masks), growth.values)
         noise = verdict.noise(first) if loops.accepted(growth.masks).any() else 1.0  # odometry fits by itself
-        variance = min(WIDE**2 * noise, max(1.0, noise))
+        variance = min(HEAVY_TAILS**2 * noise, max(1.0, noise))
         problem = self.problem.scaled(variance)
         reaches = problem.affordable(first.values, (10.0, 1000.0))  # in thresholds
         choices = [problem.choice(first.values, self.loss, far) for far in reaches]

@@ -66,7 +66,7 @@ class Truncated:
     landmarks: Landmarks = field(default_factory=lambda: Landmarks(FactorGraph(), (), {}, {}))
 
     def scaled(self, variance: float) -> Truncated:
-        """The same problem with all thresholds c^2 times so much."""
+        """A problem with all thresholds c^2 times so much."""
         return replace(self, c2=[variance * c2 for c2 in self.c2])
 
     def rejected(self, inliers: list[Mask]) -> int:
@@ -135,11 +135,11 @@ class Truncated:
         return [factor.chi2(values) for factor in self.graph.factors]
 
     def _inliers(self, s: list[Array], values: Values) -> list[Mask]:
-        """What is within the thresholds, without landmarks that leave."""
+        """Measurements within the thresholds, without those of landmarks that leave."""
         return self.landmarks.kept(self._within(s, 1.0), values)
 
     def _within(self, s: list[Array], far: float) -> list[Mask]:
-        """What is trusted, and those doubted ones that are within so many thresholds."""
+        """Trusted measurements, and doubted ones within so many thresholds."""
         return [~m | (k <= far * c2) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)]
 
     def _bent(self, values: Values, loss: str, far: float) -> Values:

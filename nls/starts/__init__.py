@@ -70,7 +70,9 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
 # chi2 per measured row, or degree of freedom, of a poor start: noise gives 1, chordal starts of public pose graphs
 # without false closures and starts that Gauss-Newton converges from seldom over 10
 POOR = 10.0
-STEPS = 20  # at most, from each start; simulated range-only missions need 5, the marine one with poor headings 10
+COMPARED_STEPS = (
+    20  # at most, from each start; simulated range-only missions need 5, the marine one with poor headings 10
+)
 SAME_CHI2 = 1e-6  # relative: chi2 that differs by less is of the same poses, or of the same optimum
 REFUSED = (UnderconstrainedError, EvaluationError, SingularGeometryError)
 
@@ -236,11 +238,11 @@ class Candidates:
         KeyboardInterrupt
             The optimizer was interrupted.
         """
-        after = f"{name} + {STEPS} steps"
+        after = f"{name} + {COMPARED_STEPS} steps"
         try:
             with stage(f"init {after}"), warnings.catch_warnings():
                 warnings.simplefilter("ignore", GraphWarning)  # the optimization that follows gives them
-                result = self.graph.optimize(self._starts[name], Dogleg(Stop(max_iterations=STEPS)))
+                result = self.graph.optimize(self._starts[name], Dogleg(Stop(max_iterations=COMPARED_STEPS)))
         except REFUSED:
             return
         if result.status is Status.INTERRUPTED:

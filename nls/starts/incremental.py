@@ -161,7 +161,7 @@ class _Growth:
         return put_back(values, points, subgraph.fixed)
 
     def optimized(self, values: Values, stage: int, everything: bool) -> tuple[Values, float]:
-        """What is known at its optimum, everything or the poses of a stage and the points they see; chi2 per row."""
+        """The known variables at their optimum, all or the poses of a stage and the points they see; chi2 per row."""
         known = self._known(stage)
         measurements, held = (known, {}) if everything else self._near(known, values, stage)
         subgraph, within = self.parts.take(measurements, held, values)

@@ -102,7 +102,7 @@ def judged(graph: FactorGraph, values: Values) -> Checked | None:
 
 
 def checked(graph: FactorGraph, values: Values) -> Checked:
-    """The same where it can be."""
+    """Every measurement against all others, where that can be."""
     checks = judged(graph, values)
     assert checks is not None
     return checks

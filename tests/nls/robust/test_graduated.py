@@ -16,7 +16,7 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified
-from nls.robust.groups import FITS, WIDE, misfits, witnesses
+from nls.robust.groups import FITS, WIDER_GATE, misfits, witnesses
 from nls.robust.growth import path_covariances
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.loop_graph import Neighbors, Odometry, loop_graph, neighbors
@@ -150,7 +150,7 @@ def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
     for group in (7, 2, 4):
         kept = FactorGraph([odometry, loops[groups != group]])
         fall = result.chi2_final - kept.optimize(values).chi2_final
-        gate = WIDE * chi2_gate(2 * int((groups == group).sum()), FITS)
+        gate = WIDER_GATE * chi2_gate(2 * int((groups == group).sum()), FITS)
         for above, found in ((1.001, False), (0.999, True)):  # linear: the statistic is exactly that fall
             scaled = replace(result, chi2_final=above * fall / gate * result.dof)  # what the noise is taken from
             wrong = misfits(witnesses(track, result.values, np.ones(5, dtype=bool)), scaled, track)

@@ -61,7 +61,7 @@ def test_paths_are_the_same_however_many_are_searched_together(circle: Values, m
 def test_what_the_others_contradict_later_is_given_back(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth, "misfits", lambda *_: np.zeros(12, dtype=bool))  # only given back here
     graph = contradicted(circle)
-    monkeypatch.setattr(growth, "SHARE", 1.0)
+    monkeypatch.setattr(growth, "ACCEPTED_SHARE", 1.0)
     accepted: list[int] = []
     solved = growth._solved
 
