@@ -53,6 +53,7 @@ class Sighting(Factor):
     offset : None, the fixed offsets (1 or n, size), or the `Keys` of the variable(s).
     locates : whether one measurement is enough to say where its target is.
     contact : whether z is range, m, and azimuth, rad, alone, as of an imaging sonar: its target is on an arc.
+    limit : half of the aperture, rad, of those that only say that their target was in it (`limit_only`).
 
     Raises
     ------
@@ -64,6 +65,7 @@ class Sighting(Factor):
     per_measurement = ("offset",)
     locates: ClassVar[bool] = False
     contact: ClassVar[bool] = False
+    limit: float
 
     def __init__(
         self, pose: Keys, target: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None

@@ -22,7 +22,7 @@ from script import arguments, at_least_one, page_head, write_page
 
 import nls
 import sim
-from nls.analysis.exchanged_contacts import exchanged_contacts
+from nls.analysis.swapped_landmarks import exchanged_contacts
 from nls.cli.outliers import choice_of
 from nls.io import LoadReport
 

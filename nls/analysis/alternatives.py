@@ -21,13 +21,7 @@ import numpy as np
 from factors import Position, Sighting
 from models import SE2, SE3
 from models.alignment import align
-from models.errors import (
-    EvaluationError,
-    GraphError,
-    GraphWarning,
-    SingularGeometryError,
-    UnderconstrainedError,
-)
+from models.errors import EvaluationError, GraphError, GraphWarning, SingularGeometryError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
 from nls.linear.factorization import SingularSystemError
@@ -37,17 +31,9 @@ from nls.values import Values
 
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
 EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less cannot be told apart
-SAME = 1e-6  # relative: starts whose chi2 differ by less are one
 HALF = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
-ITERATIONS = 50  # of one alternative
 FIRST = 10  # of these, after which an alternative that is worse than others is given up
-REFUSED = (
-    SingularSystemError,
-    EvaluationError,
-    GraphError,
-    UnderconstrainedError,
-    SingularGeometryError,
-)
+REFUSED = (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError, SingularGeometryError)
 
 
 def aligned(graph: FactorGraph, values: Values) -> Values:
@@ -108,7 +94,7 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of 
 
 
 class Judged(Protocol):
-    """What has chi2 and degrees of freedom."""
+    """An optimum with chi2 and degrees of freedom."""
 
     @property
     def chi2(self) -> float: ...
@@ -137,11 +123,7 @@ class Fit:
 
 
 def solved(
-    graph: FactorGraph,
-    values: Values,
-    start: bool = True,
-    iterations: int = ITERATIONS,
-    limit: float = math.inf,
+    graph: FactorGraph, values: Values, start: bool = True, iterations: int = 50, limit: float = math.inf
 ) -> Fit | None:
     """The best optimum of a graph from its starts, or from these values alone; None where there is none.
 
@@ -162,7 +144,7 @@ def solved(
                 warnings.simplefilter("ignore", GraphWarning)  # the user's own solve has given them
                 begin = STARTS[name](graph, values)
                 chi2 = graph.chi2(begin)
-                if chi2 > limit or any(math.isclose(chi2, other, rel_tol=SAME) for other in tried):
+                if chi2 > limit or any(math.isclose(chi2, other, rel_tol=1e-6) for other in tried):
                     continue
                 tried.append(chi2)
                 result = graph.optimize(begin, damped)
@@ -181,7 +163,7 @@ def expected(fit: Judged) -> bool:
 
 
 def nearest(fits: Sequence[J]) -> tuple[J, ...]:
-    """Those of the lowest chi2, which nothing tells apart, the lowest first."""
+    """The optima of the lowest chi2, which nothing tells apart, the lowest first."""
     ordered = sorted(fits, key=lambda fit: fit.chi2)
     limit = ordered[0].chi2 + EQUAL * scale(ordered[0]) if ordered else 0.0
     return tuple(fit for fit in ordered if fit.chi2 <= limit)

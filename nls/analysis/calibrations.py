@@ -26,11 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Isotropic, Prior, Shifted
-from factors.base import Factor
+from factors import Factor, Isotropic, Prior, Shifted, Sighting
 from factors.keys import Keys, Kind
 from factors.predicted import predicted
-from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved
@@ -46,15 +44,8 @@ from nls.starts.parts import Parts
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Calibration", "calibrations", "explains"]
-
-UNLIKELY = 1e-6  # chance of a false alarm: no noise is exactly as stated; the public smallGrid3D has 4e-5
-CAUSE = 0.9  # of the chi2 beyond its expectation, which a calibration must explain; odometry without use has 0.75
-WIDE = 1.0  # of the scale and turn of odometry, rad: sigma of the prior
-MOUNTED = 0.1  # m, rad: that of a mounting; wider, a direction that is hardly seen leads to another optimum
-LARGEST = 1.6  # m, rad, or a fraction: beyond a quarter turn it is another mistake
-CLEAR = 3.0  # sigmas of a component that is named
-MANY = 6  # measurements
+CLEAR_SIGMAS = 3.0  # of a component that is named
+MEASUREMENTS = 6  # at least, of a sensor or of odometry
 
 
 @dataclass(frozen=True)
@@ -162,21 +153,24 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
         except np.linalg.LinAlgError:  # the optimum is at numbers beside which the calibration has no digits left
             continue
         variance, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
-        if len(sources) * float(chi2_tail(np.array(fall / variance), np.array(d))) > UNLIKELY:
-            continue
+        if len(sources) * float(chi2_tail(np.array(fall / variance), np.array(d))) > 1e-6:
+            continue  # a false alarm is as likely: no noise is exactly as stated; the public smallGrid3D has 4e-5
         fit = solved(other, start, start=False)
         if fit is None or chi2 - fit.chi2 < EQUAL * scale(fit):
             continue
-        if np.abs(source.group.log(source.group.between(source.X, fit.values[key][None]))).max() > LARGEST:
-            continue
+        if np.abs(source.group.log(source.group.between(source.X, fit.values[key][None]))).max() > 1.6:
+            continue  # m, rad, or a fraction: beyond a quarter turn it is another mistake
         if explains(fit, chi2, dof):
             fits.append(_named(source, fit, key, chi2, dof))
     return nearest(fits)
 
 
 def explains(fit: Judged, chi2: float, dof: int) -> bool:
-    """Whether noise explains an optimum, or nine tenths of the excess of chi2 over dof are gone."""
-    return expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof)
+    """Whether noise explains an optimum, or nine tenths of the excess of chi2 over dof are gone.
+
+    Odometry without use explains three quarters.
+    """
+    return expected(fit) or chi2 - fit.chi2 > 0.9 * (chi2 - dof)
 
 
 def _determined(graph: FactorGraph, pattern: Pattern, values: Values, free: Freedom) -> tuple[FactorGraph, Values]:
@@ -230,7 +224,7 @@ def _mountings(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
     sources = []
     for (group, _), (O, numbers) in sensors.items():
         measuring = [graph.factors[k] for k in numbers if not graph.factors[k].limit_only]
-        if sum(map(len, measuring)) < MANY:
+        if sum(map(len, measuring)) < MEASUREMENTS:
             continue
         factors = list(graph.factors)
         for k in numbers:
@@ -239,7 +233,8 @@ def _mountings(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
             factors[k] = sighting.mounted(key)
         kind = " and ".join(dict.fromkeys(factor.name for factor in measuring))
         changed = tuple(factors[k] for k in numbers)
-        sources.append(Source(kind, "mounting", group.components, tuple(factors), changed, group, O, MOUNTED))
+        # 0.1 m and rad: with a wider prior a direction that is hardly seen leads to another optimum
+        sources.append(Source(kind, "mounting", group.components, tuple(factors), changed, group, O, 0.1))
     return sources
 
 
@@ -252,7 +247,7 @@ def _odometry(graph: FactorGraph, pattern: Pattern, values: Values, key: Keys) -
             steps.setdefault(space, []).append((k, np.flatnonzero(along)))
     sources = []
     for space, places in steps.items():
-        if sum(len(indices) for _, indices in places) < MANY or not {"x", "y", "yaw"} <= {*space.components}:
+        if sum(len(indices) for _, indices in places) < MEASUREMENTS or not {"x", "y", "yaw"} <= {*space.components}:
             continue
         turns = tuple(name for name in space.components if name not in {*"xyz"}) if space in (SE2, SE3) else ("yaw",)
         factors, changed = list(graph.factors), []
@@ -265,7 +260,7 @@ def _odometry(graph: FactorGraph, pattern: Pattern, values: Values, key: Keys) -
         kind = " and ".join(dict.fromkeys(graph.factors[k].name for k, _ in places))
         group = R(1 + len(turns))
         begin = np.zeros((1, group.dim))
-        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), tuple(changed), group, begin, WIDE))
+        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), tuple(changed), group, begin, 1.0))
     return sources
 
 
@@ -292,11 +287,11 @@ def _named(source: Source, fit: Fit, key: Keys, chi2: float, dof: int) -> Calibr
     if source.quantity == "mounting":  # the difference of places, not of tangent vectors
         d = source.group.point_dim
         correction[:d] = (source.group.position(X) - source.group.position(source.X))[0]
-    off = np.flatnonzero(np.abs(correction) > CLEAR * sigma)
+    off = np.flatnonzero(np.abs(correction) > CLEAR_SIGMAS * sigma)
     if source.quantity == "odometry":  # z - G c is z times a scale and a rotation
         along, turn = 1 - correction[0], float(np.linalg.norm(correction[1:]))
         correction[1:] *= np.arctan2(turn, along) / turn if turn > 0 else 1.0
         correction[0] = 1 / np.hypot(along, turn)
-        off = np.flatnonzero(np.abs(correction - np.eye(len(correction))[0]) > CLEAR * sigma)
+        off = np.flatnonzero(np.abs(correction - np.eye(len(correction))[0]) > CLEAR_SIGMAS * sigma)
     names = tuple(source.components[c] for c in off)
     return Calibration(source.kind, source.quantity, names, correction[off], sigma[off], chi2, fit.chi2, dof)

@@ -9,8 +9,6 @@ from models.options import check_between, check_whole
 
 __all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail", "mahalanobis"]
 
-TINY = 1e-290  # probability; below, the expansion for large t serves
-
 
 def mahalanobis(xi: Array, S: Array) -> Array:
     """Squared Mahalanobis distances xi' S^-1 xi (...) of errors (..., m) with covariances S (..., m, m).
@@ -100,6 +98,6 @@ def chi2_log_tail(t: float, dof: int) -> float:
     a, x = dof / 2, t / 2
     if not dof:
         return 0.0
-    if (tail := float(gammaincc(a, x))) > TINY:
+    if (tail := float(gammaincc(a, x))) > 1e-290:  # below, the expansion for large t serves
         return float(np.log(tail))
     return float((a - 1) * np.log(x) - x - gammaln(a) - np.log1p((1 - a) / x))  # first terms of a continued fraction

@@ -27,13 +27,8 @@ from nls.analysis.leave_one_out import checks, kinds_of
 from nls.analysis.linearization import Checked
 from nls.values import Stack, Values
 
-__all__ = ["ClockOffset", "central_differences", "clock_offsets"]
-
-UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
-LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock
-CAUSE = 0.5  # of what chi2 is above its expectation
 KNOWN = 1e-6  # M / a'a below which the motion is too even to tell an offset from a shift
-MANY = 6  # measurements of a kind
+MEASUREMENTS = 6  # of a kind, at least
 
 
 @dataclass(frozen=True)
@@ -76,11 +71,12 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
     Measurements of one pose and of points or nothing else are tested. At constant velocity in the axes of the body a
     forgotten lever arm ahead looks the same: dt times the speed.
     """
-    speeds = {name: velocities(stack) for name, stack in _tracks(values)}
+    stacks = {n: s for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MEASUREMENTS}
+    speeds = {name: velocities(stack) for name, stack in stacks.items()}
     kinds = {
         name: [k for k, _ in kind]
         for name, kind in kinds_of(checked.linear.pattern, count).items()
-        if sum(len(indices) for _, indices in kind) >= MANY
+        if sum(len(indices) for _, indices in kind) >= MEASUREMENTS
         and all(len(_moving(checked, k, speeds)) == 1 for k, _ in kind)
     }
     names = list(kinds)
@@ -100,10 +96,10 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
         best, fall = candidates[int(np.argmax(further))], max(further)
         scale = max(1.0, (chi2 - sum(falls) - fall) / max(dof - len(chosen) - 1, 1.0))
         chance = min(1.0, len(names) * float(chi2_tail(np.array(fall / scale), np.array(1))))
-        if chance > UNLIKELY:
+        if chance > 1e-3:
             break
         chosen, chances, falls = [*chosen, best], [*chances, chance], [*falls, fall]
-    if not chosen or sum(falls) < CAUSE * (chi2 - dof):
+    if not chosen or sum(falls) < 0.5 * (chi2 - dof):
         return ()
     dt = np.linalg.solve(M[np.ix_(chosen, chosen)], score[chosen])
     scale = max(1.0, (chi2 - sum(falls)) / max(dof - len(chosen), 1.0))
@@ -112,7 +108,8 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
         ClockOffset(names[j], float(d), float(s), fall, chance)
         for j, d, s, fall, chance in zip(chosen, dt, sigma, falls, chances, strict=True)
     ]
-    sensible = all(abs(o.dt) <= LONGEST * duration[j] for o, j in zip(offsets, chosen, strict=True))
+    # beyond a tenth of the duration it is no offset of a clock
+    sensible = all(abs(o.dt) <= 0.1 * duration[j] for o, j in zip(offsets, chosen, strict=True))
     return tuple(offsets) if sensible else ()
 
 
@@ -143,11 +140,6 @@ def central_differences(group: LieGroup, X: Array, t: Array | Index) -> Array:
     place = np.arange(len(X))
     before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(place) - 1)
     return np.asarray(group.log(group.between(X[before], X[after])) / (t[after] - t[before])[:, None])
-
-
-def _tracks(values: Values) -> list[tuple[str, Stack]]:
-    """Kinds of poses that have a velocity."""
-    return [(n, s) for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MANY]
 
 
 def _moving(checked: Checked, k: int, speeds: Mapping[str, object]) -> list[str]:

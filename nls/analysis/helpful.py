@@ -26,10 +26,7 @@ from nls.analysis.variable import check_one, observability
 from nls.graph import FactorGraph
 from nls.values import Values
 
-__all__ = ["Motion", "Motions", "helpful_motions"]
-
-STAY = "stay"
-AXES = {"x": "surge", "y": "sway", "z": "heave", "roll": "roll", "pitch": "pitch", "yaw": "yaw"}
+MOTION_NAMES = {"x": "surge", "y": "sway", "z": "heave", "roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 
 
 @dataclass(frozen=True)
@@ -182,10 +179,10 @@ def _step(name: str, step: npt.ArrayLike, group: LieGroup) -> Array:
 def _simple(group: LieGroup) -> dict[str, Array]:
     """0.5 m along and 10 deg about every axis, and not to move at all."""
     turn = np.radians(10.0)
-    steps = {STAY: np.zeros(group.dim)}
+    steps = {"stay": np.zeros(group.dim)}
     for step, name in zip(np.eye(group.dim), group.components, strict=True):
         amount, label = (0.5, "0.5 m") if name in ("x", "y", "z") else (turn, "10 deg")
-        steps[f"{AXES[name]} {label}"] = amount * step
+        steps[f"{MOTION_NAMES[name]} {label}"] = amount * step
     return steps
 
 
@@ -198,9 +195,8 @@ def _last(graph: FactorGraph, values: Values, key: Keys) -> Keys:
             if keys.kind != key.kind and mask.any() and values.stack(keys.kind).manifold.body_axes:
                 shared[keys.kind] = max(shared.get(keys.kind, -1), int(keys.numbers[mask].max()))
     if not shared:
-        raise GraphError(
-            f"helpful_motions: no pose shares a factor with {key!r}; say which one moves, pose=x[0]", [key]
-        )
+        message = f"no pose shares a factor with {key!r}; say which one moves, pose=x[0]"
+        raise GraphError(f"helpful_motions: {message}", [key])
     kind = next(iter(shared))
     return Keys(kind, shared[kind])
 

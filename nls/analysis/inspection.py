@@ -12,8 +12,6 @@ from nls.linear import best_decomposition, default_solver
 from nls.sparse.fill import fill_in
 from nls.values import Values
 
-__all__ = ["inspect"]
-
 
 def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     """Counts, connectivity, gauge, information, chi2 of the given values, size of A and of its factorization.

@@ -23,9 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Sighting
 from factors.keys import Keys, Kind
-from factors.sonar import first_contacts
 from models import SE3, R
 from models.algebra import Array, Mask, apply, congruence, dot
 from models.errors import GraphError
@@ -37,11 +35,9 @@ from nls.linear.factorization import SINGULAR, SingularSystemError
 from nls.linear.limits import default_limit
 from nls.linear.null_space import own_information
 from nls.linear.underconstrained import underconstrained
-from nls.sparse.pattern import Pattern
+from nls.starts.elevation import first_arcs
 from nls.system import LinearSystem
 from nls.values import Values
-
-__all__ = ["LandmarkInformation", "landmark_information"]
 
 
 @dataclass(frozen=True)
@@ -153,31 +149,19 @@ def landmark_information(
         M = _marginal(LinearSystem(every.holding(decided.held), system.blocks, system.b), name, H)
     w, V = np.linalg.eigh(H if M is None else M)
     weak = V[:, :, 0] * np.where(V[:, -1, :1] < 0, -1.0, 1.0)  # of the two unit vectors the one that points down
-    angle = _elevation_angle(every, values, name, weak)
+    angle = _elevation_angle(graph, values, name, weak)
     return LandmarkInformation(Keys(name, stack.numbers), H, M, w, weak, angle)
 
 
-def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -> Array:
+def _elevation_angle(graph: FactorGraph, values: Values, kind: str, weak: Array) -> Array:
     """Angle (n,) between lines: the weak directions and the arcs of the first sightings; nan without one."""
     angle = np.full(len(weak), np.nan)
-    if weak.shape[1] != 3:
-        return angle
-    first = np.full(len(weak), np.iinfo(np.int64).max)  # number of the pose that saw it first
-    for batch in pattern.batches:
-        factor = batch.model.factor
-        if not isinstance(factor, Sighting) or not factor.contact or batch.kinds[1] != kind:
-            continue
-        pose, at = factor.keys[0].numbers, batch.index[1]
-        k = first_contacts(*factor.keys[:2])  # of this batch
-        k = k[pose[k] < first[at[k]]]
-        first[at[k]] = pose[k]
-        _, X = values.gather(factor)
-        S = factor.sensor_pose(SE3, *X[:1], *X[2:])
-        S = S[k] if len(S) > 1 else S
-        p, _ = point_in_frame(SE3, S, X[1][k])
-        arc = apply(SE3.rotation(S), cartesian(spherical(p)[0])[1][:, :, 2])  # dp/del, in the axes of the world
-        cosine = np.abs(dot(weak[at[k]], arc)) / np.linalg.norm(arc, axis=1)
-        angle[at[k]] = np.arccos(np.minimum(cosine, 1.0))  # 1 but for rounding
+    for arcs in first_arcs(graph.factors, values):
+        if arcs.kind == kind:
+            p, _ = point_in_frame(SE3, arcs.S, values.stack(kind).X[arcs.rows])
+            arc = apply(SE3.rotation(arcs.S), cartesian(spherical(p)[0])[1][:, :, 2])  # dp/del, in axes of the world
+            cosine = np.abs(dot(weak[arcs.rows], arc)) / np.linalg.norm(arc, axis=1)
+            angle[arcs.rows] = np.arccos(np.minimum(cosine, 1.0))  # 1 but for rounding
     return angle
 
 

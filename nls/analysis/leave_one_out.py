@@ -22,21 +22,8 @@ from nls.analysis.linearization import Checked
 from nls.posegraph import closures, odometry
 from nls.sparse.pattern import Batch, Pattern, measuring
 
-__all__ = [
-    "UNCHECKED",
-    "UNSEEN",
-    "Tested",
-    "checks",
-    "kinds_of",
-    "left_out",
-    "middle_variance",
-    "spoiled",
-    "tested",
-]
-
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
-UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
-FEW = 3  # measurements, fewer have no middle one
+UNSEEN_REDUNDANCY = 1e-9  # redundancy of a direction; what is less is rounding
 
 
 @dataclass(frozen=True)
@@ -102,7 +89,7 @@ def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
     """
     t = np.concatenate([tests[k].t[indices] for k, indices in kind])
     m = np.concatenate([tests[k].m[indices] for k, indices in kind])
-    if (m > 0).sum() < FEW:
+    if (m > 0).sum() < 3:
         return float("nan")
     return middle_variance(t[m > 0], m[m > 0])
 

@@ -30,8 +30,6 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Checked", "Linearization", "Together", "stacked"]
-
 
 class Linearization:
     """Whitened Jacobians A, errors b and weights w of every batch, and the weighted system of them.

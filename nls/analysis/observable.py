@@ -15,12 +15,8 @@ from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
 
-__all__ = ["Observability", "columns", "in_unit", "shown"]
-
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
-INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
 HEADS = ("", "one sigma", "all else known", "compared")
-CORRELATED = 0.9  # correlations at least this high are printed
 
 Row = tuple[str, str, str, str]
 
@@ -71,7 +67,7 @@ class Observability:
 
     @property
     def sigma_known(self) -> Array:
-        """The same (d,) if all else, the other components too, were known; inf where no measurement reacts."""
+        """Sigmas (d,) if all else, the other components too, were known; inf where no measurement reacts."""
         informed = np.sqrt(self.known) > FREE * self.weights
         return np.where(informed, 1 / np.sqrt(np.where(informed, self.known, 1.0)), np.inf)
 
@@ -97,12 +93,12 @@ class Observability:
         """A step (d,) by its components: ``"y 0.012 m, pitch -0.42 deg"``; what hardly takes part is left out."""
         step = np.asarray(step, dtype=float)
         size = np.abs(step * self.weights)
-        indices = np.flatnonzero(size >= INVOLVED * size.max())
+        indices = np.flatnonzero(size >= 0.2 * size.max())
         return ", ".join(f"{self.components[i]} {in_unit(step[i], self.units[i])}" for i in indices)
 
     @property
     def _comparable(self) -> list[str]:
-        """What is alike (d) for components that may be compared: their unit, or where they have none their name."""
+        """Labels (d) that comparable components share: their unit, or where they have none their name."""
         return [unit or name for name, unit in zip(self.components, self.units, strict=True)]
 
     def _head(self) -> str:
@@ -120,7 +116,7 @@ class Observability:
         return rows
 
     def _notes(self) -> list[str]:
-        """What is free, what is weakest, what is correlated."""
+        """Lines on free, weakest and correlated directions."""
         notes = []
         for n, companions in zip(self.free, self.with_free, strict=True):
             size = np.abs(n * self.weights)
@@ -130,7 +126,7 @@ class Observability:
             notes.append(f"weakest direction, one sigma: {self.direction(self.weak[0])}")
         r = self.correlation
         for i, j in zip(*np.triu_indices(len(r), 1), strict=True):
-            if abs(r[i, j]) >= CORRELATED:
+            if abs(r[i, j]) >= 0.9:
                 notes.append(f"correlated: {self.components[i]} and {self.components[j]}, {r[i, j]:.3f}")
         return notes
 

@@ -46,8 +46,7 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.analysis.chi_squared import mahalanobis
-from nls.analysis.closure_groups import ClosureGroup, closure_groups
-from nls.analysis.leave_one_out import UNSEEN
+from nls.analysis.leave_one_out import UNSEEN_REDUNDANCY
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
@@ -55,19 +54,73 @@ from nls.linear import factorize
 from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.metrics import displacements
+from nls.posegraph import closures, odometry, places
+from nls.sparse.elimination import connected
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
-from nls.starts import chordal
+from nls.starts.chordal import chordal
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Unverified", "unverified_groups"]
-
-REDUNDANCY = 0.1  # more shows a tenth of a common error; wrong groups that carried manhattan had 1e-8 to 3e-6
-SIGMAS = 3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
+GROUP_WINDOW = 20  # steps at either end between closures of one group
+MOVED_SIGMAS = (
+    3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
+)
 PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
-LINEAR = 0.5  # times both bounds: groups whose linear step is below are not solved for
-TOGETHER = 8  # groups solved for together: city10000 in half of the time
+GROUPS_TOGETHER = 8  # solved for: city10000 in half of the time
+
+
+@dataclass(frozen=True)
+class ClosureGroup:
+    """Neighboring closures of one batch of measurements or of several.
+
+    Attributes
+    ----------
+    batch, index : (k,) number of the batch, of the measurement in it.
+    late : (k,) slot of the later pose.
+    kinds : kinds of the poses.
+    """
+
+    batch: Index
+    index: Index
+    late: Index
+    kinds: tuple[str, ...]
+
+    def places(self, values: Values) -> Array:
+        """(n, k) positions of all poses of the kinds, m."""
+        stacks = [values.stacks[kind] for kind in self.kinds]
+        return np.concatenate([stack.manifold.position(stack.X) for stack in stacks])
+
+
+def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
+    """Closures between trajectories, in groups of those within 20 steps of each other at both ends.
+
+    Only kinds with steps from pose to pose are trajectories; rotations alone have no place on a map and no group.
+    """
+    from scipy.spatial import cKDTree
+
+    masks = zip(pattern.batches, odometry(pattern), strict=True)
+    tracks = {batch.kinds[0] for batch, steps in masks if steps.any()}
+    sizes = [len(numbers) for numbers in pattern.numbers.values()]
+    place = places(pattern) + np.repeat((GROUP_WINDOW + 1) * np.arange(len(sizes)), sizes)  # none reaches the next kind
+    tables = []
+    for number, (batch, closing) in enumerate(zip(pattern.batches, closures(pattern), strict=True)):
+        index = np.flatnonzero(closing)
+        manifold = pattern.manifolds[batch.kinds[0]]
+        if len(index) and {*batch.kinds[:2]} <= tracks and manifold.position(manifold.identity()).shape[-1]:
+            ends = np.stack([place[batch.variables[slot][index]] for slot in (0, 1)], axis=1)
+            late = ends.argmax(axis=1)
+            tables.append(np.column_stack([np.full(len(index), number), index, late, np.sort(ends, axis=1)]))
+    if not tables:
+        return
+    table = np.concatenate(tables)
+    a, b = cKDTree(table[:, 3:].astype(float)).query_pairs(GROUP_WINDOW, p=np.inf, output_type="ndarray").T
+    label = connected(a, b, len(table))
+    order = np.argsort(label, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
+        numbers, indices, slots = table[members, :3].T
+        kinds = tuple(sorted({*pattern.batches[numbers[0]].kinds[:2]}))
+        yield ClosureGroup(numbers, indices, slots, kinds)
 
 
 @dataclass(frozen=True)
@@ -163,8 +216,8 @@ def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]
         factorization = factorize(system)
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    for begin in range(0, len(groups), TOGETHER):
-        models = [_model(values, system, group) for group in groups[begin : begin + TOGETHER]]
+    for begin in range(0, len(groups), GROUPS_TOGETHER):
+        models = [_model(values, system, group) for group in groups[begin : begin + GROUPS_TOGETHER]]
         Us = [system.A[rows].T @ C for rows, C in models]
         PUs = np.split(
             factorization.solve(np.concatenate(Us, axis=1)), np.cumsum([U.shape[1] for U in Us])[:-1], axis=1
@@ -174,7 +227,7 @@ def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]
             M, v = N - U.T @ PU, C.T @ system.b[rows]
             F = _whitening(N)
             rho, E = np.linalg.eigh(F.T @ M @ F)  # eigenvalues of N^-1 M
-            observable = rho > UNSEEN
+            observable = rho > UNSEEN_REDUNDANCY
             along = (F @ E)[:, observable]
             n = along @ (along.T @ v / rho[observable])
             redundancy = float(np.clip(rho, 0, 1).mean()) if len(rho) else 1.0  # without weight it says nothing
@@ -200,20 +253,24 @@ def _whitening(N: Array) -> Array:
     """F (d, q) with F'N F = I, q the rank of N; meters and radians in units of their own."""
     scale = 1 / np.sqrt(np.where(np.diagonal(N) > 0, np.diagonal(N), 1.0))
     s, V = np.linalg.eigh(scale[:, None] * N * scale)
-    nonzero = s > UNSEEN * s.max()
+    nonzero = s > UNSEEN_REDUNDANCY * s.max()
     return np.asarray(scale[:, None] * V[:, nonzero] / np.sqrt(s[nonzero]))
 
 
 def _judged(
     graph: FactorGraph, values: Values, pattern: Pattern, group: ClosureGroup, common: Common
 ) -> Unverified | None:
-    """The group, if it is not verified and the map moves without it."""
-    if common.redundancy > REDUNDANCY or (common.observable and common.t < (LINEAR * SIGMAS) ** 2):
+    """The group, if it is not verified and the map moves without it.
+
+    Groups whose linear step is below half of both bounds are not solved for.
+    """
+    # a redundancy of 0.1 shows a tenth of a common error; wrong groups that carried manhattan had 1e-8 to 3e-6
+    if common.redundancy > 0.1 or (common.observable and common.t < (0.5 * MOVED_SIGMAS) ** 2):
         return None
     before = group.places(values)
     extent = float(np.ptp(before, axis=0).max())
     after = group.places(values.retract(pattern.expand(common.dx)))
-    if common.observable and np.square(displacements(before, after)).mean() < (LINEAR * PART * extent) ** 2:
+    if common.observable and np.square(displacements(before, after)).mean() < (0.5 * PART * extent) ** 2:
         return None
     meters = rms = sigmas = np.inf
     if (solution := _optimum_without(graph, values, group)) is not None:
@@ -223,7 +280,7 @@ def _judged(
         q = (before - after)[known]
         meters, rms = float(moved.max()), float(np.sqrt(np.square(moved).mean()))
         sigmas = float(np.sqrt(mahalanobis(q, Sigma[known]).max()))
-        if rms < PART * extent or sigmas < SIGMAS:
+        if rms < PART * extent or sigmas < MOVED_SIGMAS:
             return None
     closures_of = tuple(zip(group.batch.tolist(), group.index.tolist(), strict=True))
     names = tuple(graph.factors[factor].describe(index) for factor, index in closures_of)
@@ -240,11 +297,9 @@ def _optimum_without(graph: FactorGraph, values: Values, group: ClosureGroup) ->
     if parts > fewer:
         return None
     chordal_start = chordal(subgraph, values)
+    starts = [values] if chordal_start is values else [values, chordal_start]
     try:
-        results = [
-            subgraph.optimize(start) for start in ([values] if chordal_start is values else [values, chordal_start])
-        ]
-        optimum = min(results, key=lambda result: result.chi2_final).values
+        optimum = min(map(subgraph.optimize, starts), key=lambda result: result.chi2_final).values
         marginals = Marginals(subgraph, optimum)
         Sigma = np.concatenate([marginals.all(Kind(kind), view="position") for kind in group.kinds])
     except UnderconstrainedError:

@@ -19,13 +19,9 @@ from nls.analysis.leave_one_out import kinds_of
 from nls.analysis.linearization import Checked
 from nls.sparse.pattern import Batch, Pattern, measuring
 
-__all__ = ["GROUPS", "Group", "Residuals", "residual_groups"]
-
 GROUPS = ("kinds", "units", "components")
-NEWTON = 1.0  # largest step in log sigma^2; beyond, Foerstner's step is the safer one
 EXACT_ROWS, PROBES = 4000, 200  # of T_kl; 200 columns give T_kl to some percent
-TOGETHER = 256  # columns solved for together
-QUANTILES = 4000  # of chi2, for the means over Gaussian noise
+COLUMNS = 256  # solved for together
 
 
 @dataclass(frozen=True)
@@ -71,13 +67,11 @@ def _split(pattern: Pattern, name: str, kind: list[tuple[int, Index]], groups: s
             information = model.W.mT @ model.W
             apart = np.array(label)[:, None] != np.array(label)
             if (information[:, apart] != 0).any():
-                raise OptionError(
-                    "groups", groups, f"'kinds': components of {model.factor!r} are correlated, so they share a scale"
-                )
+                expected = f"'kinds': components of {model.factor!r} are correlated, so they share a scale"
+                raise OptionError("groups", groups, expected)
         for own in columns.values():
-            split.setdefault(", ".join(np.array(model.names)[own]) if len(columns) > 1 else "", []).append(
-                (k, index, own)
-            )
+            names = ", ".join(np.array(model.names)[own]) if len(columns) > 1 else ""
+            split.setdefault(names, []).append((k, index, own))
     return [Group(f"{name}: {of}" if of else name, tuple(parts)) for of, parts in split.items()]
 
 
@@ -127,7 +121,7 @@ class Residuals:
             return np.log(v / r), np.sqrt(2 / r)
         step = V @ (V.T @ (v - r) / 2 / eigenvalues)
         sd = np.sqrt(np.square(V) @ (1 / eigenvalues))
-        return (step if np.abs(step).max() <= NEWTON else np.log(v / r)), sd
+        return (step if np.abs(step).max() <= 1.0 else np.log(v / r)), sd  # beyond, Foerstner's step is the safer one
 
     def covariance(self, free: Mask) -> Array:
         """(K, K) of log sigma^2, the inverse of the expected information; nan for groups that are not free."""
@@ -137,11 +131,11 @@ class Residuals:
         for l in chosen:
             rows = np.flatnonzero(self._rows[:, l])
             exact = len(rows) <= EXACT_ROWS
-            for begin in range(0, len(rows) if exact else PROBES, TOGETHER):
+            for begin in range(0, len(rows) if exact else PROBES, COLUMNS):
                 if exact:
-                    columns = self._A[rows[begin : begin + TOGETHER]].T.toarray()
+                    columns = self._A[rows[begin : begin + COLUMNS]].T.toarray()
                 else:
-                    signs = rng.choice([-1.0, 1.0], (len(rows), min(TOGETHER, PROBES - begin)))
+                    signs = rng.choice([-1.0, 1.0], (len(rows), min(COLUMNS, PROBES - begin)))
                     columns = self._A[rows].T @ (signs / np.sqrt(PROBES))
                 squares = np.square(self._A @ self._factorization.solve(columns)).sum(axis=1)
                 T[chosen, l] += squares @ self._rows[:, chosen]
@@ -167,6 +161,6 @@ def _means(kernel: Kernel, m: int) -> tuple[float, float]:
     """E[w(s) s] / m and the correlation of w(s) s with s, of s ~ chi2(m)."""
     from scipy.special import gammaincinv
 
-    s = 2 * gammaincinv(m / 2, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+    s = 2 * gammaincinv(m / 2, (np.arange(4000) + 0.5) / 4000)
     ws = kernel.weight(s) * s
     return float(ws.mean() / m), float(np.corrcoef(ws, s)[0, 1])

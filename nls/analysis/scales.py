@@ -15,13 +15,10 @@ import numpy as np
 
 from factors.base import Model
 from factors.keys import Keys
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Mask
 from nls.sparse.pattern import Pattern
 
-__all__ = ["BEYOND", "Outsized", "outsized"]
-
 BEYOND = 1e6  # times all others
-FEW = 3  # measurements of a kind, fewer have no others
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,8 @@ def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
         columns += [("information", name, column) for name, column in zip(names, np.hstack(informations), strict=True)]
         for quantity, component, values in columns:
             far, reference = _far(values) if quantity == "length" else _beyond(values)
-            for row in far.tolist():
+            rows = np.flatnonzero(far)
+            for row in rows[np.argsort(-values[rows], kind="stable")].tolist():
                 place = int(factor[row]), int(index[row])
                 keys = tuple(keys[[place[1]]] for keys in pattern.batches[place[0]].model.factor.keys)
                 out.append(Outsized(place, keys, quantity, component, float(values[row]), reference))
@@ -110,31 +108,20 @@ def _informations(model: Model, names: tuple[str, ...]) -> Array:
     return out
 
 
-def _far(lengths: Array) -> tuple[Index, float]:
-    """Rows of the lengths beyond 10^6 times the median, the longest first, and the median of those above 0."""
+def _far(lengths: Array) -> tuple[Mask, float]:
+    """Which lengths are beyond 10^6 times the median, and the median of those above 0, of three at least."""
     positive = lengths[lengths > 0]  # comparisons with nan are False
-    if len(positive) < FEW:
-        return np.zeros(0, dtype=np.intp), np.nan
-    median = float(np.median(positive))
-    return _falling(lengths, lengths > BEYOND * median), median
+    median = float(np.median(positive)) if len(positive) > 2 else np.inf
+    return lengths > BEYOND * median, median
 
 
-def _beyond(informations: Array) -> tuple[Index, float]:
-    """Rows of the informations 10^6 times above all others, the largest first, and the largest of the others.
+def _beyond(informations: Array) -> tuple[Mask, float]:
+    """Which informations are 10^6 times above all others, and the largest of the others, of three at least.
 
     The others are more than half; informations of 0 say nothing and are left out.
     """
     known = np.sort(informations[informations > 0])
-    if len(known) < FEW:
-        return np.zeros(0, dtype=np.intp), np.nan
     gaps = np.flatnonzero(known[1:] > BEYOND * known[:-1])
     gaps = gaps[2 * (gaps + 1) > len(known)]
-    if not len(gaps):
-        return np.zeros(0, dtype=np.intp), np.nan
-    largest = float(known[gaps[0]])
-    return _falling(informations, informations > BEYOND * largest), largest
-
-
-def _falling(values: Array, mask: Mask) -> Index:
-    rows = np.flatnonzero(mask)
-    return rows[np.argsort(-values[rows], kind="stable")]
+    largest = float(known[gaps[0]]) if len(known) > 2 and len(gaps) else np.inf
+    return informations > BEYOND * largest, largest

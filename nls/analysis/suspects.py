@@ -1,8 +1,20 @@
 """Wrong measurements: the worst is taken out, all others are judged anew, until none stands out.
 
 One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. A group of
-wrong closures that support each other is taken out as one (`nls.analysis.closure_groups`). The linear problem decides
+wrong closures that support each other is taken out as one. The linear problem decides
 about both; then the rest is optimized, and closures that fit the rest after all come back, a group's one by one.
+
+Closures between the same two stretches of track share their errors. Wrong ones support each other: without one of them
+the others still hold the map where it is, and right closures look wrong. Without the whole group they do not:
+
+    t_g = e_g' (I - C_g)^-1 e_g  ~  chi2(m_g),    C_g = A_g P A_g',
+
+with the stacked residuals e_g of the group and the joint covariance C_g of what the fit says about it. t_g is what chi2
+falls by without the group, exactly where the problem is linear. Groups and single measurements differ in m. So they
+compete by the probability of chi2(m) above t: a right closure in a group adds 3 to m, and about 3 to t.
+
+C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are judged. A
+group without which something is free stays.
 """
 
 from __future__ import annotations
@@ -17,30 +29,89 @@ import numpy as np
 from models.algebra import Array, Index
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
-from nls.analysis.closure_groups import GroupTests
-from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import UNCHECKED, Tested, checks, kinds_of, left_out, spoiled
+from nls.analysis.linearization import Checked, Linearization, Together, stacked
+from nls.analysis.redundancy import closure_groups
 from nls.graph import FactorGraph
 from nls.linear.factorization import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.posegraph import odometry
-from nls.sparse.pattern import Pattern
+from nls.sparse.pattern import Pattern, measuring
 from nls.starts import chordal
 from nls.values import Values
 
-__all__ = ["Suspects", "suspects"]
-
+ITERATIONS = 25  # of optimizing the rest
 SIGNIFICANT = 1e-3  # chance of the worst measurement among all, if the model is right
-MOST, PART = 10, 0.05  # that are looked for, and closures of a group: so many, or this part of all closures
-TURNS = 3  # of taking out and optimizing the rest
-ITERATIONS = 25  # of one of these
-STEPS = 0.5  # the worst one is a step of the trajectory only if it is this much worse than any other
-MANY = 10  # measurements of a kind that tell the size of its sigmas
-RIVAL = 0.9  # of the squared distance: measurements as far off, that fit without the other, cannot be told apart
-LARGEST = 10.0  # variance of the middle measurement; what is above that are no sigmas that are too small
 
 Place = tuple[int, int]  # number of the batch, of the measurement in it
 Rivals = tuple[int, Place | None]  # how many others it may be instead, and one of these
+
+
+@dataclass(frozen=True)
+class GroupTest:
+    """A group against all other measurements.
+
+    Attributes
+    ----------
+    batch, index : (k,) number of the batch, of the measurement in it.
+    t : squared distance from the prediction of all others, in its sigmas.
+    log_tail : logarithm of the probability of a larger t, if the model is right.
+    """
+
+    batch: Index
+    index: Index
+    t: float
+    log_tail: float
+
+
+class GroupTests:
+    """The groups of closures that may be wrong.
+
+    Parameters
+    ----------
+    checked : every measurement against all others; the tests follow when measurements are taken out of it.
+    scale : (k,) by batch, by what the squared residuals of every measurement are divided.
+    most : closures of a group; larger groups are what the others are judged by.
+    """
+
+    def __init__(self, checked: Checked, scale: list[Array], most: int) -> None:
+        self._checked, self._scale = checked, scale
+        self._joint: dict[int, Together] = {}
+        self._groups: list[tuple[Index, Index]] = []
+        for group in closure_groups(checked.linear.pattern):
+            counts = stacked(checked.w, group.batch, group.index) > 0
+            if 1 < counts.sum() <= most:
+                self._groups.append((group.batch[counts], group.index[counts]))
+
+    def worst(self) -> GroupTest | None:
+        """The group of the least probable t, of those of which no closure has been taken out; None without any."""
+        w, groups = self._checked.w, self._groups
+        e = [e * np.sqrt(w / s)[:, None] for e, w, s in zip(self._checked.e, w, self._scale, strict=False)]
+        squared = [np.square(e_k).mean(axis=1) for e_k in e]
+        whole = [number for number, group in enumerate(groups) if stacked(w, *group).all()]
+        whole.sort(key=lambda number: -float(stacked(squared, *groups[number]).mean()))
+        tests = (self._test(number, e) for number in whole[:3])  # wrong groups were among the first 3 of 13 to 205
+        return min((test for test in tests if test is not None), key=lambda test: test.log_tail, default=None)
+
+    def _test(self, number: int, e: list[Array]) -> GroupTest | None:
+        """One group, None where something is free without it.
+
+        Parameters
+        ----------
+        number : of the group.
+        e : residuals of all measurements by batch, times the root of weight over scale.
+        """
+        batch, index = self._groups[number]
+        if number not in self._joint:
+            self._joint[number] = self._checked.together(batch, index)
+        root = self._checked.roots(batch, index)
+        C = root[:, None] * self._joint[number].C * root
+        (t,), (r,) = left_out(stacked(e, batch, index)[None], C[None], np.ones(1))
+        if r.min() <= UNCHECKED:
+            return None
+        models = {k: self._checked.linear.pattern.batches[k].model for k in np.unique(batch)}
+        idle = sum(int((model.dim - measuring(model)[index[batch == k]]).sum()) for k, model in models.items())
+        return GroupTest(batch, index, float(t), chi2_log_tail(float(t), int((r > UNCHECKED).sum()) - idle))
 
 
 class NoOptimumError(Exception):
@@ -88,11 +159,11 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
     kinds = kinds_of(pattern, count)
     scale = _scales(kinds, checks(checked, count), count)
     closing = sum(len(indices) for name, kind in kinds.items() if name.endswith("closures") for _, indices in kind)
-    most = max(MOST, int(PART * closing))
+    most = max(10, int(0.05 * closing))  # that are looked for, and closures of a group
     removals: list[list[Place]] = []  # of one measurement, or of a group
     rivals: dict[Place, Rivals] = {}
     many = False
-    for _ in range(TURNS):
+    for _ in range(3):
         fresh = _search(checked, scale, most, most - len(removals), count)
         removals += [list(removal) for removal in fresh]
         rivals |= dict(ChainMap(*fresh))
@@ -120,9 +191,9 @@ def _scales(kinds: dict[str, list[tuple[int, Index]]], tests: list[Tested], coun
     """By what t of every measurement is divided: where all of a kind are too large, the sigmas are, not they."""
     out = [np.ones(len(tests[k].t)) for k in range(count)]
     for kind in kinds.values():
-        size = spoiled(tests, kind) if sum(len(indices) for _, indices in kind) >= MANY else 1.0
+        size = spoiled(tests, kind) if sum(len(indices) for _, indices in kind) >= 10 else 1.0
         for k, indices in kind:
-            out[k][indices] = min(max(size, 1.0), LARGEST)
+            out[k][indices] = min(max(size, 1.0), 10.0)  # above that are no sigmas that are too small
     return out
 
 
@@ -135,8 +206,8 @@ def _chances(tests: list[Tested], scale: list[Array]) -> list[Array]:
 def _search(checked: Checked, scale: list[Array], most: int, left: int, count: int) -> list[dict[Place, Rivals]]:
     """Up to `left` that do not fit, taken out of the linear problem one after the other, with the rivals of each.
 
-    In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it comes last. A group of up
-    to `most` closures counts as one.
+    In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it must be twice as far off.
+    A group of up to `most` closures counts as one.
     """
     pattern = checked.linear.pattern
     steps = odometry(pattern)[:count]
@@ -145,7 +216,7 @@ def _search(checked: Checked, scale: list[Array], most: int, left: int, count: i
     tests = checks(checked, count)
     off = _off(checked, tests, scale)
     while len(out) < left:
-        worth = [far * np.where(along, STEPS, 1.0) for far, along in zip(off, steps, strict=True)]
+        worth = [far * np.where(along, 0.5, 1.0) for far, along in zip(off, steps, strict=True)]
         best, k, i = max((float(w.max()), k, int(w.argmax())) for k, w in enumerate(worth) if len(w))
         if not best > 0:
             break
@@ -153,7 +224,7 @@ def _search(checked: Checked, scale: list[Array], most: int, left: int, count: i
         groups = groups or GroupTests(checked, scale, most)
         if (group := groups.worst()) is not None and group.log_tail < chi2_log_tail(best * m, m):
             batch, index, level = group.batch, group.index, group.t / m
-        as_far = [(j, int(o)) for j, far in enumerate(off) for o in np.flatnonzero(far >= RIVAL * level)]
+        as_far = [(j, int(o)) for j, far in enumerate(off) for o in np.flatnonzero(far >= 0.9 * level)]
         checked.take_out(batch, index)
         tests = checks(checked, count)
         off = _off(checked, tests, scale)

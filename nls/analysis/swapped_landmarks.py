@@ -1,4 +1,11 @@
-r"""Two landmarks whose sightings were exchanged, all from some time on or single ones.
+r"""Two landmarks whose sightings were exchanged: in one image, all from some time on, or single ones.
+
+Exchanged in one image are two rejected contacts each of which fits the other landmark.
+
+    s_ab = |W (z_a - h(x, l_b))|^2 <= q,     s_ba = |W (z_b - h(x, l_a))|^2 <= q
+
+for two rejected contacts of landmarks a and b from one pose x, at an estimate without them; q is the 99 % quantile of
+chi2 of two numbers. A false contact fits another landmark by accident, two at once hardly ever do.
 
 Candidates are pairs of landmarks with sightings that do not fit, those first without which chi2 is lowest. For a pair
 (a, b), from the poses of the optimum without them, two steps take turns until nothing changes:
@@ -21,14 +28,13 @@ from itertools import combinations
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
 from models.algebra import Array, Index, Mask
 from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, decisive, expected, solved, supported
-from nls.analysis.chi_squared import chi2_tail
-from nls.analysis.exchanged_contacts import Exchanged
+from nls.analysis.chi_squared import chi2_gate, chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
@@ -36,14 +42,78 @@ from nls.sparse.pattern import measuring
 from nls.starts.landmarks import locate_points, sees_landmarks
 from nls.values import Values
 
-__all__ = ["SwappedLandmarks", "swapped_landmarks"]
-
-WORST = 6  # landmarks that are compared with each other
-PAIRS = 6  # pairs for which the graph is solved
 TURNS = 4  # of solving the graph, or of locating the landmarks, and choosing what is exchanged
-EXPLAINED = 2.0  # chi2 per degree of freedom with all exchanged: false contacts leave more
-BEGINNINGS = (1.0, 0.5, 0.25, 0.75)  # part of the sightings after which they are exchanged
-FEWEST = 2  # exchanged sightings; a single one is an outlier
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Two landmarks that were taken for one another.
+
+    Attributes
+    ----------
+    first, second : the landmarks.
+    places : number of the factor and index of every contact that was exchanged, two for each image.
+    standing, chi2 : chi2 of these contacts with their own landmarks, and with each other's.
+    """
+
+    first: Keys
+    second: Keys
+    places: tuple[tuple[int, int], ...]
+    standing: float
+    chi2: float
+
+
+def exchanged_contacts(graph: FactorGraph, values: Values, rejected: Sequence[Mask]) -> tuple[Exchanged, ...]:
+    """Pairs of landmarks with exchanged contacts, those with the most first.
+
+    Parameters
+    ----------
+    graph : with all contacts.
+    values : an estimate without those that were rejected; contacts of landmarks without a value are passed over.
+    rejected : per factor which of its measurements (n,) were; those that are no contacts are passed over.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=12, wrong_associations=0.02)
+    >>> rejected = [mission.wrong if f is mission.contacts else np.zeros(len(f), bool) for f in mission.graph.factors]
+    >>> pairs = exchanged_contacts(mission.graph, mission.truth, rejected)
+    >>> bool(sum(len(pair.places) for pair in pairs) > 0.9 * mission.wrong.sum())
+    True
+    """
+    from scipy.spatial import cKDTree
+
+    exchanges: dict[tuple[str, int, int], list[tuple[int, int, float, float]]] = {}
+    for number, (factor, mask) in enumerate(zip(graph.factors, rejected, strict=True)):
+        if not isinstance(factor, Sighting) or not factor.contact or not mask.any():
+            continue
+        stack = values.stack(factor.keys[1].kind)
+        rows = np.flatnonzero(mask & np.isin(factor.keys[1].numbers, stack.numbers))
+        _, image = np.unique(factor.keys[0].numbers[rows], return_inverse=True)
+        order = np.argsort(image, kind="stable")
+        pairs = cKDTree(image[order, None].astype(float)).query_pairs(0.5, output_type="ndarray")
+        a, b = rows[order[pairs[np.lexsort(pairs.T[::-1])]]].T
+        s_ab, s_ba = _misfit(factor, values, a, b), _misfit(factor, values, b, a)
+        s_a, s_b = _misfit(factor, values, a, a), _misfit(factor, values, b, b)
+        fits = np.maximum(s_ab, s_ba) <= chi2_gate(2, 0.99)
+        columns = (a, b, s_a, s_b, s_ab, s_ba)
+        for i, j, own_a, own_b, at_b, at_a in zip(*(column[fits].tolist() for column in columns), strict=True):
+            first, second = sorted(factor.keys[1].numbers[[i, j]].tolist())
+            contacts = [(number, i, own_a, at_b), (number, j, own_b, at_a)]
+            exchanges.setdefault((stack.kind, first, second), []).extend(contacts)
+    pairs = []
+    for (kind, first, second), contacts in exchanges.items():
+        places = tuple((number, index) for number, index, *_ in contacts)
+        standing, chi2 = (sum(column) for column in list(zip(*contacts, strict=True))[2:])
+        pairs.append(Exchanged(Keys(kind, first), Keys(kind, second), places, standing, chi2))
+    return tuple(sorted(pairs, key=lambda pair: -len(pair.places)))
+
+
+def _misfit(factor: Sighting, values: Values, a: Index, b: Index) -> Array:
+    """Squared whitened residuals of contacts a (k,) with the landmarks of contacts b."""
+    contacts = factor[a]
+    return replaced(contacts, [contacts.keys[0], factor.keys[1][b], *contacts.keys[2:]]).chi2(values)
 
 
 @dataclass(frozen=True)
@@ -101,7 +171,7 @@ def swapped_landmarks(
     fits = [(fit, pair) for pair in pairs if (fit := _without(standing, pair)) is not None]
     fits.sort(key=lambda without: without[0].chi2)
     now, swaps, tries = standing, [], len(pairs)
-    candidates = fits[:PAIRS]
+    candidates = fits[:6]  # the graph is solved for each
     while candidates and not expected(now):
         best = _best(now, candidates, len(pairs))
         if best is None:
@@ -110,8 +180,8 @@ def swapped_landmarks(
         now, tries = fit, tries * count
         swaps.append((pair, places))
         candidates = [(without, other) for without, other in candidates if other != pair]
-    if not swaps or not supported(standing, now, tries) or not (expected(now) or now.chi2 <= EXPLAINED * now.dof):
-        return ()
+    if not swaps or not supported(standing, now, tries) or not (expected(now) or now.chi2 <= 2.0 * now.dof):
+        return ()  # false contacts leave more chi2
     return tuple(
         SwappedLandmarks(pair[[0]], pair[[1]], places, standing.chi2, now.chi2, now.dof, now.values)
         for pair, places in swaps
@@ -133,7 +203,7 @@ def _doubtful(graph: FactorGraph, values: Values, tests: Sequence[Tested] | None
             of_kind[number] = of_kind.get(number, 0.0) + distance
     pairs = []
     for kind, of_kind in doubt.items():
-        worst = sorted(of_kind, key=lambda number: -of_kind[number])[:WORST]
+        worst = sorted(of_kind, key=lambda number: -of_kind[number])[:6]
         pairs += [Keys(kind, numbers) for numbers in combinations(sorted(worst), 2)]
     return pairs
 
@@ -200,7 +270,7 @@ def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int
             break
         exchanged = nearer
         fit = solved(sightings.whole(exchanged), fit.values, False, FIRST)
-    if fit is None or exchanged.sum() < FEWEST:
+    if fit is None or exchanged.sum() < 2:  # a single one is an outlier
         return None
     return fit, sightings.places(exchanged), math.comb(len(exchanged), int(exchanged.sum()))
 
@@ -275,7 +345,7 @@ class Pair:
         """Which sightings (n,) are exchanged where chi2 is lowest, and the landmarks (2, d); poses stay."""
         damped = LevenbergMarquardt(Stop(max_iterations=FIRST))
         fits = []
-        for beginning in BEGINNINGS:
+        for beginning in (1.0, 0.5, 0.25, 0.75):  # part of the sightings after which they are exchanged
             exchanged = np.arange(self.n) >= beginning * self.n
             try:
                 with warnings.catch_warnings():

@@ -33,20 +33,9 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["observability"]
-
-DAMPING = 1e-11  # of the diagonal of A_r'A_r, where A_r is singular: taken away again by repeating
-ROUNDS = 30  # a direction of A_r of length 3e-6, columns scaled to 1, halves in each; none was seen so weak
-SETTLED = 1e-13  # of the largest number in A_k: a round that changes less is the last one
-MOVES = 0.02  # what else moves is named when it would be seen, alone, by this part of what the variable would
-
 
 def observability(
-    graph: FactorGraph,
-    values: Values,
-    key: Keys,
-    length: float | None = None,
-    gauge: str = "first",
+    graph: FactorGraph, values: Values, key: Keys, length: float | None = None, gauge: str = "first"
 ) -> Observability:
     """Which components of a variable a data set determines, and how well, all else being estimated.
 
@@ -146,17 +135,14 @@ def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pa
     pattern = graph.pattern(values)
     place = _place(pattern, key)
     if not touched_variables(pattern)[place]:
-        raise UnderconstrainedError(
-            f"{key}: no factor touches it, so these measurements say nothing about it; add those that do", [key]
-        )
+        message = "no factor touches it, so these measurements say nothing about it; add those that do"
+        raise UnderconstrainedError(f"{key}: {message}", [key])
     if fixed[place]:
         raise GraphError(f"observability: {key} is fixed, so there is nothing to determine; release it", [key])
     decided = choose_gauge(gauge, pattern, values, fixed)
     if decided.held[place]:
-        raise GraphError(
-            f"observability: {key} is what gauge {gauge!r} holds, so it is known by choice; fix another variable",
-            [key],
-        )
+        message = f"{key} is what gauge {gauge!r} holds, so it is known by choice; fix another variable"
+        raise GraphError(f"observability: {message}", [key])
     return decided.pattern, decided.held, decided.description
 
 
@@ -180,7 +166,7 @@ def _distance(pattern: Pattern, values: Values, key: Keys) -> float:
 
 
 def _weights(units: tuple[str, ...], norms: Array, length: float) -> Array:
-    """What a unit of each component (d,) counts: meters, `length` meters a radian, all else by its own column of A_k.
+    """Weights of a unit of each component (d,): meters, `length` meters a radian, all else by its own column of A_k.
 
     Scaled so that A_k / w has columns of length 1 in the mean: |E n| for n = w dx of length 1 then is the part of the
     information that is left.
@@ -213,12 +199,12 @@ def _upright(V: Array, w: Array) -> Array:
 
 
 def _with(system: LinearSystem, columns: Index, moved: Array) -> str:
-    """What else moves in a free direction, by kinds: "x, y, z of x; x, y, z of l"."""
+    """Companions that move in a free direction, by kinds: "x, y, z of x; x, y, z of l"."""
     pattern = system.pattern
     owner, component = pattern.column_owner()
     kind = np.searchsorted(list(pattern.offsets.values()), owner[columns], side="right") - 1
     size = np.abs(moved) * system.column_norms[columns]
-    moves = size >= MOVES * max(1.0, float(size.max(initial=0.0)))
+    moves = size >= 0.02 * max(1.0, float(size.max(initial=0.0)))  # beside what the variable would be seen by
     parts = []
     for k, (name, manifold) in enumerate(pattern.manifolds.items()):
         names = [
@@ -245,20 +231,20 @@ def _unexplained(system: LinearSystem, variable: int) -> tuple[Array, Array, Arr
     held[variable] = True
     factorization = _factorized(LinearSystem(pattern.holding(held), system.blocks, system.b))
     X, E = np.zeros((len(other_columns), len(columns))), A_k
-    for _ in range(ROUNDS):
+    for _ in range(30):  # a direction of A_r of length 3e-6, columns scaled to 1, halves in each; none was so weak
         step = factorization.solve(np.asarray(A_r.T @ E)) if len(other_columns) else X
         X = X + step
         last, E = E, A_k - A_r @ X
-        if np.abs(last - E).max(initial=0.0) <= SETTLED * np.abs(A_k).max(initial=0.0):
+        if np.abs(last - E).max(initial=0.0) <= 1e-13 * np.abs(A_k).max(initial=0.0):
             break
     return A_k, X, E, other_columns
 
 
 def _factorized(system: LinearSystem) -> Factorization:
-    """A_r'A_r factorized as it is; with a little damping where it is singular."""
+    """A_r'A_r factorized as it is; where it is singular with a little damping, taken away again by repeating."""
     analysis = default_solver().analyze(system.pattern)
     try:
         return analysis.factorize(system)
     except SingularSystemError:
         squares = np.square(system.column_norms)
-        return analysis.factorize(system, DAMPING * np.where(squares > 0, squares, 1.0))
+        return analysis.factorize(system, 1e-11 * np.where(squares > 0, squares, 1.0))

@@ -61,12 +61,7 @@ from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-__all__ = ["VarianceComponent", "VarianceComponents", "variance_components"]
-
-ROUNDS = 50
-SETTLED = 0.02  # of the standard deviation
-SMALLEST = 1.0  # redundancy: one number of its own that a scale is estimated from
-EXACT_FIT = 1e-12  # v_k / r_k; residuals that are rounding have no scale
+LEAST_REDUNDANCY = 1.0  # redundancy: one number of its own that a scale is estimated from
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,9 @@ class VarianceComponent:
         redundancy = f"{round(self.redundancy, 6) + 0.0:.3g}" if self.redundancy < 100 else f"{self.redundancy:.0f}"
         share = f"redundancy {redundancy} of {self.numbers} numbers"
         if not self.known:
-            reason = "no other measurement checks them" if self.redundancy < SMALLEST else "their errors do not show"
+            reason = (
+                "no other measurement checks them" if self.redundancy < LEAST_REDUNDANCY else "their errors do not show"
+            )
             return f"{self.name}: stated sigmas kept, {reason} ({share})"
         return f"{self.name}: stated sigmas times {self.scale:.3g} +- {self.sigma:.2g} ({share})"
 
@@ -202,7 +199,7 @@ def variance_components(
     theta = np.zeros(len(every))  # log sigma^2
     free, again = np.ones((2, len(every)), dtype=bool)
     settled, rounds, last = False, 0, np.zeros(0)
-    while rounds < ROUNDS:
+    while rounds < 50:
         rounds += 1
         log_variance, scales = theta.copy(), _scales(stated, every, theta)
         factors = [rescaled(batch.model, scale) for batch, scale in zip(stated.batches, scales, strict=True)]
@@ -212,7 +209,7 @@ def variance_components(
         ended = result.status in (Status.STOPPED, Status.INTERRUPTED, Status.MAX_TIME)
         residuals = Residuals(_checked(factors, graph, values, gauge), every)
         v, r = residuals.v, residuals.r
-        vague = free & (((r < SMALLEST) & (v <= r)) | (r < UNCHECKED * residuals.numbers) | (v <= EXACT_FIT * r))
+        vague = free & (((r < LEAST_REDUNDANCY) & (v <= r)) | (r < UNCHECKED * residuals.numbers) | (v <= 1e-12 * r))
         if ended:  # by the caller, who wants no further rounds
             break
         if vague.any():
@@ -221,12 +218,12 @@ def variance_components(
             theta[vague] = 0.0
             continue
         step, sd = residuals.step(free)
-        if (np.abs(step) <= SETTLED * sd).all() and result.converged:
-            if (few := free & (r < SMALLEST)).any():
+        if (np.abs(step) <= 0.02 * sd).all() and result.converged:
+            if (few := free & (r < LEAST_REDUNDANCY)).any():
                 last, free, again = np.zeros(0), free & ~few, again & ~few
                 theta[few] = 0.0
                 continue
-            second = ~free & again & (r >= SMALLEST)  # nothing checked them while other scales were wrong
+            second = ~free & again & (r >= LEAST_REDUNDANCY)  # nothing checked them while other scales were wrong
             settled = not second.any()
             if settled:
                 break
@@ -276,7 +273,6 @@ def _checked(factors: Sequence[Factor], graph: FactorGraph, values: Values, gaug
     decided = choose_gauge(gauge, Pattern(factors, values), values, fixed)
     checked = freedom(decided.pattern.holding(decided.held), values).checked
     if checked is None:
-        raise GraphError(
-            "variance components: weights differ too much to invert A'A; look for sigmas that are far too small"
-        )
+        message = "weights differ too much to invert A'A; look for sigmas that are far too small"
+        raise GraphError(f"variance components: {message}")
     return checked

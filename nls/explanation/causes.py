@@ -13,11 +13,9 @@ from models.advice import Advice
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.clock import clock_offsets
-from nls.analysis.exchanged_contacts import Exchanged, exchanged_contacts
-from nls.analysis.misread_kinds import misread_kinds
-from nls.analysis.misread_measurements import misread_measurements
+from nls.analysis.misread import misread_kinds, misread_measurements
 from nls.analysis.scales import outsized
-from nls.analysis.swapped_landmarks import swapped_landmarks
+from nls.analysis.swapped_landmarks import Exchanged, exchanged_contacts, swapped_landmarks
 from nls.explanation.doubts import REMOVAL
 from nls.explanation.findings import Finding, FindingKind
 from nls.linear.factorization import SingularSystemError
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
     from nls.analysis.calibrations import Calibration
     from nls.analysis.leave_one_out import Tested
     from nls.analysis.linearization import Checked
-    from nls.analysis.misread_kinds import MisreadKind
+    from nls.analysis.misread import MisreadKind
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
     from nls.robust import Robustified

@@ -15,8 +15,7 @@ from models import LieGroup
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
 from models.sensors import point_in_frame
-from nls.analysis.freedom import Freedom
-from nls.analysis.world_motions import AXES, NEAR, SAME, Motion, generators, motions, places
+from nls.analysis.freedom import AXES, NEAR, SAME_MOTION, Freedom, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
 from nls.sparse.pattern import Pattern
@@ -216,7 +215,7 @@ def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
     speed = float(np.linalg.norm(v))
     if max(turning, growing) < NEAR * speed:
         axis = np.abs(v) / speed
-        return AXES[int(axis.argmax())] if axis.max() > 1 - SAME else f"a shift along {_numbers(v / speed)}"
+        return AXES[int(axis.argmax())] if axis.max() > 1 - SAME_MOTION else f"a shift along {_numbers(v / speed)}"
     W = np.array([[s, -omega[2], omega[1]], [omega[2], s, -omega[0]], [-omega[1], omega[0], s]])
     center = -np.linalg.lstsq(W, v, rcond=1e-9)[0]
     flat = not positions[:, 2].any()
@@ -225,7 +224,7 @@ def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
     else:
         a = omega / np.linalg.norm(omega)
         axis = np.abs(a)
-        name = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
+        name = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME_MOTION else f"rotation about {_numbers(a)}"
         away = positions - center
         distance = np.linalg.norm(away - np.outer(away @ a, a), axis=1)  # from the axis
     nearest = int(np.argmin(distance)) if len(distance) else -1

@@ -31,8 +31,6 @@ from nls.metrics import TrajectoryError, ate
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-__all__ = ["POSE", "Filter", "Step", "Track", "landmark_kind", "steps"]
-
 POSE = "x"  # the kind whose numbers are the steps of time; the other kind of a graph are its landmarks
 
 
@@ -108,11 +106,8 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     x6 [Between(x5, x6)] [Landmark(x[6, 6], l[8, 9])]
     """
     if (held := next((keys for keys in graph.fixed if len(keys)), None)) is not None:
-        raise GraphError(
-            f"{held[[0]]} is held fixed, which a filter does not know: `graph.release` it and add a Prior with the "
-            "sigmas it is known to",
-            [held],
-        )
+        cure = "`graph.release` it and add a Prior with the sigmas it is known to"
+        raise GraphError(f"{held[[0]]} is held fixed, which a filter does not know: {cure}", [held])
     landmark_kind(graph)
     numbers = np.sort(values.stack(POSE).numbers)
     if not len(numbers):
@@ -146,11 +141,11 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
             cut[k].observations.insert(0, _rows_of(factor, rows))
     for before, step in pairwise(cut):
         if not step.motion:
-            raise GraphError(
-                f"{step.pose} has no factor from {before.pose}, the pose before it: a filter cannot follow. Add the "
-                "odometry, or number the poses in the order of time",
-                [before.pose, step.pose],
+            cure = "Add the odometry, or number the poses in the order of time"
+            message = (
+                f"{step.pose} has no factor from {before.pose}, the pose before it: a filter cannot follow. {cure}"
             )
+            raise GraphError(message, [before.pose, step.pose])
     return cut
 
 
@@ -211,7 +206,7 @@ class Filter(Abstract):
 
     @property
     def method(self) -> str:
-        """Its name and options, for reports."""
+        """Name and options of the filter, for reports."""
         return type(self).__name__
 
     @abstractmethod

@@ -24,8 +24,6 @@ from nls.analysis.chi_squared import chi2_gate
 
 __all__ = ["nees", "nees_bounds", "nis", "regular"]
 
-SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
-
 
 def nees_bounds(dim: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Within which the mean NEES over independent runs stays with this probability, for a consistent estimator.
@@ -75,11 +73,9 @@ def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Ar
     array([1.2])
     """
     if (bad := ~regular(P)).any():
-        raise UnderconstrainedError(
-            f"NEES of {keys[[int(np.argmax(bad))]]}: its covariance is singular, errors have no size in its units; a "
-            "particle filter needs more particles than unknowns that differ, and a start a sigma above 0",
-            [keys[[int(np.argmax(bad))]]],
-        )
+        key, message = keys[[int(np.argmax(bad))]], "its covariance is singular, errors have no size in its units"
+        cure = "a particle filter needs more particles than unknowns that differ, and a start a sigma above 0"
+        raise UnderconstrainedError(f"NEES of {key}: {message}; {cure}", [key])
     return _squares(manifold.local(X, truth), P)
 
 
@@ -132,7 +128,7 @@ def regular(P: Array) -> Mask:
     >>> regular(np.stack([np.eye(3), e.T @ e, np.zeros((3, 3))]))
     array([ True, False, False])
     """
-    return np.asarray(_spectra(P)[0][:, 0] > SINGULAR)
+    return np.asarray(_spectra(P)[0][:, 0] > 1e-12)  # of a correlation matrix: rounding
 
 
 def _spectra(P: Array) -> tuple[Array, Array, Array]:

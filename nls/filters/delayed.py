@@ -19,30 +19,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.joined import joined
 from factors.keys import Keys
-from factors.range_azimuth import RangeAzimuth
-from factors.sighting import Sighting
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, apply
+from models.sensors import cartesian
 from nls.analysis.chi_squared import chi2_gate
-from nls.filters.map_state import MapState, rows_of
-from nls.filters.measurements import Measurements, select
+from nls.filters.map_state import MapState, Measurements, rows_of, select
 from nls.filters.motion import copies
 
-__all__ = ["Waiting", "can_wait"]
-
 COPIES = 40  # poses that are copied at most
-SIGMA_SHARE = 0.1  # of the distance to the nearest of its sensors, the largest sigma of a landmark that is located
-EXPLAINED = 0.9999  # probability of the chi2 of its sightings
-RIVAL_CHI2 = 20.0  # of chi2 above the least: a place with more than this is 22,000 times less likely
-SAME_PLACE = 1.0  # sigma^2: a place that is farther off is another place,
-PLACE_GROWTH = 4.0  # sigma^2: and farther by this for each unit of chi2 above the least
-SEARCH_STEPS, SETTLED_STEP = 15, 1e-4  # of the search at most; sigma^2, where steps that are shorter end it
 BEGINNINGS = 60  # of a search, on a circle, a sphere, an arc, or a ray
-RAY = (0.1, 1e3)  # nearest and farthest of them on a ray, in distances between the sensors
-ASIDE = 1e-3  # m, of all of them: at the sensor itself, range 0, nothing has a direction
 
 Views = Sequence[tuple[Factor, Index]]  # sightings of one landmark, and the copy (n,) each was made from
 
@@ -158,10 +146,10 @@ def place(state: MapState, views: Views) -> Array | None:
     P, mu = state.P[d : state.begin, d : state.begin], np.full(len(L), 1e-2)
     chi2, Lambda, g = now = judged(state, views, L, P)
     tried = [np.column_stack([L, chi2])]
-    for _ in range(SEARCH_STEPS):
+    for _ in range(15):
         damped = Lambda + (mu * np.trace(Lambda, axis1=1, axis2=2))[:, None, None] * np.eye(k)
         step = np.linalg.solve(damped, g[..., None])[..., 0]
-        moving = np.flatnonzero((step * apply(Lambda, step)).sum(axis=1) > SETTLED_STEP)
+        moving = np.flatnonzero((step * apply(Lambda, step)).sum(axis=1) > 1e-4)  # sigma^2
         if not len(moving):
             break
         trial = judged(state, views, L[moving] + step[moving], P)
@@ -178,11 +166,11 @@ def place(state: MapState, views: Views) -> Array | None:
     P_near = P - P[:, near] @ np.linalg.solve(P[near[:, None], near], P[near])  # that pose held
     least = np.linalg.eigvalsh(judged(state, views, L[[best]], P_near)[1][0])[0]
     off = np.concatenate(tried) - [*L[best], chi2[best]]
-    rival = (off[:, k] < RIVAL_CHI2) & (
-        (off[:, :k] * (off[:, :k] @ Lambda[best])).sum(axis=1) > SAME_PLACE + PLACE_GROWTH * off[:, k]
-    )
-    explained = rows == k or chi2[best] <= chi2_gate(rows - k, EXPLAINED)
-    return L[[best]] if explained and least * (SIGMA_SHARE * away.min()) ** 2 >= 1 and not rival.any() else None
+    # Beyond 20 of chi2 above the least a place is 22,000 times less likely. Another place is farther off than 1 sigma^2
+    # and 4 more for each unit of chi2.
+    rival = (off[:, k] < 20.0) & ((off[:, :k] * (off[:, :k] @ Lambda[best])).sum(axis=1) > 1.0 + 4.0 * off[:, k])
+    explained = rows == k or chi2[best] <= chi2_gate(rows - k, 0.9999)
+    return L[[best]] if explained and least * (0.1 * away.min()) ** 2 >= 1 and not rival.any() else None
 
 
 def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> Array:
@@ -193,12 +181,12 @@ def _beginnings(state: MapState, view: Factor, at: Index, positions: Array) -> A
     z, around = first.bind(*state.spaces).z, np.random.default_rng(0).normal(size=(BEGINNINGS, k))
     spread = np.linalg.norm(positions - positions[0], axis=1).max()
     if first.contact:
-        p = RangeAzimuth.arc(np.repeat(z, BEGINNINGS, axis=0), np.linspace(-1.5, 1.5, BEGINNINGS))
+        p = cartesian(np.column_stack([np.repeat(z, BEGINNINGS, axis=0), np.linspace(-1.5, 1.5, BEGINNINGS)]))[0]
     elif (r := first.ranges(z)) is not None:
         p = r * around / np.linalg.norm(around, axis=1, keepdims=True)
     elif (u := first.directions(z)) is not None and spread > 0:
-        p = spread * np.geomspace(*RAY, BEGINNINGS)[:, None] * u
+        p = spread * np.geomspace(0.1, 1e3, BEGINNINGS)[:, None] * u
     else:
         return np.zeros((0, k))
     S = np.repeat(first.sensor_pose(group, state.copies[at[:1]]), BEGINNINGS, axis=0)
-    return group.act(S, p + ASIDE * around)
+    return group.act(S, p + 1e-3 * around)  # m aside: at the sensor itself, range 0, nothing has a direction

@@ -24,9 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.keys import Keys
-from factors.sighting import Sighting
 from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
@@ -36,17 +35,13 @@ from nls.covariance import Joint
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
 from nls.filters.delayed import Waiting, can_wait
-from nls.filters.map_state import MapState
-from nls.filters.measurements import Measurements, associated, distances, select, stacked
+from nls.filters.map_state import MapState, Measurements, associated, distances, select, stacked
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
 from nls.values import Values
 
 __all__ = ["EKF"]
 
 LANDMARKS = ("correlated", "delayed", "first-sight", "independent")
-WAIT = ", or EKF(landmarks='delayed'), where sightings wait for each other"
-SPENT = 1e-9  # of the Jacobian: what motion factors leave over beside that is rounding
-SETTLED = 1e-6  # m, rad; a further iteration of an update moves less
 
 
 class EKF(Filter):
@@ -139,8 +134,8 @@ class EKF(Filter):
             check_between("gate", gate, 0, 1, "a probability between 0 and 1, such as 0.999, or None")
         self.gate, self.left_out = gate, 0
         self.associations: list[int] = []
-        self.waiting, self.given_up = Keys("l", []), 0
         self._state: MapState | None = None
+        self._delayed: Waiting | None = None
 
     @property
     def method(self) -> str:
@@ -150,6 +145,16 @@ class EKF(Filter):
         options += [f"gate {self.gate:g}"] if self.gate is not None else []
         options += [type(self.associate).__name__] if self.associate is not None else []
         return "EKF" + (f" ({', '.join(options)})" if options else "")
+
+    @property
+    def waiting(self) -> Keys:
+        """Landmarks that were seen and are not located."""
+        return Keys(self._kind, self._delayed.numbers) if self._delayed else Keys("l", [])
+
+    @property
+    def given_up(self) -> int:
+        """How many sightings left with their pose, and never were used."""
+        return self._delayed.given_up if self._delayed else 0
 
     @property
     def state(self) -> MapState:
@@ -216,7 +221,7 @@ class EKF(Filter):
         parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
         X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
         self._state = MapState((pose.manifold, landmark), X[0], _inverse(Lambda)[0], self.first_estimates)
-        self._delayed, self.waiting, self.given_up = Waiting(self._state), Keys(self._kind, []), 0
+        self._delayed = Waiting(self._state)
         self._see([factor for factor in step.observations if not any(factor is own_factor for own_factor in own)])
 
     def step(self, step: Step) -> None:
@@ -232,13 +237,10 @@ class EKF(Filter):
         X_j, Lambda = most_likely(parts, state.spaces[0], X_i, step.pose)
         A_i, A_j = jacobians(parts, state.first[None], X_j)
         F = -np.asarray(np.linalg.lstsq(A_j, A_i)[0], dtype=float)
-        if np.abs(A_i + A_j @ F).max() > SPENT * np.abs(A_i).max():
+        if np.abs(A_i + A_j @ F).max() > 1e-9 * np.abs(A_i).max():  # more than rounding
             factors = ", ".join(map(repr, step.motion))
-            raise GraphError(
-                f"EKF: {factors} together say something of {before} as well, which is past; fuse them to one, or use a "
-                "graph",
-                [before, step.pose],
-            )
+            message = f"{factors} together say something of {before} as well, which is past"
+            raise GraphError(f"EKF: {message}; fuse them to one, or use a graph", [before, step.pose])
         self._pose = step.pose
         state.predict(X_j[0], F, _inverse(Lambda)[0])
         self._see(step.observations)
@@ -248,12 +250,8 @@ class EKF(Filter):
         """A robust kernel is refused at once, also of a sighting that waits."""
         factor = next((factor for factor in (*step.motion, *step.observations) if factor.kernel is not None), None)
         if factor is not None:
-            raise GraphError(
-                f"EKF: {factor!r} has a robust kernel, which a filter cannot weigh again later; use its noise alone, "
-                "or a graph",
-                factor.keys,
-                factor.name,
-            )
+            message = "has a robust kernel, which a filter cannot weigh again later; use its noise alone, or a graph"
+            raise GraphError(f"EKF: {factor!r} {message}", factor.keys, factor.name)
 
     def _copies(self, factor: Factor) -> Copies:
         """The factor for `most_likely`, one measurement for each copy of its variables."""
@@ -268,9 +266,8 @@ class EKF(Filter):
         self._update([self._within(piece) for piece in known])
         unknown = [select(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
         rest = self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate)
-        if self.initial == "delayed":
+        if self.initial == "delayed" and self._delayed:
             rest = self._delayed.take(self._pose, rest)
-            self.waiting, self.given_up = Keys(self._kind, self._delayed.numbers), self._delayed.given_up
         self._update(rest)
 
     def _identified(self, factor: Factor) -> Measurements:
@@ -281,12 +278,9 @@ class EKF(Filter):
                 raise GraphError(f"EKF: {factor!r}: landmarks are of kind {self._kind}, not {keys.kind}", factor.keys)
             if keys.kind == POSE and (past_pose := keys.numbers != self._pose.numbers[0]).any():
                 past = keys[[int(np.argmax(past_pose))]]
-                raise GraphError(
-                    f"EKF at {self._pose}: {factor.describe(int(np.argmax(past_pose)))} needs {past}, which is past; a "
-                    "filter of the latest pose closes no loops between poses: use a Smoother or a graph",
-                    [past],
-                    factor.name,
-                )
+                message = f"{factor.describe(int(np.argmax(past_pose)))} needs {past}, which is past"
+                cure = "a filter of the latest pose closes no loops between poses: use a Smoother or a graph"
+                raise GraphError(f"EKF at {self._pose}: {message}; {cure}", [past], factor.name)
         if len(slots) > 1:
             raise GraphError(f"EKF: {factor!r} joins landmarks to each other; use a graph", factor.keys, factor.name)
         if not slots:
@@ -336,11 +330,9 @@ class EKF(Filter):
         state = self.state
         pose, landmark = state.spaces
         if self.initial == "independent":
-            raise GraphError(
-                f"EKF: {Keys(self._kind, numbers)[[0]]} is seen and has no Prior, which landmarks='independent' needs; "
-                "add one, or choose 'correlated'",
-                [Keys(self._kind, numbers)],
-            )
+            keys, cure = Keys(self._kind, numbers), "add one, or choose 'correlated'"
+            message = f"{keys[[0]]} is seen and has no Prior, which landmarks='independent' needs; {cure}"
+            raise GraphError(f"EKF: {message}", [keys])
         copied = self._copies(factor)
         assert isinstance(pose, LieGroup)
         X = np.tile(state.X, (len(numbers), 1))
@@ -365,13 +357,11 @@ class EKF(Filter):
                 k = int(np.argmax(rows < 0))
                 key = Keys(self._kind, int(numbers[k]))
                 named = self.associate is None and not self.first_estimates
-                cure = WAIT if named and self.initial != "delayed" and can_wait(factor, state.spaces) else ""
-                raise GraphError(
-                    f"{factor.describe(k)} is the first of {key} and does not say where it is; a filter needs a "
-                    f"sighting with direction and distance first, or a Prior of {key}{cure}",
-                    [self._pose, key],
-                    factor.name,
-                )
+                waits = named and self.initial != "delayed" and can_wait(factor, state.spaces)
+                cure = ", or EKF(landmarks='delayed'), where sightings wait for each other" if waits else ""
+                needs = f"a filter needs a sighting with direction and distance first, or a Prior of {key}{cure}"
+                message = f"{factor.describe(k)} is the first of {key} and does not say where it is; {needs}"
+                raise GraphError(message, [self._pose, key], factor.name)
             known.append((self._copies(factor).model, rows))
         if not known:
             return
@@ -379,7 +369,7 @@ class EKF(Filter):
         before, d = np.zeros(state.n), state.spaces[0].dim
         for _ in range(self.iterations - 1):
             delta = state.step(A, columns, b, self._pose)
-            if np.abs(delta - before).max() < SETTLED:
+            if np.abs(delta - before).max() < 1e-6:  # m, rad
                 break
             before = delta
             target = state.moved(delta)

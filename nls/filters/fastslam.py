@@ -18,7 +18,7 @@ tables 13.1 and 13.3.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -29,11 +29,8 @@ from models.errors import GraphError, OptionError
 from models.options import check_whole
 from nls.filters.base import Filter, Step
 from nls.filters.motion import Copies, Factors, copies, information, most_likely, slot_of
-from nls.filters.particle_map import ParticleMap, each_once
-from nls.filters.particles import covariance, effective, mean, normalized_weights, systematic
+from nls.filters.particles import ParticleMap, covariance, each_once, effective, mean, normalized_weights, systematic
 from nls.values import Values
-
-__all__ = ["FastSLAM"]
 
 
 class FastSLAM(Filter):
@@ -91,9 +88,6 @@ class FastSLAM(Filter):
         self.particles = check_whole("FastSLAM: particles", particles, 2)
         self.version, self.rng = version, rng
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_copied": {}}  # its keys are addresses of factors, which a copy does not share
-
     @property
     def method(self) -> str:
         return f"FastSLAM {self.version}.0, {self.particles} particles"
@@ -102,8 +96,7 @@ class FastSLAM(Filter):
         """Draw the first pose from what is measured of it alone, and see what is seen from there."""
         self.start_values, self.manifold = values, values.stack(step.pose.kind).manifold
         self.map: ParticleMap | None = None
-        self.log_w, self._copied = np.zeros(self.particles), dict[int, tuple[Factor, Copies]]()
-        self.parents = np.arange(self.particles)
+        self.log_w, self.parents = np.zeros(self.particles), np.arange(self.particles)
         alone = [f for f in step.observations if self._about(f, step.pose) == "pose"]
         X = np.tile(values[step.pose], (self.particles, 1))
         others = [f for f in step.observations if f not in alone]
@@ -111,7 +104,7 @@ class FastSLAM(Filter):
 
     def step(self, step: Step) -> None:
         """Move every particle to the next pose and weigh it by what is seen there."""
-        self._copied, self.parents = {}, np.arange(self.particles)
+        self.parents = np.arange(self.particles)
         if effective(self.weights) < self.particles / 2:
             self._resample()
         motion = [(self._copies(f), slot_of(f, step.pose), (self.X,)) for f in step.motion]
@@ -188,7 +181,7 @@ class FastSLAM(Filter):
             of.start(new, self.manifold, self.X)
 
     def _know(self, factor: Factor) -> None:
-        """What is known of landmarks without a pose, such as a chart: they begin there, or are updated."""
+        """Knowledge of landmarks without a pose, such as a chart: they begin there, or are updated."""
         of = self._map(factor.keys[0].kind)
         for once in each_once(factor):
             known, new = of.known(once)
@@ -209,20 +202,15 @@ class FastSLAM(Filter):
         return self.map
 
     def _copies(self, factor: Factor) -> Copies:
-        """The factor for every particle; kept for the step, in which proposal and update both take it."""
-        if id(factor) not in self._copied:
-            manifolds = [self.start_values.stack(keys.kind).manifold for keys in factor.keys]
-            self._copied[id(factor)] = (factor, copies(factor, manifolds, self.particles))
-        return self._copied[id(factor)][1]
+        """The factor for every particle."""
+        manifolds = [self.start_values.stack(keys.kind).manifold for keys in factor.keys]
+        return copies(factor, manifolds, self.particles)
 
     def _about(self, factor: Factor, pose: Keys) -> str:
-        """What a factor is about: the pose, a landmark, or a sighting of a landmark from the pose."""
+        """Subject of a factor: the pose, a landmark, or a sighting of a landmark from the pose."""
         if factor.kernel is not None:
-            raise GraphError(
-                f"FastSLAM: {factor!r} has a robust kernel; particles are weighed by Gaussian noise alone",
-                factor.keys,
-                factor.name,
-            )
+            message = f"{factor!r} has a robust kernel; particles are weighed by Gaussian noise alone"
+            raise GraphError(f"FastSLAM: {message}", factor.keys, factor.name)
         match [keys.kind == pose.kind for keys in factor.keys]:
             case [True]:
                 return "pose"
@@ -230,9 +218,6 @@ class FastSLAM(Filter):
                 return "landmark"
             case [True, False]:
                 return "sighting"
-        raise GraphError(
-            f"FastSLAM: {factor!r} is about more than {pose} and a landmark seen from it; what joins several poses is "
-            "for a graph or a Smoother",
-            factor.keys,
-            factor.name,
-        )
+        message = f"{factor!r} is about more than {pose} and a landmark seen from it"
+        cure = "what joins several poses is for a graph or a Smoother"
+        raise GraphError(f"FastSLAM: {message}; {cure}", factor.keys, factor.name)

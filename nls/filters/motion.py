@@ -18,10 +18,7 @@ from models import Manifold
 from models.algebra import Array, apply, gram
 from models.errors import GraphError, UnderconstrainedError
 
-__all__ = ["copies"]
-
-SETTLED, STEPS = 1e-10, 50  # m, rad; a difference on a group takes one step and one that finds nothing to do
-FREE = 1e-14  # determinant of the information scaled to a diagonal of ones: rounding of 0
+NEWTON_STEPS = 50  # a difference on a group takes one step and one that finds nothing to do
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,7 @@ def most_likely(factors: Factors, manifold: Manifold, X: Array, key: Keys) -> tu
     """
     if not factors:
         raise GraphError(f"{key}: nothing is measured of it alone; a filter has to begin with a Prior of it", [key])
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         parts = []
         for copied, slot, states in factors:
             A, b = copied.linearize(*states[:slot], X, *states[slot:])
@@ -122,15 +119,14 @@ def most_likely(factors: Factors, manifold: Manifold, X: Array, key: Keys) -> tu
         d = np.sqrt(np.diagonal(Lambda, axis1=1, axis2=2))
         D = 1 / np.where(d > 0, d, 1.0)  # to a diagonal of ones: units do not decide
         scaled = D[:, :, None] * Lambda * D[:, None, :]
-        if not np.linalg.det(scaled).min() > FREE:
+        if not np.linalg.det(scaled).min() > 1e-14:  # rounding of 0
             names = ", ".join(sorted({copied.factor.name for copied, _, _ in factors}))
-            raise UnderconstrainedError(
-                f"{key}: what is measured of it ({names}) leaves a direction free; a filter has to begin with all of "
-                f"it. Add a Prior of {key} with the sigmas it is known to, however large",
-                [key],
-            )
+            message = f"what is measured of it ({names}) leaves a direction free; a filter has to begin with all of it"
+            cure = f"Add a Prior of {key} with the sigmas it is known to, however large"
+            raise UnderconstrainedError(f"{key}: {message}. {cure}", [key])
         dX = np.asarray(np.linalg.solve(Lambda, g[..., None])[..., 0], dtype=float)
         X = manifold.retract(X, dX)
-        if np.abs(dX).max() < SETTLED:
+        if np.abs(dX).max() < 1e-10:  # m, rad
             return X, Lambda
-    raise GraphError(f"{key}: no value of it fits its {factors[0][0].factor.name} after {STEPS} Newton steps", [key])
+    message = f"no value of it fits its {factors[0][0].factor.name} after {NEWTON_STEPS} Newton steps"
+    raise GraphError(f"{key}: {message}", [key])

@@ -1,8 +1,17 @@
 """How far an estimate is from the truth: absolute and relative errors of trajectories, matched by time; circles."""
 
-from nls.metrics.absolute import ALIGNMENTS, TrajectoryError, ate, cep, displacements, drms2
+from nls.metrics.errors import (
+    ALIGNMENTS,
+    DISTANCES,
+    RelativeError,
+    TrajectoryError,
+    ate,
+    cep,
+    displacements,
+    drms2,
+    rpe,
+)
 from nls.metrics.matching import Matched, matched
-from nls.metrics.relative import DISTANCES, RelativeError, rpe
 
 __all__ = [
     "ALIGNMENTS",

@@ -22,8 +22,6 @@ from models.finite import finite
 
 __all__ = ["Matched", "matched"]
 
-USUAL = 2.0  # times the median time between rows: what is longer is a gap
-
 
 @dataclass(frozen=True)
 class Matched:
@@ -94,11 +92,10 @@ def matched(
             raise GraphError(f"matched: {name} has shape {times.shape}, expected ({len(X)},): one per pose")
     if not (np.diff(s) > 0).all():
         k = int(np.argmin(np.diff(s) > 0)) + 1
-        raise GraphError(
-            f"matched: times_truth[{k}], {float(s[k])} s, does not rise over {float(s[k - 1])} s before it; sort them"
-        )
+        message = f"times_truth[{k}], {float(s[k])} s, does not rise over {float(s[k - 1])} s before it; sort them"
+        raise GraphError(f"matched: {message}")
     if tolerance is None:
-        tolerance = float(USUAL * np.median(np.diff(s))) if len(s) > 1 else 0.0
+        tolerance = float(2.0 * np.median(np.diff(s))) if len(s) > 1 else 0.0
     elif not tolerance >= 0:
         raise OptionError("tolerance", tolerance, "a time in seconds, 0 or above")
     P, Q = space.stack(P), space.stack(Q)

@@ -17,8 +17,8 @@ linear in the contacts.
 One contact that nothing repeats decides nothing: where no second one agrees, the landmark has no set. Contacts of a
 landmark in parts of the track that nothing trusted joins are sets of their own.
 
-The covariance of a step of the track, in the axes of its end, is that of the trusted graph (`nls.analysis.motions`).
-The steps are added as if they were independent (`nls.robust.consistency.Odometry`). They are where odometry measures
+The covariance of a step of the track, in the axes of its end, is that of the trusted graph (`Marginals.relative`).
+The steps are added as if they were independent (`nls.robust.loop_graph.Odometry`). They are where odometry measures
 them; a depth or an attitude that every pose measures by itself makes the sum too large, never too small. A track ends
 where nothing trusted joins a pose to the one before: dives that only have landmarks in common.
 
@@ -51,26 +51,21 @@ from models import SE3, LieGroup
 from models.algebra import Array, Index, Mask, Numbers
 from models.sensors import cartesian
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
-from nls.analysis.motions import motion_covariances
+from nls.covariance import Marginals
 from nls.covariance.frames import turned
 from nls.gauge import component_labels
 from nls.graph import FactorGraph
 from nls.optimizers import Fit, Result
 from nls.posegraph import Edges
-from nls.robust.consistency import Odometry
 from nls.robust.landmarks import Landmarks
+from nls.robust.loop_graph import Odometry
 from nls.starts.elevation import aperture_of
 from nls.starts.landmarks import sees_landmarks
+from nls.starts.parts import put_back
 from nls.values import Values
 
-__all__ = ["Agreement", "Track", "agreement", "along", "doubted_contacts", "misfit", "selected"]
-
 TRIED = 10  # contacts of a landmark that are tried; with every third one wrong all of them are with 2e-5
-STEP = radians(1.8)  # between elevations: 0.15 m at 5 m, and sigma_e is 0.045 m
-AGREED = 0.99  # probability with which a right contact agrees with a right one
-FEWEST = 2  # contacts of a set
-UNLIKELY = 1e-3  # with which all contacts are right and one is beyond the bound of `misfit`
-AT_ONCE = 20_000  # pairs of contacts that are compared at once
+PAIRS_AT_ONCE = 20_000  # of contacts that are compared
 
 
 @dataclass(frozen=True)
@@ -149,7 +144,8 @@ def along(graph: FactorGraph, values: Values, kind: str) -> Track:
     part = np.concatenate([[0], np.cumsum(label[1:] != label[:-1])])
     i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
     T = group.between(X[step], X[step + 1])
-    C = motion_covariances(graph, values, i, j) if len(step) else np.zeros((0, group.dim, group.dim))
+    steps = len(step)
+    C = Marginals(graph, values, pairs=[(i, j)]).relative(i, j) if steps else np.zeros((0, group.dim, group.dim))
     return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
 
 
@@ -184,7 +180,7 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     trusted = landmarks.kept([~mask for mask in landmarks.doubted], values, lost=True)
     reckoned = graph.only(trusted)
     optimum = reckoned.optimize(landmarks.present(trusted, values)).values
-    values = landmarks.merged(values, optimum)
+    values = put_back(values, optimum)
     inliers = [np.ones(len(mask), dtype=bool) for mask in landmarks.doubted]
     tracks: dict[str, Track] = {}
     size: dict[str, Index] = {}
@@ -241,11 +237,11 @@ def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> A
     count = np.diff(np.concatenate([[0], np.flatnonzero(new) + 1, [len(order)]]))
     arcs = Arcs(factor, model, X[2:], track, place, limit)
     pairs = np.cumsum(count * np.minimum(count, TRIED))
-    blocks = np.split(np.arange(len(count)), np.flatnonzero(np.diff(pairs // AT_ONCE)) + 1)
+    blocks = np.split(np.arange(len(count)), np.flatnonzero(np.diff(pairs // PAIRS_AT_ONCE)) + 1)
     contacts = np.split(order, np.cumsum(count)[[block[-1] for block in blocks[:-1]]])
     sets = [arcs.sets(c, count[block]) for c, block in zip(contacts, blocks, strict=True)]
     agreeing, a, points, size = (np.concatenate(column) for column in zip(*sets, strict=True))
-    enough = (size >= FEWEST) | (count == 1)
+    enough = (size >= 2) | (count == 1)
     kept = np.zeros(len(factor), dtype=bool)
     kept[order] = agreeing & np.repeat(enough, count)
     a, points, size = a[enough], points[enough], size[enough]
@@ -285,9 +281,9 @@ class Arcs:
         member = first[group[of]] + _ranked(count[group])
         b = contacts[member]
         T, P = self.track.odometry.between(self.place[a[of]], self.place[b])
-        steps = max(ceil(2 * self.limit / STEP), 1)
+        steps = max(ceil(2 * self.limit / radians(1.8)), 1)  # 0.15 m at 5 m, and sigma_e is 0.045 m
         elevations = self.limit * ((2 * np.arange(steps) + 1) / steps - 1)
-        sigma, c2 = 2 * self.limit / steps / np.sqrt(12), chi2_gate(2, AGREED)
+        sigma, c2 = 2 * self.limit / steps / np.sqrt(12), chi2_gate(2, 0.99)
         d = np.empty((steps, len(b)))
         p = np.empty((steps, len(a), 3))
         for k, elevation in enumerate(elevations):
@@ -350,4 +346,4 @@ def misfit(result: Result, contacts: Sequence[Factor]) -> bool:
     if not len(s) or result.fit is Fit.PLAUSIBLE:
         return False
     variance = max(1.0, float(np.median(s)) / chi2_gate(2, 0.5))
-    return bool(s.max() > variance * chi2_gate(2, 1 - UNLIKELY / len(s)))
+    return bool(s.max() > variance * chi2_gate(2, 1 - 1e-3 / len(s)))

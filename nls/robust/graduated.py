@@ -61,8 +61,6 @@ from nls.robust.verdict import Doubt
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-__all__ = ["Left", "Rejected", "Robustified", "gnc"]
-
 
 @dataclass(frozen=True)
 class Rejected:
@@ -220,10 +218,8 @@ def gnc(
     masks = _loop_closures(graph, values) if doubted is None else _named(graph, doubted)
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
-        raise GraphError(
-            "this graph has no loop closures, and sightings of landmarks and other measurements are not judged",
-            advice=[Advice.robust("Cauchy", 1), Advice("doubt")],
-        )
+        message = "this graph has no loop closures, and sightings of landmarks and other measurements are not judged"
+        raise GraphError(message, advice=[Advice.robust("Cauchy", 1), Advice("doubt")])
     landmarks = landmarks_of(graph, values, masks)
     c2 = [chi2_gate(values.gather(factor)[0].dim, probability) for factor in graph.factors]
     problem = Truncated(graph, masks, c2, landmarks)

@@ -34,17 +34,14 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import Result
-from nls.robust.consistency import Neighbors, unit_variance
-from nls.robust.loop_graph import LoopGraph
+from nls.robust.loop_graph import LoopGraph, Neighbors, unit_variance
 from nls.values import Values
 
-__all__ = ["Witness", "misfits", "witnesses"]
-
 LARGE = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
-MANY = 300  # groups that are judged, those of the largest residuals
-WIDE, FITS = 1.6, 0.999  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
-FLAT = 1e-3  # of the longest side of the map: what is thinner is counted as so thick
-TURNS = {0: 1.0, 1: 2 * pi, 3: 8 * pi**2}  # volume of all rotations, by their dimension
+WIDER_GATE, FITS = (
+    1.6,
+    0.999,
+)  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ def misfits(judged: Iterable[Witness], result: Result, loops: LoopGraph) -> Mask
     wrong = np.zeros(len(loops.closures), dtype=bool)
     for witness in judged:
         gate = chi2_gate(len(witness.members) * loops.poses.group.dim, FITS)
-        wrong[witness.members] = witness.t > WIDE * noise * gate
+        wrong[witness.members] = witness.t > WIDER_GATE * noise * gate
     return wrong
 
 
@@ -88,7 +85,7 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
     groups = _judgeable(loops.neighbors, accepted)
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
-    del groups[MANY:]
+    del groups[300:]  # those of the largest residuals are judged
     touched = [np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True) for members in groups]
     for members, (nodes, place), P in zip(
         groups, touched, _joint(graph, values, loops, [n for n, _ in touched]), strict=True
@@ -139,9 +136,10 @@ def _passing(loops: LoopGraph, values: Values) -> float:
     """Logarithm of the share of all relative poses on the map that lie in a unit ellipsoid, at the quantile."""
     d, places = loops.poses.group.dim, loops.places(values)
     span: Array = np.ptp(places, axis=0)
-    sides = 2 * np.maximum(span, FLAT * span.max(initial=0.0))
+    sides = 2 * np.maximum(span, 1e-3 * span.max(initial=0.0))  # what is thinner is counted as so thick
     if not sides.all():
         return np.inf  # all in one place
     r = len(sides)
     ball = pi ** (d / 2) / gamma(d / 2 + 1) * chi2_gate(d, FITS) ** (d / 2)
-    return float(np.log(ball / TURNS[d - r]) - np.log(sides).sum())
+    turns = {0: 1.0, 1: 2 * pi, 3: 8 * pi**2}[d - r]  # volume of all rotations, by their dimension
+    return float(np.log(ball / turns) - np.log(sides).sum())

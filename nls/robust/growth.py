@@ -5,7 +5,7 @@ A closure (i, j, z) is tested against the prediction of what has been accepted s
     xi = Log(z^-1 o T_ij),   d = xi' (sigma0^2 C + rho^2 P_ij)^-1 xi,
 
 P_ij the covariance of that prediction, sigma0 and rho the noise that neighbors and odometry show
-(`nls.robust.consistency`), never above the stated one. After a long loop P is large and nearly everything passes; a
+(`nls.robust.loop_graph`), never above the stated one. After a long loop P is large and nearly everything passes; a
 test says much where the prediction is about as sharp as the measurement itself. So those that pass are accepted in the
 order of
 
@@ -16,7 +16,7 @@ well. A large group is less likely to pass as a whole by accident. A quarter of 
 poses are solved for. With each closure the predictions between the places around it become sharp, and so do the next
 tests. Misfits are given back, and at the end every group of closures that all others contradict (`nls.robust.groups`).
 
-Before it starts, closures that agree with no neighbor are set aside (`nls.robust.consistency`).
+Before it starts, closures that agree with no neighbor are set aside (`nls.robust.loop_graph`).
 
 P_ij is along the shortest path over odometry and accepted closures. The path of least summed uncertainty bounds the
 covariance of the relative pose from above; in the axes of the world its links add up,
@@ -38,20 +38,13 @@ from nls.covariance.frames import turned
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
 from nls.posegraph import Edges
-from nls.robust.groups import misfits, witnesses
+from nls.robust.groups import FITS, misfits, witnesses
 from nls.robust.loop_graph import LoopGraph, loop_graph
 from nls.starts.chordal import chordal
 from nls.values import Values
 
-__all__ = ["Growth", "grow", "path_covariances"]
-
-FITS = 0.999  # probability with which a true closure passes
-SHARE = 0.25  # of those that pass, accepted in one round
-SLACK = 4.0  # times the variances of its last prediction: what does not pass even so has no new one computed
-ROUNDS, LITTLE = 40, 0.005  # rounds at most; the last ones add less than this part of what is accepted
-METERS = 10  # steps of odometry that weigh as much as a radian when paths are compared
-TOGETHER = 10_000_000  # places that paths are kept to, from all sources searched together: 120 MB
-BRIEF = GaussNewton(Stop(1e-6, 1e-3, 1e-10, max_iterations=4), reuse=True)
+ACCEPTED_SHARE = 0.25  # of those that pass, accepted in one round
+PLACES = 10_000_000  # that paths are kept to, from all sources searched together: 120 MB
 
 
 @dataclass(frozen=True)
@@ -102,19 +95,19 @@ def grown(loops: LoopGraph) -> Growth:
     values, closures, odometry = loops.values, loops.closures, loops.odometry
     dim, near = closures.group.dim, loops.neighbors
     steps = closures.group.position(odometry.z)
-    meters = METERS * float(np.median(np.linalg.norm(steps, axis=1))) or 1.0
+    meters = 10 * float(np.median(np.linalg.norm(steps, axis=1))) or 1.0  # weigh as much as a radian
     sigma0, few = min(near.sigma0, 1.0), 0
     accepted = np.zeros(len(closures), dtype=bool)
     waiting = near.support > 0
     P = np.full_like(closures.C, np.nan)
-    for _ in range(ROUNDS):
+    for _ in range(40):
         left = np.flatnonzero(waiting & ~accepted)
         known = odometry.joined(closures[accepted])
-        scales = Scales(sigma0, near.rho, meters)
-        fits, order, P[left] = _tested(known, closures[left], loops.track(values), scales, near.cluster[left], P[left])
+        T, scales = loops.track(values), (sigma0, near.rho, meters)
+        fits, order, P[left] = _tested(known, closures[left], T, scales, near.cluster[left], P[left])
         if not len(fits):
             break
-        last = np.sort(order)[ceil(SHARE * len(fits)) - 1]
+        last = np.sort(order)[ceil(ACCEPTED_SHARE * len(fits)) - 1]
         new = left[fits[order <= last]]  # all of those that are as certain: their numbers must not decide
         accepted[new] = True
         values, s = _solved(loops, values, accepted)
@@ -122,7 +115,7 @@ def grown(loops: LoopGraph) -> Growth:
         sigma0 = min(max(near.sigma0, spread), 1.0)
         given_back = accepted & (s > sigma0**2 * chi2_gate(dim, FITS))
         accepted &= ~given_back
-        few = few + 1 if len(new) - given_back.sum() < LITTLE * accepted.sum() else few
+        few = few + 1 if len(new) - given_back.sum() < 0.005 * accepted.sum() else few
         if few == 2:
             break
     if accepted.any():
@@ -134,30 +127,22 @@ def grown(loops: LoopGraph) -> Growth:
     return Growth(values, loops.masks(accepted), near.sigma0)
 
 
-@dataclass(frozen=True)
-class Scales:
-    """By what stated sigmas are multiplied, of closures and of odometry; the meters that weigh as much as a radian."""
-
-    sigma0: float
-    rho: float
-    meters: float
-
-
 def _tested(
-    known: Edges, closures: Edges, T: Array, scales: Scales, cluster: Index, P: Array
+    known: Edges, closures: Edges, T: Array, scales: tuple[float, float, float], cluster: Index, P: Array
 ) -> tuple[Index, Array, Array]:
     """Which closures (k,) pass, the rank (k,) of each, the most certain lowest, and the covariances of all predictions.
 
-    P are those of the round before, nan where there are none. They shrink with nearly every link, so what does not pass
-    with twice their sigmas keeps them: half of the time on manhattan with as many wrong closures.
+    The scales are by what stated sigmas are multiplied, of closures and of odometry, and the meters that weigh as much
+    as a radian. P are those of the round before, nan where there are none. They shrink with nearly every link, so what
+    does not pass with twice their sigmas (4 P) keeps them: half of the time on manhattan with as many wrong closures.
     """
-    group, gate = closures.group, chi2_gate(closures.group.dim, FITS)
-    C, rho2 = scales.sigma0**2 * closures.C, scales.rho**2
+    group, gate, (sigma0, rho, meters) = closures.group, chi2_gate(closures.group.dim, FITS), scales
+    C, rho2 = sigma0**2 * closures.C, rho**2
     T_ij = group.compose(group.inverse(T[closures.i]), T[closures.j])
     xi = group.log(group.compose(group.inverse(closures.z), T_ij))
-    open_ = ~(mahalanobis(xi, C + SLACK * rho2 * P) > gate)
+    open_ = ~(mahalanobis(xi, C + 4.0 * rho2 * P) > gate)
     P = P.copy()
-    P[open_] = path_covariances(known, T, closures.i[open_], closures.j[open_], scales.meters)
+    P[open_] = path_covariances(known, T, closures.i[open_], closures.j[open_], meters)
     S = C + rho2 * P
     fits = np.flatnonzero(open_ & (mahalanobis(xi, S) <= gate))
     open_volume = np.linalg.slogdet(S[fits])[1] - np.linalg.slogdet(C[fits])[1]
@@ -171,7 +156,8 @@ def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, A
     start = chordal(subgraph, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
     if subgraph.chi2(start) < subgraph.chi2(values):
         values = start
-    values = subgraph.optimize(values, BRIEF).values
+    brief = GaussNewton(Stop(1e-6, 1e-3, 1e-10, max_iterations=4), reuse=True)
+    values = subgraph.optimize(values, brief).values
     s = np.concatenate([batch.model.factor.chi2(values) for batch in loops.poses.batches])
     return values, s[loops.poses.closures]
 
@@ -199,7 +185,7 @@ def path_covariances(edges: Edges, T: Array, i: Index, j: Index, meters: float) 
     steps = sp.csr_array((length[best], (ends.min(axis=0), ends.max(axis=0))), shape=(n, n))
     sums = np.zeros((len(i), d * d))
     sources, source = np.unique(i, return_inverse=True)
-    size = max(TOGETHER // n, 1)
+    size = max(PLACES // n, 1)
     for begin in range(0, len(sources), size):
         mine = np.flatnonzero((source >= begin) & (source < begin + size))
         _, before = dijkstra(steps, False, sources[begin : begin + size], return_predecessors=True)

@@ -21,7 +21,6 @@ from models.algebra import Array
 __all__ = ["LOSSES", "GemanMcClureSquares", "Graduated", "TruncatedSquares"]
 
 FASTER = 1.4  # mu from step to step, as in the paper
-DONE = 1e3  # mu of truncated squares that are as good as truncated
 
 
 class Graduated(Kernel):
@@ -57,7 +56,7 @@ class TruncatedSquares(Graduated):
 
     def bend(self) -> None:
         self.mu *= FASTER
-        self.done = self.mu >= DONE
+        self.done = self.mu >= 1e3  # as good as truncated
 
 
 class GemanMcClureSquares(Graduated):

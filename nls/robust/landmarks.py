@@ -23,10 +23,6 @@ from nls.graph import FactorGraph
 from nls.starts.landmarks import sees_landmarks
 from nls.values import Values
 
-__all__ = ["Landmarks", "landmarks_of"]
-
-DETERMINED = 1e-12  # least over largest eigenvalue of M: a millionth in sigmas, far below any second view
-
 
 @dataclass(frozen=True)
 class Landmarks:
@@ -59,7 +55,8 @@ class Landmarks:
         for kind, touching in self.factors.items():
             leaves = ~self.held[kind] & ~self._determined(kind, inliers, values)
             if lost:
-                leaves &= self._lost(kind, inliers)
+                out = [d & ~m for d, m in zip(self.doubted, inliers, strict=True)]
+                leaves &= self.counts(kind, out) > 0
             if leaves.any():
                 for number, _, row in touching:
                     masks[number] = masks[number] & ~leaves[row]
@@ -84,15 +81,6 @@ class Landmarks:
         if not any(mask.any() for mask in gone.values()):
             return values
         return Values.of(s.only(~gone[s.kind]) if s.kind in gone else s for s in values.stacks.values())
-
-    def merged(self, values: Values, present: Values) -> Values:
-        """The values with those that are present moved to where these are."""
-        moved = {}
-        for kind, stack in present.stacks.items():
-            X = np.array(values.stack(kind).X)
-            X[np.isin(values.stack(kind).numbers, stack.numbers)] = stack.X
-            moved[kind] = X
-        return values.replaced(moved)
 
     def counts(self, kind: str, masks: Sequence[Mask]) -> Numbers:
         """How many of some measurements touch every landmark of a kind (n,)."""
@@ -123,11 +111,6 @@ class Landmarks:
         _, pair = np.unique(np.concatenate(ends), axis=0, return_inverse=True)
         return np.split(pair.reshape(-1), np.cumsum([len(f) for f in self.graph.factors])[:-1])
 
-    def _lost(self, kind: str, inliers: Sequence[Mask]) -> Mask:
-        """Which landmarks lost a doubted measurement."""
-        lost = [d & ~m for d, m in zip(self.doubted, inliers, strict=True)]
-        return np.asarray(self.counts(kind, lost) > 0)
-
     def _determined(self, kind: str, inliers: Sequence[Mask], values: Values) -> Mask:
         stack = values.stack(kind)
         d = stack.manifold.dim
@@ -141,7 +124,8 @@ class Landmarks:
             A = model.linearize(*X)[0][slot]
             np.add.at(M, row[rows], A.mT @ A)
         eigenvalues = np.linalg.eigvalsh(M)
-        return np.asarray(eigenvalues[:, 0] > DETERMINED * eigenvalues[:, -1])
+        # a millionth in sigmas, far below any second view
+        return np.asarray(eigenvalues[:, 0] > 1e-12 * eigenvalues[:, -1])
 
 
 def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> Landmarks:

@@ -23,20 +23,10 @@ from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence
-from nls.starts import chordal
+from nls.starts.chordal import chordal
 
-__all__ = ["Preselection", "exchanged"]
-
-FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lower cost is taken
-WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
-MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
-CLEARLY = 7.0  # rejections by which all closures, tried from odometry, are the better choice
-CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
-SETTLED, HOPELESS = 3, 2.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 0.5
-TURNS = 3  # of giving up contradicted groups
-FEW, MANY = 60, 600  # groups and closures between which one is exchanged; with more there are others that check each
-MOVES = 10  # of an exchange, at most
-BETTER = 1e-3  # of the cost by which a move must lower it
+HEAVY_TAILS = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
+MANY_CLOSURES = 600  # among which none is exchanged: there are others that check each
 
 
 class Preselection:
@@ -56,7 +46,7 @@ class Preselection:
         explained = self._explained()
         self.choice, self.variance = explained or self._grown()
         self.moved = 0.0
-        for _ in range(0 if explained else TURNS):
+        for _ in range(0 if explained else 3):
             other, self.moved = self._without_contradicted(self.choice)
             if self.moved <= verdict.STILL:
                 break
@@ -73,12 +63,12 @@ class Preselection:
     def _explained(self) -> tuple[Choice, float] | None:
         """All closures but a few, where noise explains the optimum of all; None where it does not."""
         loops, graph = self.loops, self.loops.graph
-        if loops.neighbors.passing < MOST or self._dearer(DEARER):
-            return None
+        if loops.neighbors.passing < 0.95 or self._dearer(DEARER):
+            return None  # odometry allows so few that some are wrong
         rows = graph.pattern(loops.values).measured_rows
 
         def hopeless(step: Iteration) -> bool:
-            return step.number >= SETTLED and step.chi2 > HOPELESS * rows
+            return step.number >= 3 and step.chi2 > 2.0 * rows  # clean graphs have 0.5 then
 
         first = graph.optimize(chordal(graph, loops.values), Automatic(callback=hopeless))
         noise = verdict.noise(first)
@@ -86,7 +76,7 @@ class Preselection:
             return None
         if verdict.strain(loops, first) > verdict.STRAIN:
             return None
-        variance = min(WIDE**2 * noise, 1.0)
+        variance = min(HEAVY_TAILS**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
         if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.STILL:
@@ -98,13 +88,14 @@ class Preselection:
         loops, growth = self.loops, grown(self.loops)
         first = lowest(loops.graph.only(growth.masks), growth.values)
         noise = verdict.noise(first) if loops.accepted(growth.masks).any() else 1.0  # odometry fits by itself
-        variance = min(WIDE**2 * noise, max(1.0, noise))
+        variance = min(HEAVY_TAILS**2 * noise, max(1.0, noise))
         problem = self.problem.scaled(variance)
-        choices = [problem.choice(first.values, self.loss, far) for far in problem.affordable(first.values, FAR)]
+        reaches = problem.affordable(first.values, (10.0, 1000.0))  # in thresholds
+        choices = [problem.choice(first.values, self.loss, far) for far in reaches]
         self.rivals = sorted(choices, key=lambda choice: choice.cost)
-        if not self._dearer(CHEAP):
+        if not self._dearer(2.0):
             other = problem.choice(loops.values, self.loss, np.inf)
-            better = other.cost < self.rivals[0].cost - CLEARLY * max(problem.c2)
+            better = other.cost < self.rivals[0].cost - 7.0 * max(problem.c2)  # seven rejections
             self.rivals.insert(0 if better else 1, other)
         choice, alternatives = exchanged(problem, loops, self.rivals[0])
         self.rivals, self.tried = [choice, *self.rivals, *alternatives], bool(alternatives)
@@ -141,13 +132,13 @@ def exchanged(problem: Truncated, loops: LoopGraph, choice: Choice) -> tuple[Cho
     cluster = loops.neighbors.cluster
     groups = np.unique(cluster)
     alternatives: list[Choice] = []
-    if len(groups) > FEW or len(cluster) > MANY:
+    if len(groups) > 60 or len(cluster) > MANY_CLOSURES:
         return choice, alternatives
-    for _ in range(MOVES):
+    for _ in range(10):
         inliers = loops.accepted(choice.inliers)
         alternatives = [_moved(problem, loops, choice, inliers, cluster == group) for group in groups]
         best = min(alternatives, key=lambda alternative: alternative.cost)
-        if best.cost >= choice.cost * (1 - BETTER):
+        if best.cost >= choice.cost * (1 - 1e-3):
             break
         choice = best
     return choice, alternatives

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from factors.base import Factor
-from factors.robust import GemanMcClure
+from factors import Factor, GemanMcClure
 from models.algebra import Array, Mask
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
@@ -19,22 +18,18 @@ from nls.robust.kernels import LOSSES, Graduated
 from nls.robust.landmarks import Landmarks
 from nls.robust.loop_graph import LoopGraph
 from nls.sparse.fill import fill_in
-from nls.starts import chordal
+from nls.starts.chordal import chordal
+from nls.starts.parts import put_back
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Choice", "Truncated", "lowest"]
-
-PASSES = 8  # of choosing and solving at most; three are the rule
 DEARER = 10  # a second reach that takes so many times the operations is left out: torus3D, half wrong, 9 minutes
 FEWER = 0.8  # part of the pulling measurements; where fewer still pull the graph is made anew
-BETTER = 1e-3  # part of chi2 by which another start must be lower
-SOFT = 1e-3  # part of chi2 by which steps under a kernel must lower it; the choice that follows does the rest
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice of measurements that reproduces itself, or the last of `PASSES`.
+    """A choice of measurements that reproduces itself, or the last of eight; three are the rule.
 
     Attributes
     ----------
@@ -71,7 +66,7 @@ class Truncated:
     landmarks: Landmarks = field(default_factory=lambda: Landmarks(FactorGraph(), (), {}, {}))
 
     def scaled(self, variance: float) -> Truncated:
-        """The same problem with all thresholds c^2 times so much."""
+        """A problem with all thresholds c^2 times so much."""
         return replace(self, c2=[variance * c2 for c2 in self.c2])
 
     def rejected(self, inliers: list[Mask]) -> int:
@@ -92,9 +87,9 @@ class Truncated:
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""
         values = self._bent(values, loss, far)
-        inliers = self.landmarks.kept(self._within(self._s(values), 1.0), values)
+        inliers = self._inliers(self._s(values), values)
         best = lowest(self.graph.only(inliers), self.landmarks.present(inliers, values))
-        return self.settled(self.landmarks.merged(values, best.values))
+        return self.settled(put_back(values, best.values))
 
     def softened(self, values: Values, inliers: list[Mask]) -> Choice:
         """The choice that follows from some inliers, the doubted ones first under Geman and McClure's kernel.
@@ -106,50 +101,45 @@ class Truncated:
             parts = (factor[kept & ~mask], factor[kept & mask].robust(GemanMcClure(c2**0.5)))
             factors += [part for part in parts if len(part)]
         graph, present = FactorGraph(factors, self.graph.fixed), self.landmarks.present(inliers, values)
-        soft = graph.optimize(present, default_optimizer(factors, Stop(chi2_rtol=SOFT)))
-        return self.settled(self.landmarks.merged(values, soft.values))
+        # steps must lower chi2 by so much of it; the choice that follows does the rest
+        soft = graph.optimize(present, default_optimizer(factors, Stop(chi2_rtol=1e-3)))
+        return self.settled(put_back(values, soft.values))
 
     def settled(self, values: Values) -> Choice:
         """The choice that reproduces itself, from what is within the thresholds at some values."""
-        inliers: list[Mask] = []
-        for _ in range(PASSES):
-            s = self._s(values)
-            before, inliers = inliers, self.landmarks.kept(self._within(s, 1.0), values)
-            if before and all((a == b).all() for a, b in zip(before, inliers, strict=True)):
+        choice = self.optimum(values, self._inliers(self._s(values), values))
+        for _ in range(7):  # two choices may take turns: the last one is taken
+            inliers = self._inliers(choice.s, choice.values)
+            if all((a == b).all() for a, b in zip(choice.inliers, inliers, strict=True)):
                 break
-            result, subgraph, values = self.optimum(values, inliers)
-        else:
-            s = self._s(values)  # two choices take turns: the last one is taken
-        return self.chosen(result, subgraph, inliers, s, values)
+            choice = self.optimum(choice.values, inliers)
+        return choice
 
-    def optimum(self, values: Values, inliers: list[Mask]) -> tuple[Result, FactorGraph, Values]:
-        """The optimum of some inliers, their graph, and its values with the landmarks that left."""
+    def optimum(self, values: Values, inliers: list[Mask]) -> Choice:
+        """The optimum of some inliers."""
         graph = self.graph.only(inliers)
         result = graph.optimize(self.landmarks.present(inliers, values))
-        return result, graph, self.landmarks.merged(values, result.values)
-
-    def chosen(self, result: Result, graph: FactorGraph, inliers: list[Mask], s: list[Array], values: Values) -> Choice:
-        """The choice with its cost."""
+        values = put_back(values, result.values)
+        s = self._s(values)
         cost = sum(
             float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)
         )
         return Choice(result, graph, inliers, s, cost, values)
 
-    def without(self, choice: Choice, inliers: list[Mask]) -> Choice:
-        """The optimum of fewer measurements, from a choice of more."""
-        result, graph, values = self.optimum(choice.values, inliers)
-        return self.chosen(result, graph, inliers, self._s(values), values)
-
     def among(self, choice: Choice, loops: LoopGraph, right: Mask) -> Choice:
         """The optimum of those of a choice that are among some closures (m,)."""
         masks = loops.masks(loops.accepted(choice.inliers) & right)
-        return self.without(choice, [a & b for a, b in zip(choice.inliers, masks, strict=True)])
+        return self.optimum(choice.values, [a & b for a, b in zip(choice.inliers, masks, strict=True)])
 
     def _s(self, values: Values) -> list[Array]:
         return [factor.chi2(values) for factor in self.graph.factors]
 
+    def _inliers(self, s: list[Array], values: Values) -> list[Mask]:
+        """Measurements within the thresholds, without those of landmarks that leave."""
+        return self.landmarks.kept(self._within(s, 1.0), values)
+
     def _within(self, s: list[Array], far: float) -> list[Mask]:
-        """What is trusted, and those doubted ones that are within so many thresholds."""
+        """Trusted measurements, and doubted ones within so many thresholds."""
         return [~m | (k <= far * c2) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)]
 
     def _bent(self, values: Values, loss: str, far: float) -> Values:
@@ -178,7 +168,7 @@ class Truncated:
             graph = FactorGraph([*trusted, *pulling], self.graph.fixed)
             bending = Bending(doubted=pulling, kernels=tuple(kernels), fewer=fewer)
             bent = graph.optimize(self.landmarks.present(kept, values), bending)
-            values = self.landmarks.merged(values, bent.values)
+            values = put_back(values, bent.values)
         return values
 
 
@@ -219,6 +209,6 @@ def lowest(graph: FactorGraph, values: Values) -> Result:
     start = chordal(graph, values)
     if start is not values:
         other = graph.optimize(start)
-        if other.chi2_final < result.chi2_final * (1 - BETTER):
+        if other.chi2_final < result.chi2_final * (1 - 1e-3):
             return other
     return result

@@ -17,28 +17,17 @@ from models.findings import Numbered, Sentences, register
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Fit, Result
-from nls.robust.consistency import unit_variance
 from nls.robust.groups import FITS, Witness, misfits
-from nls.robust.loop_graph import LoopGraph
+from nls.robust.loop_graph import LoopGraph, unit_variance
 from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
 
-__all__ = ["Difference", "Doubt", "DoubtKind", "Evidence", "difference", "doubts", "noise", "preselected", "strain"]
-
 HALF = 0.5  # of the doubted measurements, of the steps between closures
-THIRD = 1 / 3  # of the closures, where each group of them more or less was tried
-SPREAD = 3.0  # standard deviations of the number of right measurements that chance rejects
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
-CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
-MANY = 0.6  # of the closures kept; where fewer are, or chi2 is high, sigmas that neighbors contradict are a doubt
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
-NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
-RIVAL = 1.0  # rejections by which the cost of a rival is higher, at most
-ODDS = 0.005  # that closures are wrong, at least: right ones that hold a map with others have 1e-5 to 0.003
 AWAY = 0.01  # part of the extent by which the map of another choice is away, at least
-LARGEST = 700.0  # exponent of a float
 
 
 APART = "{meters:.3g} m ({fraction!p:.2g} % of its extent) and {radians:.2g} rad"
@@ -108,11 +97,11 @@ class Doubt(Numbered):
 def doubts(result: Result, inlier_count: int, doubted: int, probability: float, tried: bool = False) -> list[Doubt]:
     """Reasons to doubt any choice: how much was kept, and whether chi2 of it is plausible.
 
-    Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than `SPREAD`
+    Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than three
     standard deviations above that are too many.
     """
-    reasons, n = [], (THIRD if tried else HALF) * doubted
-    if inlier_count < n * probability - SPREAD * sqrt(n * probability * (1 - probability)):
+    reasons, n = [], (1 / 3 if tried else HALF) * doubted
+    if inlier_count < n * probability - 3.0 * sqrt(n * probability * (1 - probability)):
         reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
     if result.dof > 0 and result.fit is Fit.IMPLAUSIBLE:
         reasons.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
@@ -181,7 +170,7 @@ def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
     if (ratio := strain(loops, result)) > STRAIN:
         reasons.append(Doubt(DoubtKind.STRAINED, number=ratio))
     small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
-    if small and (reasons or n < MANY * m or result.fit is not Fit.PLAUSIBLE):
+    if small and (reasons or n < 0.6 * m or result.fit is not Fit.PLAUSIBLE):
         reasons.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
     return reasons
 
@@ -201,7 +190,8 @@ def _unchecked(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     chances = [0.0 if single and len(w.members) > 1 else w.chance for w in evidence.judged]
     mean = float(np.mean(chances or [0.0]))
     chosen = not inliers.all() or len(chances) > 1
-    return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > CHANCE and chosen else []
+    # public graphs have 0.2 % at most
+    return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > 0.1 and chosen else []
 
 
 def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
@@ -218,7 +208,8 @@ def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     if not 0 < other.dof < result.dof:
         return []
     ratio = (result.chi2_final - other.chi2_final) / (result.dof - other.dof) / noise(other)
-    if ratio <= NOISIER**2 or (moved := difference(loops, result.values, other.values).fraction) <= AWAY:
+    # right maps that move without such closures have a noise of 1.3 at most
+    if ratio <= 2.5**2 or (moved := difference(loops, result.values, other.values).fraction) <= AWAY:
         return []
     count, total = int(alone.sum()), int(inliers.sum())
     return [Doubt(DoubtKind.ALONE, count, total, number=float(np.sqrt(ratio)), fraction=moved)]
@@ -227,7 +218,7 @@ def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
 def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
     """The first choice for a different map that fits as well; else the one whose closures most likely are wrong.
 
-    It fits as well where it takes closures that were rejected, and costs at most `RIVAL` rejections more: of closures,
+    It fits as well where it takes closures that were rejected, and costs at most one rejection more: of closures,
     or of groups, as one wrong group may be larger than the right ones together.
 
     Parameters
@@ -244,12 +235,12 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
         given_up, taken = inliers & ~theirs, theirs & ~inliers
         if taken.any() or not given_up.any():  # the same closures may have a second minimum
             worse = min(worse, worse - _repeated(loops, given_up) + _repeated(loops, taken))
-            if worse <= RIVAL:
+            if worse <= 1.0:
                 return [Doubt(DoubtKind.RIVAL, 0, 0, worse, *apart)]
             continue
         distance = _distance(here, rival)
         odds = _odds(evidence, inliers, given_up, distance)
-        if odds > ODDS:
+        if odds > 0.005:  # right closures that hold a map with others have 1e-5 to 0.003
             weak += [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
     return sorted(weak, key=lambda doubt: -doubt.number)[:1]
 
@@ -286,7 +277,9 @@ def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) ->
         return 0.0  # a group that is too large to be judged checks itself
     prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
     excess = max(distance - (int(given_up.sum()) - len(least)) * d, 0.0)
-    return exp(min(sum(log(prior * peak * passing) for passing in least) + excess / 2, LARGEST))
+    return exp(
+        min(sum(log(prior * peak * passing) for passing in least) + excess / 2, 700.0)
+    )  # the largest exponent of a float
 
 
 def _sigmas(result: Result) -> float:

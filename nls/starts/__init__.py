@@ -1,17 +1,32 @@
-"""Start values: poses composed along edges, or all at once by chordal relaxation; points where the poses saw them."""
+"""Start values: poses composed along edges, or all at once by chordal relaxation; points where the poses saw them.
+
+Far above the noise, chi2 of a start does not tell its valley. The lowest of several poor starts may lead to a poor
+optimum. A few steps from each of them tell. They are steps of the dogleg, the damped method of one factorization a
+step.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
+from functools import cached_property
 
 from models import SE2, SE3
-from models.errors import GraphWarning, OptionError
+from models.errors import (
+    EvaluationError,
+    GraphWarning,
+    LeadlineError,
+    OptionError,
+    SingularGeometryError,
+    UnderconstrainedError,
+)
+from nls.gauge import fixed_variables, touched_variables
 from nls.graph import FactorGraph
+from nls.optimizers import Dogleg, Status, Stop
 from nls.posegraph import pose_graphs, says_poses
 from nls.sparse.threads import single_thread
 from nls.stages import stage
-from nls.starts.candidates import Candidates
 from nls.starts.chordal import chordal
 from nls.starts.dead_reckoning import chain, dead_reckoning, spanning_tree, walks
 from nls.starts.elevation import first_sighting, search_elevation
@@ -52,9 +67,14 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
     "incremental": incremental,
 }
-# chi2 per measured row above which the odometry chain and `incremental` are tried; noise gives 1, starts that
-# Gauss-Newton converges from seldom over 10
-NEAR, FAR = 10.0, 100.0
+# chi2 per measured row, or degree of freedom, of a poor start: noise gives 1, chordal starts of public pose graphs
+# without false closures and starts that Gauss-Newton converges from seldom over 10
+POOR = 10.0
+COMPARED_STEPS = (
+    20  # at most, from each start; simulated range-only missions need 5, the marine one with poor headings 10
+)
+SAME_CHI2 = 1e-6  # relative: chi2 that differs by less is of the same poses, or of the same optimum
+REFUSED = (UnderconstrainedError, EvaluationError, SingularGeometryError)
 
 
 @single_thread()
@@ -118,10 +138,10 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     limits |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
     steps = groups or walks(graph)
     grows = bool(steps and (sees_points(graph, values) or (groups and walks(graph))))
-    limits |= {"incremental": FAR} if grows else {}
+    limits |= {"incremental": 10 * POOR} if grows else {}
     relative = all(says_poses(factor) for factor in graph.factors)  # chordal relaxation uses all of these
     robust = not relative and any(factor.kernel is not None for factor in graph.factors)
-    limits |= {"odometry": 0.0 if robust else NEAR} if steps else {}
+    limits |= {"odometry": 0.0 if robust else POOR} if steps else {}
     for candidate, limit in limits.items():
         if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
             candidates.add(candidate, values, STARTS[candidate])
@@ -130,10 +150,109 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     poor = candidates.poor()
     if not relative and len(limits) > 1 and (poor or robust):
         candidates.compare(robust)
-        if poor and grows and not candidates.explained() and not candidates.knows("incremental"):
+        if poor and grows and not candidates.explained() and "incremental" not in candidates.chi2 | candidates.refused:
             candidates.add("incremental", values, incremental)
             candidates.compare(robust)
     for candidate in [c for c in candidates.refused if c != "file"]:
         message = f"start {candidate!r} was left out: {candidates.refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
     return candidates.best, candidates.name, candidates.chi2
+
+
+class Candidates:
+    """Starts of a graph, and the best of them.
+
+    Parameters
+    ----------
+    graph, values : the graph and what was given.
+
+    Attributes
+    ----------
+    best, name : the start of lowest chi2, and its name; empty before there is one.
+    chi2 : of every start, by name.
+    refused : errors of those that do not exist or cannot be evaluated, by name.
+    rows : measured ones.
+    believes_all : whether steps led to the best, where robust kernels ignore nothing and noise explains chi2.
+    """
+
+    def __init__(self, graph: FactorGraph, values: Values) -> None:
+        self.graph, self.best, self.name = graph, values, ""
+        self.chi2: dict[str, float] = {}
+        self.refused: dict[str, LeadlineError] = {}
+        self._starts: dict[str, Values] = {}
+        self._compared: list[float] = []  # chi2 of the starts from which steps were taken
+        self.believes_all = False
+        self.rows = graph.pattern(values).measured_rows
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom: how many more rows there are than unknowns, a gauge not counted."""
+        pattern = self.graph.pattern(self.best)
+        unknown = touched_variables(pattern) & ~fixed_variables(self.graph.fixed, self.best)
+        return self.rows - int(pattern.dims[unknown].sum())
+
+    def add(self, name: str, values: Values, method: Callable[[FactorGraph, Values], Values]) -> None:
+        """Compute a start."""
+        try:
+            with stage(f"init {name}"):
+                start = method(self.graph, values)
+                chi2 = self.graph.chi2(start)
+        except REFUSED as error:
+            self.refused[name] = error
+            return
+        self._starts[name] = start
+        self._list(name, start, chi2, self.chi2.get(self.name, math.inf))
+
+    def misfit(self) -> float:
+        """chi2 of the best without robust kernels, under which every start looks near."""
+        if all(factor.kernel is None for factor in self.graph.factors):
+            return self.chi2[self.name]
+        return sum(float(factor.chi2(self.best).sum()) for factor in self.graph.factors)
+
+    def poor(self) -> bool:
+        """Whether the best start is far above the noise."""
+        return self.dof > 0 and self.misfit() > POOR * self.dof
+
+    def explained(self) -> bool:
+        """Whether noise explains the best."""
+        return self.misfit() <= 2.0 * self.dof
+
+    def compare(self, robust: bool = False) -> None:
+        """Take steps from the starts that have not been compared, the lowest first, until noise explains the best.
+
+        With `robust` kernels until they believe every measurement there.
+        """
+        for name in sorted(self._starts, key=self.chi2.__getitem__):
+            if self.believes_all if robust else self.explained():
+                return
+            chi2 = self.chi2[name]
+            if not any(math.isclose(chi2, other, rel_tol=SAME_CHI2) for other in self._compared):  # the same start
+                self._compared.append(chi2)
+                self.advance(name)
+
+    def advance(self, name: str) -> None:
+        """Take steps from a start; where they lead is a candidate, too. From where they cannot begin nothing is added.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            The optimizer was interrupted.
+        """
+        after = f"{name} + {COMPARED_STEPS} steps"
+        try:
+            with stage(f"init {after}"), warnings.catch_warnings():
+                warnings.simplefilter("ignore", GraphWarning)  # the optimization that follows gives them
+                result = self.graph.optimize(self._starts[name], Dogleg(Stop(max_iterations=COMPARED_STEPS)))
+        except REFUSED:
+            return
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if result.chi2_final <= self.chi2[self.name]:
+            self.believes_all = not result.doubt and not any(share.ignored for share in result.shares)
+        self._list(after, result.values, result.chi2_final, (1 - SAME_CHI2) * self.chi2[self.name])
+
+    def _list(self, name: str, start: Values, chi2: float, limit: float) -> None:
+        """Note a start; below the limit it is the best."""
+        self.chi2[name] = chi2
+        if chi2 < limit or not self.name:
+            self.best, self.name = start, name

@@ -25,13 +25,6 @@ from nls.posegraph import PoseGraph, pose_graphs
 from nls.sparse.elimination import Eliminations
 from nls.values import Values, refuse_other
 
-__all__ = ["chordal"]
-
-ROUND = (0, 1, 2, 0, 1)
-REGULAR = 1e-3  # det M above this, its largest entry being 1: Newton's iteration takes at most 15 steps
-SETTLED = 1e-9  # a step of it after which the next one, its square, is below rounding
-VANISHING = 1e-9  # a relaxed rotation this small beside its neighbors has lost its direction to contradicting ones
-
 
 def chordal(graph: FactorGraph, values: Values) -> Values:
     """Start of the poses of SE2 and SE3 by chordal relaxation; other variables stay.
@@ -112,15 +105,15 @@ def _space(system: _Relaxation, held: Array) -> Array:
 def _refuse_cancelled(system: _Relaxation, kappa: Array, size: Array) -> None:
     """Refuse rotations of a size (n,) that vanishes beside that of their neighbors.
 
+    A relaxed rotation of a billionth beside its neighbors has lost its direction to contradicting ones.
     Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
     and leaves their directions alone; a cancelled one is small among neighbors that are not.
     """
     poses = system.poses
     around = poses.sums(kappa * size.take(poses.j), kappa * size.take(poses.i))
-    if (size * poses.sums(kappa, kappa) <= VANISHING * around).take(system.free).any():
-        raise UnderconstrainedError(
-            "chordal relaxation: contradicting rotations cancel at a pose; start from 'odometry' or 'spanning-tree'"
-        )
+    if (size * poses.sums(kappa, kappa) <= 1e-9 * around).take(system.free).any():
+        message = "contradicting rotations cancel at a pose; start from 'odometry' or 'spanning-tree'"
+        raise UnderconstrainedError(f"chordal relaxation: {message}")
 
 
 def nearest_rotation(M: Array) -> tuple[Array, Array]:
@@ -135,11 +128,11 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
     M = M / np.where(size > 0, size, 1.0)[:, None, None]
     X = np.ascontiguousarray(M.transpose(1, 2, 0))
     det = (X[0] * _cofactors(X)[0]).sum(axis=0)
-    regular = det > REGULAR
+    regular = det > 1e-3  # the largest entry being 1: at most 15 steps
     out = np.empty_like(M)
     X = X[..., regular] / np.cbrt(det[regular])
     step = np.ones(1)
-    while np.abs(step).max(initial=0.0) > SETTLED:
+    while np.abs(step).max(initial=0.0) > 1e-9:  # the next step, its square, is below rounding
         C = _cofactors(X)
         step = (C / (X[0] * C[0]).sum(axis=0) - X) / 2
         X += step
@@ -154,7 +147,7 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
 
 def _cofactors(X: Array) -> Array:
     """det X times X^-T for (3, 3, n): C_rc = X_r+1,c+1 X_r+2,c+2 - X_r+1,c+2 X_r+2,c+1, places counted round."""
-    Y = X.take(ROUND, axis=0).take(ROUND, axis=1)
+    Y = X.take((0, 1, 2, 0, 1), axis=0).take((0, 1, 2, 0, 1), axis=1)
     return np.asarray(Y[1:4, 1:4] * Y[2:, 2:] - Y[1:4, 2:] * Y[2:, 1:4])
 
 
@@ -205,11 +198,8 @@ class _Relaxation:
         try:
             state = self.laplacian.factorized(on_diagonal, off)
         except SingularSystemError as error:
-            cause = (
-                "weights of edges differ too much"
-                if (w > 0).all()
-                else "some poses have no rotation or no translation measurement"
-            )
+            unmeasured = "some poses have no rotation or no translation measurement"
+            cause = "weights of edges differ too much" if (w > 0).all() else unmeasured
             raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
         y[self.free] = state.solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
         return y

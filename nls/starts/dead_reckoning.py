@@ -18,10 +18,7 @@ from nls.graph import FactorGraph
 from nls.posegraph import PoseGraph, pose_graphs, stated
 from nls.values import Values, refuse_other
 
-__all__ = ["chain", "dead_reckoning", "spanning_tree", "walks"]
-
 X_Y_YAW, Z_PITCH_ROLL = [3, 4, 2], [5, 1, 0]  # places in the Euler vector (roll, pitch, yaw, x, y, z)
-TILT = Measured("z", "pitch", "roll")
 
 
 def chain(graph: FactorGraph, values: Values) -> Values:
@@ -131,7 +128,7 @@ def _tilts(poses: PoseGraph) -> tuple[Array, Mask]:
     """Measured z, pitch and roll (n, 3) of the nodes, and which nodes (n,) have them."""
     tilt, measured = np.zeros((poses.n, 3)), np.zeros(poses.n, dtype=bool)
     for batch in poses.pattern.batches:
-        if batch.kinds[0] in poses.kinds and (z := stated(batch, "tilts", TILT)) is not None:
+        if batch.kinds[0] in poses.kinds and (z := stated(batch, "tilts", Measured("z", "pitch", "roll"))) is not None:
             nodes = poses.nodes(batch.variables[0])
             tilt[nodes], measured[nodes] = z, True
     return tilt, measured

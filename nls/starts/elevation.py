@@ -15,27 +15,24 @@ Source: the search over the aperture is that of aldoteran/fs-slam, src/BundleAdj
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from math import pi, radians
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from factors.elevation import ElevationHinge
+from factors import Factor, Sighting
 from factors.keys import Keys
-from factors.range_azimuth import RangeAzimuth
-from factors.sighting import Sighting
 from factors.sonar import first_contacts
 from models import SE3
 from models.algebra import Array, Index, Numbers
 from models.options import check_between, check_whole
+from models.sensors import cartesian
 from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
-__all__ = ["APERTURE", "Arcs", "aperture_of", "first_sighting", "misfit_of", "search_elevation"]
-APERTURE = radians(14.0)  # of a DIDSON, where no hinge of the graph states another
 FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to leave elevation 0
 
 
@@ -50,7 +47,8 @@ class Arcs(NamedTuple):
 
     def points(self, elevation: npt.ArrayLike) -> Array:
         """The landmarks (k, 3) at elevations (k,) or one for all, rad."""
-        return np.asarray(SE3.act(self.S, RangeAzimuth.arc(self.z, elevation)))
+        arc = cartesian(np.column_stack([self.z, np.broadcast_to(elevation, len(self.z))]))[0]
+        return np.asarray(SE3.act(self.S, arc))
 
 
 def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -> Values:
@@ -84,7 +82,12 @@ def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -
     """
     expected = "an angle in (-pi / 2, pi / 2), rad"
     check_between("first_sighting: elevation", elevation, -pi / 2, pi / 2, expected)
-    return values.replaced({arcs.kind: _placed(values, arcs, arcs.points(elevation)) for arcs in _arcs(graph, values)})
+    return values.replaced(
+        {
+            arcs.kind: _placed(values, arcs, arcs.points(elevation))
+            for arcs in first_arcs(graph.factors, values, graph.fixed)
+        }
+    )
 
 
 def search_elevation(graph: FactorGraph, values: Values, limit: float | None = None, steps: int = 14) -> Values:
@@ -128,7 +131,7 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
         check_between("search_elevation: limit", limit, 0, pi / 2, "half an aperture in (0, pi / 2), rad")
     check_whole("search_elevation: steps", steps, 1, "a whole number of at least 1, on either side")
     landmarks = {}
-    for arcs in _arcs(graph, values):
+    for arcs in first_arcs(graph.factors, values, graph.fixed):
         widest = aperture_of(graph, arcs.kind) if limit is None else limit
         elevation = _best(misfit_of(graph, values, arcs), len(arcs.rows), widest, steps)
         landmarks[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
@@ -137,14 +140,14 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
 
 def aperture_of(graph: FactorGraph, kind: str) -> float:
     """Half of the aperture, rad: the widest limit of the hinges of a kind of landmarks, 7 deg where there is none."""
-    limits = [f.limit for f in graph.factors if isinstance(f, ElevationHinge) and f.keys[1].kind == kind]
-    return max(limits, default=APERTURE / 2)
+    limits = [f.limit for f in graph.factors if isinstance(f, Sighting) and f.limit_only and f.keys[1].kind == kind]
+    return max(limits, default=radians(14.0) / 2)  # half that of a DIDSON
 
 
-def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
+def first_arcs(factors: Sequence[Factor], values: Values, fixed: Sequence[Keys] = ()) -> Iterator[Arcs]:
     """The first contacts of all landmarks that are not fixed, kind by kind."""
     contacts: dict[str, list[tuple[Array, Numbers, Numbers, Array]]] = {}
-    for factor in graph.factors:
+    for factor in factors:
         if isinstance(factor, Sighting) and factor.contact and len(factor):
             model, X = values.gather(factor)
             if model.manifolds[1] is not SE3:
@@ -155,7 +158,7 @@ def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
         S, pose_numbers, numbers, z = (np.concatenate(parts) for parts in zip(*views, strict=True))
         first = first_contacts(Keys("pose", pose_numbers), Keys(kind, numbers))
         rows = values.stack(kind).index(Keys(kind, numbers[first]))
-        free = ~fixed_of(graph.fixed, values.stack(kind))
+        free = ~fixed_of(fixed, values.stack(kind))
         first = first[free[rows]]
         yield Arcs(kind, rows[free[rows]], S[first], z[first])
 

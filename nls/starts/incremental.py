@@ -35,15 +35,6 @@ from nls.starts.landmarks import locate_points
 from nls.starts.parts import Masks, Parts, put_back
 from nls.values import Values, refuse_other
 
-__all__ = ["incremental", "sees_points"]
-
-STAGE_SIZE, STAGES = 50, 20  # poses a stage, at most, and stages, at least
-STEPS = 20  # at most, in a stage
-DAMPING = 3e-3  # of the first step: holds elevations that are nearly free so far, or rounding decides on centimeters
-ENOUGH, ENOUGH_OF_ALL = 1e-2, 1e-3  # a stage ends when a step lowers its chi2 by less; 1e-2 bends Victoria Park
-POOR = 5.0  # chi2 per measured row of a stage, beside what all before it left: noise gives 1
-ELEVATIONS = 7  # on either side, a degree apart in a DIDSON; a search of 14 takes twice as long for the same start
-
 
 def incremental(graph: FactorGraph, values: Values, stage_size: int | None = None) -> Values:
     """Poses and points from a graph that is solved while it grows, pose by pose in the order of their numbers.
@@ -94,7 +85,7 @@ def incremental(graph: FactorGraph, values: Values, stage_size: int | None = Non
         values = growth.reckoned(values, stage)
         values = growth.located(values, stage)
         values, misfit = growth.optimized(values, stage, everything=not stage)
-        if stage and misfit > POOR * max(left, 1.0):
+        if stage and misfit > 5.0 * max(left, 1.0):  # chi2 per row: noise gives 1
             values, misfit = growth.optimized(values, stage, everything=True)
             left = misfit
     return values
@@ -117,9 +108,12 @@ class _Growth:
 
     def __init__(self, graph: FactorGraph, values: Values, stage_size: int | None) -> None:
         self.parts, points = Parts(graph, values), _points(graph, values)
-        poses = {kind: values.stack(kind).numbers for kind in _poses(graph, values)}
+        # in SE2 or SE3, and not the place of a sensor
+        places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
+        kinds = {kind for kind, stack in values.stacks.items() if stack.manifold in (SE2, SE3)} - places
+        poses = {kind: values.stack(kind).numbers for kind in kinds}
         numbers = np.sort(np.concatenate([np.zeros(0, np.int64), *poses.values()]))
-        stage_size = min(STAGE_SIZE, max(len(numbers) // STAGES, 1)) if stage_size is None else stage_size
+        stage_size = min(50, max(len(numbers) // 20, 1)) if stage_size is None else stage_size
         last = np.unique(numbers[stage_size - 1 : -1 : stage_size])  # of every stage but the last
         self.stages = len(last) + 1 if len(numbers) else 0
         self.born = {kind: np.searchsorted(last, n) for kind, n in poses.items()}
@@ -140,7 +134,7 @@ class _Growth:
         subgraph, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
         if not len(subgraph):
             return values
-        return put_back(values, subgraph, dead_reckoning(subgraph, chain(subgraph, within)))
+        return put_back(values, dead_reckoning(subgraph, chain(subgraph, within)), subgraph.fixed)
 
     def located(self, values: Values, stage: int) -> Values:
         """The points that are measured in as many numbers as they have, for the first time, placed by their views."""
@@ -162,24 +156,26 @@ class _Growth:
         subgraph, within = self.parts.take(sightings, {}, values)
         if not len(subgraph):
             return values
-        return put_back(values, subgraph, search_elevation(subgraph, locate_points(subgraph, within), steps=ELEVATIONS))
+        # a degree apart in a DIDSON; a search of 14 takes twice as long for the same start
+        points = search_elevation(subgraph, locate_points(subgraph, within), steps=7)
+        return put_back(values, points, subgraph.fixed)
 
     def optimized(self, values: Values, stage: int, everything: bool) -> tuple[Values, float]:
-        """What is known at its optimum, everything or the poses of a stage and the points they see; chi2 per row."""
+        """The known variables at their optimum, all or the poses of a stage and the points they see; chi2 per row."""
         known = self._known(stage)
         measurements, held = (known, {}) if everything else self._near(known, values, stage)
         subgraph, within = self.parts.take(measurements, held, values)
         if not len(subgraph):
             return values, 0.0
-        method = LevenbergMarquardt(
-            Stop(max_iterations=STEPS), _Falls(ENOUGH_OF_ALL if everything else ENOUGH), DAMPING
-        )
+        enough = 1e-3 if everything else 1e-2  # a step that lowers chi2 by less is the last; 1e-2 bends Victoria Park
+        # the damping holds elevations that are nearly free so far, or rounding decides on centimeters
+        method = LevenbergMarquardt(Stop(max_iterations=20), _Falls(enough), 3e-3)
         try:
             result = subgraph.optimize(within, method)
         except UnderconstrainedError:
             return values, 0.0  # fewer measurements than unknowns so far
         rows = subgraph.pattern(within).measured_rows
-        return put_back(values, subgraph, result.values), result.chi2_final / max(rows, 1)
+        return put_back(values, result.values, subgraph.fixed), result.chi2_final / max(rows, 1)
 
     def _known(self, stage: int) -> list[Mask]:
         """Measurements (n,) by factor whose variables are known."""
@@ -218,12 +214,6 @@ class _Falls:
         little = iteration.chi2 > (1 - self.fraction) * self.before
         self.before = iteration.chi2
         return little
-
-
-def _poses(graph: FactorGraph, values: Values) -> set[str]:
-    """Kinds of poses: in SE2 or SE3, and not the place of a sensor."""
-    places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
-    return {kind for kind, stack in values.stacks.items() if stack.manifold in (SE2, SE3)} - places
 
 
 def _points(graph: FactorGraph, values: Values) -> set[str]:

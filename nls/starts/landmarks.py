@@ -25,17 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factors.base import Factor
+from factors import Factor, Sighting
 from factors.mount import named_singularity
-from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, Mask, Numbers, apply
 from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
-__all__ = ["locate_points", "sees_landmarks"]
-POORLY = 1e-3  # a sighting that says so much less than the best one of its point is passed over
 DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
 
 
@@ -119,18 +116,22 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
         says = np.concatenate([s.least for s in complete])
         most = np.zeros(len(X))
         np.maximum.at(most, point, says)
-        informed = np.flatnonzero((says > 0) & (says >= POORLY * most[point]))
+        informed = np.flatnonzero((says > 0) & (says >= 1e-3 * most[point]))
         point, number, at = point[informed], number[informed], at[informed]
         first = np.lexsort((number, point))
         points, place = np.unique(point[first], return_index=True)
         rows = first[place][todo[points]]
         X[point[rows]] = at[rows]
         todo[point] = False
-    for measured, system, misfit in ((_distances, _ranges, _range_misfit), (_directions, _rays, _ray_misfit)):
+    ranges = [s.factor.ranges(s.z) for s in sightings]
+    for measured, system, misfit in (
+        (ranges, _ranges, _range_misfit),
+        (map(_directions, sightings), _rays, _ray_misfit),
+    ):
         views = [
             (s.point, s.group.position(s.S), z, np.full(len(z), s.factor.states("rays")))
-            for s in sightings
-            if (z := measured(s)) is not None
+            for s, z in zip(sightings, measured, strict=True)
+            if z is not None
         ]
         if views:
             point, s, z, camera = (np.concatenate(column) for column in zip(*views, strict=True))
@@ -187,11 +188,6 @@ def _ray_misfit(p: Array, direction: Array, camera: Mask) -> Array:
     """
     length, along = np.linalg.norm(p, axis=1), np.sum(p * direction, axis=1)
     return np.where(camera & (along <= 0), np.inf, 1 - along / np.where(length > 0, length, 1.0))
-
-
-def _distances(sighting: Sightings) -> Array | None:
-    """Distances (m,) to the points, m."""
-    return sighting.factor.ranges(sighting.z)
 
 
 def _directions(sighting: Sightings) -> Array | None:

@@ -1,4 +1,10 @@
-r"""Where a sonar sits beside a camera, from what both saw from several poses, without a guess.
+r"""Camera and sonar of one vehicle: pixel and contact of a point, paired view by view; where the sonar sits.
+
+The ray of the pixel meets the sphere of the range in a point p of the vehicle (`models.ray_range`); where it meets it
+twice, the azimuth decides. A pair whose ray passes the sphere, touches it, or meets it only behind the camera places
+nothing.
+
+Where the sonar sits beside the camera follows from what both saw from several poses, without a guess.
 
 First the place. Started with the sonar at the camera, pixels and ranges determine poses, points and the sonar's origin
 s in one optimization. A wrong s bends the points of every view another way, which motion tells apart. Ranges do not
@@ -20,30 +26,163 @@ angle and equal lengths, and are refused.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from factors.base import Factor
+import numpy as np
+import numpy.typing as npt
+
+from factors import Factor, Isotropic, Prior, Range, Sighting
 from factors.keys import Keys
-from factors.noise import Isotropic
-from factors.prior import Prior
-from factors.range import Range
-from factors.sighting import Sighting
-from models import SE3
+from factors.noise import square
+from models import SE3, R, wrap
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.so3 import quaternion_from_matrix
+from models.ray_range import RayRange, ray_range
+from models.sensors.singular import CLOSE
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
-from nls.starts.camera_sonar import AHEAD, Pairs, covariance
 from nls.starts.parts import Masks, Parts, put_back
-from nls.values import Values
+from nls.values import Stack, Values
 
-__all__ = ["at_the_camera", "axes_from_azimuths", "turned_to_azimuths", "unknown_mountings", "where_ranges_say"]
 
-ENOUGH = Stop(1e-6, 1e-3, 1e-10)  # more digits are the business of the solve from this start
-DETERMINED = 1e-6  # second smallest over largest singular value
-UPRIGHT = 0.5  # least singular value of (r_1, r_2), 1 for two axes
+class Pairs(NamedTuple):
+    """Sightings of points by a camera and a sonar at once; n of them, of one kind of poses and one kind of points.
+
+    Attributes
+    ----------
+    factors : those of the graph that see the points, of camera and sonar.
+    poses, points : the stacks.
+    pose, point : rows (n,) of these.
+    C : (n, 7) poses of the camera on the vehicle.
+    b, J_b : (n, 3) rays of the pixels in the frame of the camera, (n, 3, 2) their derivatives.
+    Sigma_uv : (n, 2, 2) covariance of the pixels.
+    O : (n, 7) poses of the sonar on the vehicle, at the values they were read with.
+    z : (n, 2) range, m, and azimuth, rad.
+    sigma_r : (n,) standard deviation of the range, m.
+    sonar : (n,) row of the variable that O is, -1 where it is none.
+    mounting : the kind of these variables; empty where there is none.
+    """
+
+    factors: list[Sighting]
+    poses: Stack
+    points: Stack
+    pose: Index
+    point: Index
+    C: Array
+    b: Array
+    J_b: Array
+    Sigma_uv: Array
+    O: Array
+    z: Array
+    sigma_r: Array
+    sonar: Index
+    mounting: str
+
+    def placed(self, O: Array) -> tuple[Index, Array, Array]:
+        """The points of the pairs that place one, with the sonar at O (n, 7).
+
+        Returns
+        -------
+        rows : (k,) numbers of these pairs.
+        p : (k, 3) points in the frame of the vehicle, m.
+        variance : (k,) of a coordinate of p, the mean over the three, m^2.
+        """
+        s = SE3.position(SE3.between(self.C, O))
+        crossings = ray_range(self.b, s, self.z[:, 0])
+        nearer = self._nearer(O, crossings)
+        d = np.where(nearer, crossings.depth[1], crossings.depth[0])
+        rows = np.flatnonzero(np.abs(d - crossings.closest) > CLOSE)  # nan is not
+        crossings = ray_range(self.b[rows], s[rows], self.z[rows, 0])
+        Sigma = crossings.covariance(self.J_b[rows], self.Sigma_uv[rows], self.sigma_r[rows], near=nearer[rows])
+        p = SE3.act(self.C[rows], d[rows, None] * self.b[rows])
+        return rows, p, np.trace(Sigma, axis1=1, axis2=2) / 3
+
+    def _nearer(self, O: Array, crossings: RayRange) -> Mask:
+        """Which (n,) of the pairs with two points in front have the azimuth of the near one."""
+        twice = np.flatnonzero(crossings.roots == 2)
+        off = []
+        for p in crossings.points[:, twice]:
+            q = SE3.act(SE3.between(O[twice], self.C[twice]), p)
+            off.append(np.abs(wrap(np.arctan2(q[:, 1], q[:, 0]) - self.z[twice, 1])))
+        nearer = np.zeros(len(O), dtype=bool)
+        nearer[twice] = off[1] < off[0]
+        return nearer
+
+
+def sightings(graph: FactorGraph, values: Values) -> Pairs:
+    """The pairs of a graph; of several sightings of a point from a pose by one sensor the first.
+
+    A measurement whose noise says nothing in some direction is passed over.
+
+    Raises
+    ------
+    GraphError
+        No `Projection`, or no `RangeAzimuth`, of points; several kinds of poses, of points or of sonars.
+    SingularGeometryError
+        A pixel without a ray.
+    """
+    both = [f for f in graph.factors if isinstance(f, Sighting) and (f.contact or f.states("rays"))]
+    both = [f for f in both if len(f) and values.stack(f.keys[1].kind).manifold is R(3)]
+    pixels, contacts = ([f for f in both if f.contact == sonar] for sonar in (False, True))
+    for name, factors in (("Projection", pixels), ("RangeAzimuth", contacts)):
+        if not factors:
+            raise GraphError(
+                f"rig: the graph has no {name} of points in R3; this start needs `Projection` and `RangeAzimuth` of "
+                "the same points from the same poses"
+            )
+    poses, points = (values.stack(_only(w, both, k)) for k, w in enumerate(("poses", "points")))
+    mounted = [f for f in contacts if len(f.keys) == 3]
+    camera, sonar = (
+        [np.concatenate(columns) for columns in zip(*(_read(factor, values) for factor in factors), strict=True)]
+        for factors in (pixels, contacts)
+    )
+    codes = [rows[0] * len(points) + rows[1] for rows in (camera, sonar)]
+    _, k, m = np.intersect1d(codes[0], codes[1], return_indices=True)
+    if not len(k):
+        raise GraphError(
+            f"rig: no point was seen by camera and sonar from one pose ({len(codes[0])} pixels, {len(codes[1])} "
+            "contacts); check that both name the same poses and points"
+        )
+    pose, point, C, b, J_b, Sigma_uv = (column[k] for column in camera)
+    _, _, O, z, sigma_r, row = (column[m] for column in sonar)
+    mounting = _only("sonars", mounted, 2) if mounted else ""
+    return Pairs(both, poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
+
+
+def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
+    """The one kind in a slot of factors."""
+    kinds = sorted({f.keys[slot].kind for f in factors})
+    if len(kinds) > 1:
+        raise GraphError(f"rig: {role} of several kinds, {', '.join(kinds)}; this start takes one: give them one kind")
+    return kinds[0]
+
+
+def _read(factor: Sighting, values: Values) -> list[npt.NDArray[Any]]:
+    """Of those that say something pose, point and C, b, J_b, Sigma_uv of pixels, O, z, sigma_r, sonar of contacts."""
+    model, X = values.gather(factor)
+    Sigma, good = covariance(factor, values)
+    pose, point, *sonar = (values.stack(keys.kind).index(keys) for keys in factor.keys)
+    columns = [pose, point, factor.sensor_pose(SE3, SE3.identity(len(factor)), *X[2:])]
+    if factor.contact:
+        columns += [model.z, np.sqrt(Sigma[:, 0, 0]), *(sonar or [np.full(len(factor), -1)])]
+    else:
+        rays = factor.rays(model.z)
+        assert rays is not None
+        columns += [*rays, Sigma]
+    return [column[good] for column in columns]
+
+
+def covariance(factor: Factor, values: Values) -> tuple[Array, Mask]:
+    """Covariance (n, m, m) of measurements, and whether (n,) they have one: whether all directions are informed."""
+    model, _ = values.gather(factor)
+    n, m = len(factor), model.dim
+    W = square(model.W)
+    good = np.linalg.svd(W)[1][:, -1] > 0
+    inverse = np.linalg.inv(np.where(good[:, None, None], W, np.eye(m)))
+    return np.broadcast_to(inverse @ inverse.mT, (n, m, m)), np.broadcast_to(good, n)
 
 
 def unknown_mountings(graph: FactorGraph, values: Values, pairs: Pairs) -> Keys:
@@ -72,7 +211,8 @@ def at_the_camera(values: Values, pairs: Pairs, unknown: Keys) -> Values:
     stack = values.stack(unknown.kind)
     C = [pairs.C[np.argmax(pairs.sonar == row)] for row in stack.index(unknown)]
     values = values.copy()
-    values[unknown] = SE3.compose(np.array(C), AHEAD)
+    ahead = np.array([0.0, 0.0, 0.0, -0.5, -0.5, -0.5, 0.5])  # axes x ahead, y right, z down in those of a camera
+    values[unknown] = SE3.compose(np.array(C), ahead)
     return values
 
 
@@ -99,23 +239,17 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
     subgraph, within = Parts(distances, values).take([*masks, np.ones(len(axes), dtype=bool)], held, values)
-    advice = Advice("move rig"), Advice("guess")
+    message, advice = f"rig: pixels and ranges do not tell where {unknown} is", (Advice("move rig"), Advice("guess"))
     try:
-        result = subgraph.optimize(within, LevenbergMarquardt(ENOUGH))
+        stop = Stop(1e-6, 1e-3, 1e-10)  # more digits are the business of the solve from this start
+        result = subgraph.optimize(within, LevenbergMarquardt(stop))
     except UnderconstrainedError as error:
-        raise UnderconstrainedError(
-            f"rig: pixels and ranges do not tell where {unknown} is: {error.message}",
-            [unknown],
-            error.nullity,
-            error.components,
-            values,
-            advice,
-        ) from error
-    if result.underconstrained:
-        free = result.underconstrained
-        message = f"rig: pixels and ranges do not tell where {unknown} is; free: {'; '.join(free)}"
+        message, free = f"{message}: {error.message}", error.components
+        raise UnderconstrainedError(message, [unknown], error.nullity, free, values, advice) from error
+    if free := result.underconstrained:
+        message = f"{message}; free: {'; '.join(free)}"
         raise UnderconstrainedError(message, [unknown], len(free), free, values, advice)
-    return put_back(values, subgraph, result.values)
+    return put_back(values, result.values, subgraph.fixed)
 
 
 def _distance(factor: Sighting, values: Values, variance: Array) -> Factor:
@@ -168,10 +302,9 @@ def axes_from_azimuths(p: Array, azimuth: Array) -> Array:
     _, S, Vt = np.linalg.svd(np.linalg.qr(np.concatenate([s * q, -c * q], axis=1), mode="r"))  # all six rows of V'
     r_1, r_2 = np.sqrt(2) * Vt[-1].reshape(2, 3)
     upright = np.linalg.svd(np.stack([r_1, r_2]))[1][-1]
-    if len(S) < 5 or not S[4] > DETERMINED * S[0] or not upright > UPRIGHT:
-        raise SingularGeometryError(
-            f"the azimuths of {len(p)} contacts leave its rotation free; let it see points above and below its plane"
-        )
+    if len(S) < 5 or not S[4] > 1e-6 * S[0] or not upright > 0.5:  # upright is 1 for two axes
+        cure = "let it see points above and below its plane"
+        raise SingularGeometryError(f"the azimuths of {len(p)} contacts leave its rotation free; {cure}")
     ahead = np.sign(c * (q @ r_1)[:, None] + s * (q @ r_2)[:, None]).sum()
     axes = np.sign(ahead) * np.array([r_1, r_2])
     U, _, Wt = np.linalg.svd(np.stack([*axes, np.cross(*axes)], axis=1))

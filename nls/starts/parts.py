@@ -13,8 +13,6 @@ from nls.gauge import fixed_of
 from nls.graph import FactorGraph
 from nls.values import Values
 
-__all__ = ["Masks", "Parts", "put_back"]
-
 Masks = dict[str, Mask]  # per kind (n,), in the order of its stack
 
 
@@ -69,14 +67,14 @@ class Parts:
         return subgraph, Values.of(stacks)
 
 
-def put_back(values: Values, subgraph: FactorGraph, solution: Values) -> Values:
-    """Values with those found for the variables of a subgraph; held variables stay as they are, bit for bit."""
+def put_back(values: Values, solution: Values, fixed: Sequence[Keys] = ()) -> Values:
+    """Values with those of a solution for some of them; fixed variables stay as they are, bit for bit."""
     X = {}
     for kind, estimates in solution.stacks.items():
         stack = values.stack(kind)
         X[kind] = np.array(stack.X)
         X[kind][stack.index(Keys(kind, estimates.numbers))] = estimates.X
-    for keys in subgraph.fixed:
+    for keys in fixed:
         held = values.stack(keys.kind).index(keys)
         X[keys.kind][held] = values.stack(keys.kind).X[held]
     return values.replaced(X)

@@ -26,14 +26,9 @@ from models.errors import SingularGeometryError
 from models.sensors import SingularAt
 from nls.gauge import fixed_of
 from nls.graph import FactorGraph
-from nls.starts.camera_sonar import Pairs, sightings
 from nls.starts.landmarks import locate_points
-from nls.starts.mounting import at_the_camera, turned_to_azimuths, unknown_mountings, where_ranges_say
+from nls.starts.mounting import Pairs, at_the_camera, sightings, turned_to_azimuths, unknown_mountings, where_ranges_say
 from nls.values import Values
-
-__all__ = ["rig"]
-
-IN_LINE = 2.0  # sigmas of a point: points that spread less across their longest line do not tell the turn about it
 
 
 def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_points: bool = False) -> Values:
@@ -95,7 +90,9 @@ def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_point
         values, known = _placed(graph, values, pairs, three_points)
         values = where_ranges_say(graph, values, pairs, unknown)
         values = turned_to_azimuths(values, pairs, unknown)
-    return _from_rays(pairs, values, known)
+    views = [(factor, ~known[pairs.points.index(factor.keys[1])]) for factor in pairs.factors]
+    # the points that are not known where the rays of their pixels meet, or where they were
+    return locate_points(FactorGraph([factor[alone] for factor, alone in views if alone.any()]), values)
 
 
 def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Mask]:
@@ -135,29 +132,24 @@ def _aligned(key: Keys, u: Array, v: Array, variance: Array, three_points: bool)
     """The pose (7,) that takes the points v (n, 3) it sees to where they are known to be, u."""
     cure = f"fix {key} where it is known, leave it out, or let it see more points of the others with camera and sonar"
     if len(v) < 3:
-        raise SingularGeometryError(
-            f"rig: {key} shares {len(v)} points with the poses placed before it, at least 3 are needed; {cure}",
-            "",
-            [key],
-        )
+        message = f"rig: {key} shares {len(v)} points with the poses placed before it, at least 3 are needed; {cure}"
+        raise SingularGeometryError(message, "", [key])
     weights = 1 / variance
     mean = weights @ v / weights.sum()
     middle = np.linalg.eigvalsh((weights[:, None] * (v - mean)).T @ (v - mean) / weights.sum())[1]
     spread = max(middle, 0.0) ** 0.5  # on a line rounding may leave it below zero
     sigma = (len(v) / weights.sum()) ** 0.5
     try:
-        if not spread > IN_LINE * sigma:
-            raise SingularAt(
-                f"{len(v)} points spread {spread:.2g} m across their line, with a sigma of {sigma:.2g} m", 0
-            )
+        if not spread > 2.0 * sigma:  # what spreads less across its longest line does not tell the turn about it
+            line = f"{len(v)} points spread {spread:.2g} m across their line, with a sigma of {sigma:.2g} m"
+            raise SingularAt(line, 0)
         if not three_points:
             return align(u, v, weights)
         corners = _far_apart(v)
         return from_three(u[corners], v[corners])
     except SingularAt as error:
-        raise SingularGeometryError(
-            f"rig: {key} sees the points known so far in one line: {error}; {cure}", "", [key]
-        ) from error
+        message = f"rig: {key} sees the points known so far in one line: {error}; {cure}"
+        raise SingularGeometryError(message, "", [key]) from error
 
 
 def _far_apart(v: Array) -> list[int]:
@@ -166,9 +158,3 @@ def _far_apart(v: Array) -> list[int]:
     b = int(np.argmax(np.linalg.norm(v - v[a], axis=1)))
     c = int(np.argmax(np.linalg.norm(np.cross(v - v[a], v[b] - v[a]), axis=1)))
     return [a, b, c]
-
-
-def _from_rays(pairs: Pairs, values: Values, known: Mask) -> Values:
-    """The points that are not known where the rays of their pixels meet, or where they were."""
-    views = [(factor, ~known[pairs.points.index(factor.keys[1])]) for factor in pairs.factors]
-    return locate_points(FactorGraph([factor[alone] for factor, alone in views if alone.any()]), values)

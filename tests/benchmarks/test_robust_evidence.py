@@ -17,8 +17,7 @@ import sim
 from factors import Between, Diagonal
 from models import SE2
 from nls import FactorGraph
-from nls.robust.consistency import neighbors
-from nls.robust.loop_graph import loop_graph
+from nls.robust.loop_graph import loop_graph, neighbors
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from factors import Between, Factor
 from nls import FactorGraph, LevenbergMarquardt, Values, initialize, load
 from nls.analysis.freedom import freedom
 from nls.analysis.linearization import Checked, Linearization
-from nls.analysis.readings import READINGS
+from nls.analysis.misread import READINGS
 from nls.analysis.suspects import Suspects, suspects
 from nls.gauge import choose_gauge, fixed_variables
 from nls.sparse.pattern import Pattern
@@ -102,7 +102,7 @@ def judged(graph: FactorGraph, values: Values) -> Checked | None:
 
 
 def checked(graph: FactorGraph, values: Values) -> Checked:
-    """The same where it can be."""
+    """Every measurement against all others, where that can be."""
     checks = judged(graph, values)
     assert checks is not None
     return checks

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.analysis.motions import motion_covariances
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.missions.contacts.anchors import Motions
 from nls.missions.contacts.estimate import Estimate
@@ -30,7 +30,8 @@ def near_pings(
     i = [np.arange(m - lag) for lag in range(1, lags + 1)]  # pings that have another one so much later
     begin = np.cumsum([0, *map(len, i)])
     first, second = np.concatenate(i), np.concatenate([early + lag for lag, early in enumerate(i, 1)])
-    Sigma = motion_covariances(graph, values, pings.poses[first], pings.poses[second])
+    pair = pings.poses[first], pings.poses[second]
+    Sigma = Marginals(graph, values, pairs=[pair]).relative(*pair)
     pairs, which = [], []
     for lag in range(1, lags + 1):
         early = pings.ping + lag < m

@@ -13,9 +13,9 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError
 from models.options import check_whole
-from nls.analysis.motions import motion_covariances
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.metrics.absolute import displacements
+from nls.metrics import displacements
 from nls.missions.scans import candidates
 from nls.missions.scans.matches import Matches, sequential_matches
 from nls.missions.scans.scans import Scans
@@ -170,7 +170,8 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
     middle = candidates.centers(scans)
     a, b = candidates.pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
-    relative = motion_covariances(graph, values, x[i], x[j]) if len(i) else np.zeros((0, 3, 3))
+    pair = x[i], x[j]
+    relative = Marginals(graph, values, pairs=[pair]).relative(*pair) if len(i) else np.zeros((0, 3, 3))
     return Matches.around(values[x], scans, i, j, candidates.half_widths(relative))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 
 import numpy as np
 import pytest
@@ -14,9 +13,8 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
-from nls.linear.null_space import single_directions
 from tests.combinations import for_all
-from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
+from tests.nls.graphs import GROUPS, Seen, in_frame, l, p, pose_graph, walk, x
 from tests.nls.solving import null_space
 
 INSTALLED = [name for name in SOLVERS if SOLVERS[name].missing() is None]
@@ -47,13 +45,6 @@ def test_an_untouched_variable(solver: str) -> None:
     assert error.components == ("x30: x, y, yaw", "x40: x, y, yaw")
     assert "6 unknowns are without any measurement: x30: x, y, yaw; x40: x, y, yaw" in str(error)
     assert actions(error) == ["factors", "drop", "fix"]
-
-
-def test_many_untouched_variables_are_counted() -> None:
-    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1))])
-    error = refused(graph, Values({x: (R(1), np.zeros((30, 1)))}))
-    assert "x6: x; and 23 more variables" in str(error)
-    assert len(error.keys) == error.nullity == 29
 
 
 @for_all(group=GROUPS)
@@ -146,13 +137,7 @@ def test_a_landmark_with_one_free_direction(extra: int) -> None:
     assert abs(direction @ across) == pytest.approx(np.linalg.norm(direction), rel=1e-6)
 
 
-@for_all(n=[5, 150])
-def test_a_regular_system_has_no_null_space(n: int) -> None:
-    sample = pose_graph(SE2, n=n)
-    assert null_space(sample.graph.linearize(sample.values)).shape == (3 * n, 0)
-
-
-@for_all(n=[20, 400])
+@for_all(n=[20, 120])
 def test_more_directions_than_are_looked_for(n: int) -> None:
     X = np.zeros((2 * n, 1))
     i = 2 * np.arange(n)
@@ -170,16 +155,6 @@ def test_the_error_carries_the_best_values() -> None:
     error = refused(FactorGraph([residual]), Values({p: (R(1), [1.0])}))
     assert error.values[p[0]][0] == pytest.approx(0.0)
     assert names(error) == ["p0"]
-
-
-@for_all(solver=[name for name in ("cholesky", "lu", "dense-cholesky") if name in INSTALLED])
-def test_weights_thirteen_digits_apart_are_not_called_free_directions(solver: str) -> None:
-    """Nothing is free here; the error says what is weak instead."""
-    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0)), Between(x[0], x[1], [1.0], Isotropic(1e-8))])
-    error = refused(graph, Values({x: (R(1), [0.0, 0.0])}), solver=solver)
-    assert (error.nullity, error.components) == (0, ())
-    assert names(error) == ["x0", "x1"]
-    assert "check sigmas" in str(error)
 
 
 @for_all(case=[(20, 1000.0), (150, 300.0)], solver=[name for name in ("cholesky", "lu") if name in INSTALLED])
@@ -212,25 +187,6 @@ def test_a_long_chain_that_bends_easily_is_not_free() -> None:
     graph.add(Prior(x[0], X[0], Isotropic(0.1)))
     error = refused(graph, Values({x: (SE2, X)}))
     assert (error.nullity, names(error)) == (3, [f"x{n}", f"x{n + 1}"])
-
-
-def test_the_gauge_that_is_chosen_free_is_not_counted_among_the_free_directions() -> None:
-    X = walk(SE2, 4, np.random.default_rng(8))
-    graph = FactorGraph([Between(x[0:2], x[1:3], SE2.between(X[:2], X[1:3]), Isotropic(0.1))])
-    graph.add(Between(x[2], x[3], SE2.between(X[2], X[3]), Information(np.diag([1.0, 1.0, 0.0]))))
-    values = Values({x: (SE2, moved(SE2, X, 0.1, np.random.default_rng(9)))})
-    error = refused(graph, values, gauge="free")
-    assert (error.nullity, names(error)) == (1, ["x3"])
-
-
-def test_two_unknowns_and_very_many_rows() -> None:
-    m = 60_000
-    graph = FactorGraph([Prior(x[np.zeros(m, dtype=int)], np.ones((m, 2)), Information(np.ones((2, 2))))])
-    system = graph.linearize(Values({x: (R(2), np.zeros((1, 2)))}))
-    started = time.perf_counter()
-    N = null_space(system)
-    assert time.perf_counter() - started < 2.0
-    np.testing.assert_allclose(np.abs(N), np.sqrt([[0.5], [0.5]]), rtol=1e-9)
 
 
 def test_a_jacobian_that_vanishes_is_not_called_no_measurement() -> None:
@@ -306,17 +262,3 @@ def test_every_variable_with_a_free_direction_is_said_by_itself(n: int) -> None:
     for text in error.components[-3:]:
         assert text.startswith(("x0: ", "x1: "))
         assert "l" not in text
-
-
-def test_directions_of_single_variables() -> None:
-    prior, u = along([0, 1, 2])
-    system = FactorGraph([prior, Prior(l[3], np.zeros(3), Isotropic(1.0))]).linearize(
-        Values({l: (R(3), np.zeros((4, 3)))})
-    )
-    directions = (single_directions(system) / system.column_norms[:, None]).toarray()
-    assert directions.shape == (12, 3)
-    assert np.abs(system.A @ directions).max() < 1e-9
-    for k in range(3):
-        mine = directions[3 * k : 3 * k + 3, k]
-        assert abs(mine @ u[k]) == pytest.approx(np.linalg.norm(mine), rel=1e-9)
-        assert not np.delete(directions[:, k], [3 * k, 3 * k + 1, 3 * k + 2]).any()

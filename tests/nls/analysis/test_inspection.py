@@ -9,13 +9,11 @@ import pytest
 import scipy.sparse as sp
 
 from factors import Between, Diagonal, Information, Isotropic, Prior
-from models import SE2, SE3, LieGroup, R
+from models import SE2, R
 from nls import FactorGraph, GraphWarning, Values
 from nls.analysis.inspection import inspect
 from nls.linear import best_decomposition, factorize
 from nls.linear.lu import SuperLU
-from nls.sparse.fill import fill_in
-from nls.sparse.pattern import Pattern
 from tests.nls.graphs import SAMPLES, l, x
 
 
@@ -41,19 +39,6 @@ def eliminated(A: sp.csr_array, order: np.ndarray) -> int:
         below = np.flatnonzero(H[k + 1 :, k]) + k + 1
         H[np.ix_(below, below)] = True
     return int(np.triu(H).sum())
-
-
-@pytest.mark.parametrize("group", [R(1), SE2, SE3], ids=str)
-def test_fill_of_a_chain_is_none(group: LieGroup) -> None:
-    """A chain eliminated from its ends has R as sparse as the upper half of H; the work is that of its blocks."""
-    n, d = 50, group.dim
-    graph = FactorGraph([Between(x[0 : n - 1], x[1:n], group.identity(), Isotropic(1))])
-    pattern = Pattern(graph.factors, Values({x: (group, group.identity(n))}))
-    fill = fill_in(pattern, pattern.held, best_decomposition().order)
-    assert fill.nnz == n * d * (d + 1) // 2 + (n - 1) * d * d
-    per_column = np.concatenate([np.tile(np.arange(2 * d, d, -1.0), n - 1), np.arange(d, 0, -1.0)])
-    assert fill.flops == pytest.approx((per_column**2).sum())
-    assert fill_in(pattern, np.ones(n, dtype=bool), best_decomposition().order).nnz == 0
 
 
 def test_counts() -> None:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from functools import partial
-
 import numpy as np
 import pytest
 
-import sim
 from factors import Between, Diagonal, Isotropic, Landmark, Prior, RangeAzimuth
 from models import SE2, SE3, R, euler
 from models.algebra import Array
 from nls import (
-    Cholesky,
     FactorGraph,
     GaussNewton,
     GraphError,
@@ -26,7 +21,7 @@ from nls import (
     Values,
 )
 from nls.analysis import landmark_information
-from nls.linear import LU, truncated_inverse
+from nls.linear import truncated_inverse
 from tests.combinations import for_all
 from tests.nls.planar import l, mission, x
 
@@ -69,20 +64,6 @@ def test_a_threshold_that_cannot_be(tau: object) -> None:
         truncated_inverse(np.eye(3), floor=-1.0)
 
 
-def test_level_motion_at_elevation_0_is_singular_and_every_landmark_is_named() -> None:
-    graph, _, start = mission(np.random.default_rng(0), np.zeros(5))
-    for solver in (LU(), Cholesky()) if Cholesky.missing() is None else (LU(),):
-        with pytest.raises(UnderconstrainedError) as caught:
-            graph.optimize(start, GaussNewton(), solver)
-        error = caught.value
-        assert error.nullity == 5
-        assert [repr(key) for key in error.keys] == [f"l{k}" for k in range(5)]
-        assert sorted(error.components) == [f"l{k}: z" for k in range(5)]
-        assert all(f"l{k}: z" in str(error) for k in range(5))
-    with pytest.raises(UnderconstrainedError):
-        graph.optimize(start, GaussNewton(), Schur())
-
-
 def test_truncated_blocks_solve_it_and_move_no_landmark_along_its_elevation() -> None:
     graph, _, start = mission(np.random.default_rng(0), np.zeros(12))
     result = graph.optimize(start, GaussNewton(), Schur(block_inverse=truncated_inverse))
@@ -114,39 +95,6 @@ def test_what_is_left_alone_may_be_pulled_by_noise_and_by_no_more(height: float)
         exact = graph.optimize(start, GaussNewton(), Schur())
         assert exact.converged
         assert exact.chi2_final < result.chi2_final - 100
-
-
-def test_a_weak_direction_of_a_real_survey_is_left_alone_and_the_rest_converges() -> None:
-    mission = sim.hauv_hull(np.random.default_rng(0), levels=2, per_level=13)
-    result = mission.graph.optimize(mission.start, GaussNewton(), Schur(block_inverse=truncated_inverse))
-    assert result.converged
-    assert re.search(r"[1-9]\d* directions left alone", result.linear_solver)
-    assert mission.ate(result.values) < mission.ate(mission.start)
-
-
-@for_all(tau=[1e-3, 0.2])
-def test_the_step_is_the_one_of_the_formula(tau: float) -> None:
-    """Weak and free directions together, against dense matrices: S, D_p and D_l of nls/degeneracy/truncated.py."""
-    heights = np.array([0.0, 0.0, 0.02, 0.3, -0.4, 0.5])
-    graph, _, start = mission(np.random.default_rng(4), heights, roll=0.02, heave=0.01)
-    system = graph.linearize(start)
-    solver = Schur(block_inverse=partial(truncated_inverse, tau=tau))
-    dx = solver.analyze(system.pattern).solve(system).dx
-    H, g, p = (system.A.T @ system.A).toarray(), system.gradient, slice(0, 36)
-    blocks = [slice(36 + 3 * k, 39 + 3 * k) for k in range(6)]
-    P = [truncated_inverse(H[b, b], tau) for b in blocks]
-    S = H[p, p] - sum(H[p, b] @ P_b @ H[b, p] for b, P_b in zip(blocks, P, strict=True))
-    g_S = g[p] - sum(H[p, b] @ P_b @ g[b] for b, P_b in zip(blocks, P, strict=True))
-    D_p = np.linalg.solve(S, g_S)
-    np.testing.assert_allclose(dx[p], D_p, rtol=1e-6, atol=1e-9)
-    left_out = 0
-    for b, P_b in zip(blocks, P, strict=True):
-        np.testing.assert_allclose(dx[b], P_b @ (g[b] - H[b, p] @ D_p), rtol=1e-6, atol=1e-9)
-        w, V = np.linalg.eigh(H[b, b])
-        weak = w <= tau * w[-1]
-        left_out += int(weak.sum())
-        assert np.abs(V[:, weak].T @ dx[b]).max(initial=0.0) < 1e-12
-    assert left_out >= 2
 
 
 def test_information_of_a_landmark_is_its_block_of_AtA() -> None:

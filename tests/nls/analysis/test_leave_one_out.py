@@ -14,8 +14,6 @@ from nls import FactorGraph, Marginals, Values
 from nls.analysis import suspects
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.leave_one_out import checks
-from nls.analysis.linearization import Checked, Linearization
-from nls.linear import factorize
 from nls.starts.chordal import chordal
 from tests.combinations import for_all
 from tests.nls.graphs import ODD, informations, pose_graph, x
@@ -60,26 +58,6 @@ def test_leaving_out_is_what_really_leaving_out_gives() -> None:
             t, _ = left_out(graph, values, batch, index)
             np.testing.assert_allclose(tests[batch].t[index], t, rtol=1e-8)
     assert all((test.m == 2).all() for test in tests)
-
-
-def test_after_taking_two_out_the_others_are_as_if_solved_again() -> None:
-    graph, values = network(1)
-    found = checked(graph, values)
-    found.take_out(0, 3)
-    found.take_out(1, 0)
-    accepted = [np.ones(9), np.ones(2)]
-    accepted[0][3] = accepted[1][0] = 0.0
-    again = Checked(Linearization(found.linear.pattern, values, accepted))
-    for e, C, w, e_2, C_2, w_2 in zip(found.e, found.C, found.w, again.e, again.C, again.w, strict=True):
-        np.testing.assert_allclose(e, e_2, atol=1e-9)
-        np.testing.assert_allclose(C, C_2, atol=1e-9)
-        np.testing.assert_array_equal(w, w_2)
-    t, chi2 = left_out(graph, values, 0, 3)
-    once = checked(graph, values)
-    before = checks(once, 2)[0].t[3]
-    once.take_out(0, 3)
-    np.testing.assert_allclose([before, checks(once, 2)[0].t[3]], t, rtol=1e-8)  # out or in: judged by the others
-    np.testing.assert_allclose(np.square(np.delete(once.e[0], 3, axis=0)).sum(axis=1), chi2, rtol=1e-7, atol=1e-12)
 
 
 def test_weights_of_a_kernel_count() -> None:
@@ -146,19 +124,6 @@ def test_zero_rows_measure_nothing() -> None:
     assert test[1].dof == pytest.approx(2 - np.trace(checked(graph, result.values).C[1][0]))
 
 
-@for_all(group=[SE2, SE3])
-def test_blocks_of_the_inverse(group: object) -> None:
-    """Every pair of variables that share a factor, in both orders, from the pass over the Cholesky factor."""
-    sample = pose_graph(group, numbers=ODD)  # type: ignore[arg-type]
-    system = sample.graph.linearize(sample.values)
-    blocks, H = system.pattern.blocks, factorize(system)
-    i, j = np.concatenate([blocks.u, blocks.v]), np.concatenate([blocks.v, blocks.u])
-    d = int(blocks.dims[0])
-    found = H.inverse_blocks(i, j, 4e9).reshape(-1, d, d)
-    P = np.linalg.inv(system.H.toarray()).reshape(8, d, 8, d)
-    np.testing.assert_allclose(found, P[i, :, j, :], rtol=1e-6, atol=1e-12)
-
-
 def test_anchors_take_the_freedom_and_nothing_else() -> None:
     """C and e are those of the pseudo-inverse, A A^+ and b - A A^+ b, of a graph whose x, y and heading are free."""
     graph, values = chain_of_depths()
@@ -185,22 +150,6 @@ def chain_of_depths() -> tuple[FactorGraph, Values]:
     steps: Factor = XYH(x[[0, 1, 0]], x[[1, 2, 2]], [[1, 0.1, 0.4], [1, 0.6, 0.2], [2, 1, 0.6]], Isotropic(0.1))
     prior = Prior(x[[0, 1, 2]], X, Diagonal(z=0.1, roll=0.02, pitch=0.02), components=("z", "roll", "pitch"))
     return FactorGraph([steps, prior]), Values({x: (SE3, X)})
-
-
-def test_of_consistent_worlds_nothing_is_suspected() -> None:
-    """Simulated rings: t / m is 1 in the mean, chi2 by kind within bounds, no measurement is taken out."""
-    ratios, outside = [], 0
-    for seed in range(12):
-        world = sim.ring(np.random.default_rng(seed), laps=2, per_lap=20)
-        values = world.graph.optimize(world.start).values
-        explanation = nls.explain(world.graph, values)
-        assert explanation.suspects == ()
-        assert {finding.kind for finding in explanation.findings} <= {"unchecked", "sigmas", "unverified"}
-        outside += sum(not part.low <= part.chi2 <= part.high for part in explanation.parts)
-        test = checks(checked(world.graph, values), len(world.graph.factors))
-        ratios += [float(t.t[t.m > 0].sum() / t.m.sum()) for t in test]
-    assert abs(np.mean(ratios) - 1) < 0.1
-    assert outside <= 4  # of 24, 1.2 expected
 
 
 def test_quantiles_and_tails() -> None:

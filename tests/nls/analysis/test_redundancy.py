@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import nls
 import sim
 from factors import Between, Diagonal, Information, Isotropic, Prior, Tukey
 from models import SE2, SE3, SO2, LieGroup, R
@@ -13,8 +12,7 @@ from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
-from nls.analysis.closure_groups import closure_groups
-from nls.analysis.redundancy import Common, _common
+from nls.analysis.redundancy import Common, _common, closure_groups
 from tests.combinations import for_all
 
 x, y, p = kinds("x", "y", "p")
@@ -100,39 +98,6 @@ def test_a_wrong_group_that_carries_the_map_is_listed_and_a_right_one_is_not(lap
         graph = FactorGraph([odometry, ten])
         groups = unverified_groups(graph, graph.optimize(laps.start).values)
         assert [len(group.closures) for group in groups] == [10] * listed
-
-
-def test_motion_and_sigmas_are_those_of_a_map_that_never_had_the_group(laps: sim.World) -> None:
-    odometry, closures = laps.graph.factors
-    graph = FactorGraph([odometry, closures[25:], early()])
-    values = graph.optimize(laps.start).values
-    (group,) = unverified_groups(graph, values)
-    rest = FactorGraph([odometry, closures[25:]])
-    without = rest.optimize(laps.start).values
-    error = nls.metrics.ate(values[x], without[x], "rigid")
-    assert group.closures == tuple((2, k) for k in range(10))
-    assert (group.meters, group.rms) == pytest.approx((error.largest, error.rmse), rel=1e-3)
-    Sigma = nls.Marginals(rest, without).all(x, view="position")[1:]
-    q = (values[x] - without[x])[1:, :2]
-    assert group.sigmas == pytest.approx(
-        np.sqrt((q * np.linalg.solve(Sigma, q[..., None])[..., 0]).sum(1)).max(), rel=1e-3
-    )
-    assert group.redundancy < 0.01
-
-
-def test_the_redundancy_of_a_closure_rises_with_others_that_check_it(laps: sim.World) -> None:
-    odometry, T = laps.graph.factors[0], laps.truth[x]
-
-    def redundancies(k: list[int]) -> list[float]:
-        closures = Between(x[np.array(k)], x[np.array(k) + 60], SE2.between(T[k], T[np.array(k) + 60]), SIGMAS)
-        graph = FactorGraph([odometry, closures])
-        graph.fix(x[0])
-        return [error.redundancy for error in common(graph, laps.truth)]
-
-    alone, (_, checked, _) = redundancies([30]), redundancies([5, 30, 55])
-    assert 0 < 2 * alone[0] < checked < 1
-    (many,) = redundancies(list(range(25, 36)))  # one group: closures of a group do not check each other
-    assert many < alone[0]
 
 
 def test_two_sessions_that_one_group_joins_fall_apart_without_it() -> None:

@@ -1,4 +1,4 @@
-"""Landmarks whose sightings were exchanged: named with the sightings; no false contact, no other mistake."""
+"""Landmarks whose sightings were exchanged are named with the sightings; no false contact, no other mistake."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import sim
 from factors import Factor, Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
+from models.algebra import Mask
 from nls import FactorGraph, Values
 from nls.analysis.leave_one_out import checks
-from nls.analysis.swapped_landmarks import SwappedLandmarks, swapped_landmarks
-from tests.nls.misreadings import clean, judged, misread, optimum
+from nls.analysis.swapped_landmarks import SwappedLandmarks, exchanged_contacts, swapped_landmarks
+from tests.nls.misreadings import clean, judged, optimum
 
 When = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
 
@@ -78,24 +79,67 @@ def test_wholly_exchanged_where_they_are_known() -> None:
 
 
 def test_contacts_of_a_sonar_in_space() -> None:
-    """Two pairs in two images, whose hinges go with them; a false contact is none."""
+    """Two pairs in two images, whose hinges go with them."""
     mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=4)
     spoiled = sim.exchange_contacts(mission, 0.008, np.random.default_rng(1))
     swaps = named(spoiled.graph, spoiled.start)
     target = mission.contacts.keys[1].numbers[spoiled.wrong]
     assert {int(key.numbers[0]) for swap in swaps for key in (swap.first, swap.second)} == set(target.tolist())
     assert all(len(swap.places) == 4 for swap in swaps)
-    mission = sim.hauv_floor(np.random.default_rng(1), legs=1, per_leg=5)
-    false = sim.false_contacts(mission, 0.01, np.random.default_rng(1))
-    assert named(false.graph, false.start) == ()
 
 
-def test_other_mistakes() -> None:
-    """A false sighting; mirrored bearings, where no pair explains anything and all are tried."""
+def test_a_false_sighting_is_no_exchange() -> None:
     graph, start, _ = clean("subsea", 0)
     first, odometry, seen = graph.factors
     z = np.array(seen.z)
     z[len(z) // 2] += [1.0, 5.0]
     assert named(FactorGraph([first, odometry, replaced(seen, z=z)]), start) == ()
-    graph, start, _ = clean("headings", 0)
-    assert named(misread(graph, start, 2, "mirrored"), start) == ()
+
+
+RNG = np.random.default_rng
+
+
+def rejected(mission: sim.Mission, mask: Mask) -> list[Mask]:
+    """Per factor what was rejected, of the contacts this."""
+    return [mask if f is mission.contacts else np.zeros(len(f), dtype=bool) for f in mission.graph.factors]
+
+
+def test_exchanged_pairs_are_named_with_their_contacts() -> None:
+    right = sim.hauv_floor(RNG(1), legs=2, per_leg=12)
+    mission = sim.exchange_contacts(right, 0.05, RNG(2))
+    pairs = exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong))
+    rows = [index for pair in pairs for _, index in pair.places]
+    assert mission.wrong[rows].all()
+    assert len(set(rows)) > 0.9 * mission.wrong.sum()
+    assert [len(pair.places) for pair in pairs] == sorted((len(pair.places) for pair in pairs), reverse=True)
+    for pair in pairs:
+        numbers = mission.contacts.keys[1].numbers[[index for _, index in pair.places]]
+        assert set(numbers.tolist()) == {int(pair.first.numbers[0]), int(pair.second.numbers[0])}
+        assert pair.standing > 100 * len(pair.places)
+        assert pair.chi2 < 9.3 * len(pair.places)
+    own = right.contacts.chi2(mission.truth)[sorted(set(rows))]
+    np.testing.assert_allclose(sum(pair.chi2 for pair in pairs), own.sum(), rtol=0.1)
+
+
+def test_false_contacts_are_no_exchange() -> None:
+    mission = sim.hauv_floor(RNG(1), legs=2, per_leg=12, outliers=0.1)
+    assert exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong)) == ()
+    none = np.zeros(len(mission.contacts), dtype=bool)
+    assert exchanged_contacts(mission.graph, mission.truth, rejected(mission, none)) == ()
+
+
+def test_landmarks_that_left_are_passed_over() -> None:
+    mission = sim.hauv_floor(RNG(1), legs=2, per_leg=12, wrong_associations=0.05)
+    pairs = exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong))
+    gone = int(pairs[0].first.numbers[0])
+    stack = mission.truth.stack("l")
+    kept = stack.numbers != gone
+    values = type(mission.truth)(
+        {
+            "x": (mission.truth.stack("x").manifold, mission.truth.stack("x").X),
+            "l": (stack.manifold, stack.X[kept], stack.numbers[kept]),
+        }
+    )
+    fewer = exchanged_contacts(mission.graph, values, rejected(mission, mission.wrong))
+    assert 0 < len(fewer) < len(pairs)
+    assert all(gone not in (pair.first.numbers[0], pair.second.numbers[0]) for pair in fewer)

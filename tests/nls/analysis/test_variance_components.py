@@ -54,14 +54,11 @@ def z_scores(estimate: nls.VarianceComponents, true: list[float]) -> list[float]
     return [np.log(c.scale / s) * c.scale / c.sigma for c, s in zip(estimate.components, true, strict=True)]
 
 
-@pytest.mark.parametrize("components", [False, True])
-def test_scales_are_within_their_uncertainty(components: bool) -> None:
-    steps, sighting = (np.array([3.0, 2.0, 1.5]), np.array([0.5, 0.5])) if components else (3.0, 0.5)
-    true = [3.0, 2.0, 1.5, 0.5, 0.5, 1.0, 1.0] if components else [3.0, 0.5, 1.0]
-    scores = []
+def test_scales_are_within_their_uncertainty() -> None:
+    true, scores = [3.0, 2.0, 1.5, 0.5, 0.5, 1.0, 1.0], []
     for seed in range(SEEDS):
-        graph, values = survey(seed, steps * np.ones(3), sighting * np.ones(2))
-        estimate = variance_components(graph, values, "components" if components else "kinds")
+        graph, values = survey(seed, np.array([3.0, 2.0, 1.5]), np.array([0.5, 0.5]))
+        estimate = variance_components(graph, values, "components")
         assert estimate.settled
         scores.append(z_scores(estimate, true))
         redundancy = sum(c.redundancy for c in estimate.components)
@@ -75,14 +72,14 @@ def test_scales_are_within_their_uncertainty(components: bool) -> None:
 def test_a_kernel_finds_the_scale_of_the_inliers() -> None:
     """A wrong range counts as one of c sigmas at most, so 4 of 100 make the scale a little larger, and not 10 times."""
     clean, spoiled, plain = [], [], []
-    for seed in range(15):
+    for seed in range(6):
         graph, values = survey(seed, np.full(3, 3.0), np.full(2, 0.5))
         clean.append(z_scores(variance_components(graph.robust(Cauchy(2.385)), values), [3.0, 0.5, 1.0]))
         graph, values = survey(seed, np.full(3, 3.0), np.full(2, 0.5), outliers=4)
         spoiled.append(variance_components(graph.robust(Cauchy(2.385)), values).components[1].scale)
-        if seed < 5:
+        if seed < 2:
             plain.append(variance_components(graph, values).components[1].scale)
-    assert (np.abs(np.mean(clean, axis=0)) < 3 / np.sqrt(15) + 0.15).all(), np.mean(clean, axis=0)
+    assert (np.abs(np.mean(clean, axis=0)) < 3 / np.sqrt(6) + 0.15).all(), np.mean(clean, axis=0)
     assert (np.std(clean, axis=0, ddof=1) < 1.6).all(), np.std(clean, axis=0, ddof=1)
     assert 0.5 < np.mean(spoiled) < 0.65
     assert min(plain) > 5

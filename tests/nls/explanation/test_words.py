@@ -15,7 +15,7 @@ import nls
 from factors import Between, Cauchy, Factor, Isotropic, Landmark, Prior
 from models import SE2, R
 from models.advice import ACTIONS, Advice
-from nls.analysis.readings import READINGS
+from nls.analysis.misread import READINGS
 from nls.analysis.suspects import Suspects
 from nls.explanation import Finding, FindingKind, Measurement, words
 from nls.explanation.doubts import CURES, certifies, graduates, of_suspects

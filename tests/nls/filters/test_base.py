@@ -55,21 +55,6 @@ def test_every_measurement_is_at_the_step_of_its_latest_pose() -> None:
     assert [float(f.z[0]) for f in (cut[1].observations[2], cut[2].observations[2])] == [0.1, 0.2]
 
 
-@pytest.mark.parametrize("make", [sim.subsea, sim.lines])
-def test_nothing_is_lost_and_nothing_twice(make: object) -> None:
-    world = make(np.random.default_rng(3))  # type: ignore[operator]
-    cut = steps(world.graph, world.start)
-    assert len(cut) == world.poses
-    parts = [f for step in cut for f in (*step.motion, *step.observations)]
-    for factor in world.graph.factors:
-        mine = [f for f in parts if type(f) is type(factor)]
-        assert sum(map(len, mine)) == len(factor)
-        assert sum(float(f.chi2(world.start).sum()) for f in mine) == pytest.approx(factor.chi2(world.start).sum())
-    for step in cut:
-        for f in (*step.motion, *step.observations):
-            assert max(int(k.numbers.max()) for k in f.keys if k.kind == "x") == step.pose.numbers[0]
-
-
 def test_graphs_that_have_no_steps_are_refused_by_name() -> None:
     graph, values = small()
     graph.remove(graph.factors[2])
@@ -151,9 +136,7 @@ def test_a_run_goes_by_the_numbers_of_the_poses_not_their_order() -> None:
     track = EKF().run(world.graph, world.start)
     stack = world.start.stack("x")
     order = np.random.default_rng(0).permutation(len(stack))
-    shuffled = Values(
-        {x: (SE2, stack.X[order], 3 * stack.numbers[order] - 7), l: (R(2), world.start[l])},
-    )
+    shuffled = Values({x: (SE2, stack.X[order], 3 * stack.numbers[order] - 7), l: (R(2), world.start[l])})
     renumbered = FactorGraph()
     first, odometry, seen = world.first, world.odometry, world.sightings
     order = np.argsort(-seen.keys[0].numbers, kind="stable")

@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 
 import sim
-from factors import (
-    BearingRange,
-    Between,
-    Diagonal,
-    Heading,
-    Isotropic,
-    Landmark,
-    Position,
-    Prior,
-    Wheels,
-)
+from factors import BearingRange, Between, Diagonal, Heading, Isotropic, Landmark, Position, Prior
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
@@ -154,58 +144,6 @@ def state_of(m: int, seed: int = 0) -> MapState:
     return state
 
 
-def test_the_prediction_is_the_dense_one() -> None:
-    rng = np.random.default_rng(1)
-    state, F, Q = state_of(7), rng.normal(size=(3, 3)), np.diag([1.0, 2.0, 3.0])
-    whole = np.eye(17)
-    whole[:3, :3] = F
-    noise = np.zeros((17, 17))
-    noise[:3, :3] = Q
-    expected = whole @ state.P @ whole.T + noise
-    state.predict(np.zeros(3), F, Q)
-    assert np.allclose(state.P, expected, rtol=1e-13)
-    assert np.array_equal(state.P, state.P.T)
-
-
-def test_the_prediction_neither_reads_nor_writes_the_map() -> None:
-    """O(n): of the (3 + 2m)^2 numbers of P it touches three rows and three columns."""
-    state = state_of(50)
-    state.P[3:, 3:] = np.nan
-    state.predict(np.zeros(3), np.diag([1.0, 2.0, 3.0]), np.eye(3))
-    assert np.isfinite(state.P[:3]).all()
-    assert np.isfinite(state.P[:, :3]).all()
-    assert np.isnan(state.P[3:, 3:]).all()
-
-
-def test_adding_and_updating_are_the_dense_ones() -> None:
-    rng = np.random.default_rng(2)
-    state, G, Q = state_of(3), rng.normal(size=(2, 2, 3)), np.tile(np.eye(2) * 0.3, (2, 1, 1))
-    T = np.zeros((13, 9))
-    T[:9] = np.eye(9)
-    T[9:, :3] = G.reshape(4, 3)
-    expected = T @ state.P @ T.T
-    expected[9:, 9:] += np.kron(np.eye(2), Q[0])
-    state.add(np.array([8, 20]), np.zeros((2, 2)), G, Q)
-    assert np.allclose(state.P, expected, rtol=1e-13)
-    assert state.rows(np.array([20, 1, 5, 8])).tolist() == [4, 1, -1, 3]
-
-    A, b, columns = rng.normal(size=(4, 5)), rng.normal(size=4), np.array([0, 1, 2, 9, 10])
-    H = np.zeros((4, 13))
-    H[:, columns] = A
-    S = H @ state.P @ H.T + np.eye(4)
-    K = state.P @ H.T @ np.linalg.inv(S)
-    L, after = state.L.copy(), state.P - K @ S @ K.T
-    delta = K @ b
-    theta = state.X[2]
-    state.update(A, columns, b, x[0])
-    assert np.allclose(state.L, L + delta[3:].reshape(5, 2))
-    assert np.allclose(state.X, SE2.retract(np.array([[1.0, 2.0, 0.5]]), delta[None, :3])[0])
-    turned = np.eye(13)  # the axes of the body have turned
-    c, s = np.cos(state.X[2] - theta), np.sin(state.X[2] - theta)
-    turned[:2, :2] = [[c, s], [-s, c]]
-    assert np.allclose(state.P, turned @ after @ turned.T)
-
-
 def test_the_frame_of_the_world_does_not_matter() -> None:
     """Headings and bearings that cross +-pi somewhere else."""
     world = thinned(sim.subsea(np.random.default_rng(4), laps=1, known_start=True))
@@ -243,22 +181,6 @@ def test_first_estimates_learn_nothing_about_a_rotation_of_everything() -> None:
     assert sigma[False] < 0.98 * batch
 
 
-def test_wheels_and_a_turn_rate_are_one_motion_together() -> None:
-    """Several relative factors between two poses add up; what they say of the pose before, beside, is refused."""
-    graph = FactorGraph(
-        [
-            Prior(x[0], [0, 0, 0.4], Isotropic(1e-5)),
-            Wheels(x[0], x[1], [1.1, 0.9], Diagonal([1e-5, 1e-5, 1e-6]), base=0.5),
-            Between(x[0], x[1], SE2.exp([0.98, 0.2, 0.4]), Isotropic(1e-5)),
-        ]
-    )
-    values = Values({x: (SE2, SE2.identity(2))})
-    track = EKF().run(graph, values)
-    best = graph.optimize(values).values
-    assert np.allclose(track.X[1], best[x[1]], atol=1e-9)
-    assert np.allclose(track.P[1], Marginals(graph, best).covariance(x[1], frame="body"), rtol=1e-2, atol=1e-14)
-
-
 def test_numbers_that_are_not_finite_name_the_step() -> None:
     state = state_of(2)
     state.P[0, 0] = np.nan
@@ -281,10 +203,3 @@ def test_all_that_is_known_of_the_first_pose_counts() -> None:
     )
     values = Values({x: (SE2, [0, 0, 3.0]), l: (R(2), np.zeros((2, 2)))})
     agrees(EKF().run(graph, values), graph, values, rtol=1e-6, relative=1e-6)
-
-
-def test_headings_wrap() -> None:
-    graph = FactorGraph([Prior(x[0], [0, 0, 3.1], Isotropic(0.1)), Heading(x[0], -3.1, Isotropic(0.1))])
-    track = EKF().run(graph, Values({x: (SE2, [0, 0, 3.0])}))
-    assert abs(abs(track.X[0, 2]) - np.pi) < 1e-9
-    assert track.P[0, 2, 2] == pytest.approx(0.005)

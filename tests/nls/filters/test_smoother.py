@@ -128,13 +128,6 @@ def test_several_sightings_of_new_and_known_landmarks_in_a_step() -> None:
         close(track.values[l[[0, 1, 2, 3]]], best[l[[0, 1, 2, 3]]], atol=1e-9)
 
 
-def test_no_landmarks_at_all() -> None:
-    for estimator in (Smoother(), Smoother(1)):
-        track = estimator.run(straight(2), Values({x: (SE2, SE2.identity(2))}))
-        close(track.X[1], [1, 0, 0], atol=1e-9)
-        assert len(track.landmarks) == 0
-
-
 def test_a_landmark_keeps_its_place_when_only_other_factors_locate_it() -> None:
     """At (2, 1) and not at -50, 80."""
     seen = BearingRange(x[[0, 1]], l[4], [[np.arctan(0.5), 5**0.5], [np.pi / 4, 2**0.5]], Isotropic(0.1))

@@ -8,9 +8,8 @@ from factors import Between, Diagonal
 from models import SE2
 from models.algebra import Index
 from nls import FactorGraph, Values, kinds
-from nls.robust.consistency import Neighbors
 from nls.robust.groups import misfits, witnesses
-from nls.robust.loop_graph import loop_graph
+from nls.robust.loop_graph import Neighbors, loop_graph
 
 (x,) = kinds("x")
 

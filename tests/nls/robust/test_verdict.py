@@ -235,7 +235,7 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypa
     loops = loop_graph(graph, values)
     doubted = [np.full(len(factor), k > 0) for k, factor in enumerate(graph.factors)]
     problem = Truncated(graph, doubted, [6.6, 6.6, 6.6])
-    start = problem.without(problem.settled(values), [np.ones(19, bool), np.zeros(3, bool), np.ones(1, bool)])
+    start = problem.optimum(problem.settled(values).values, [np.ones(19, bool), np.zeros(3, bool), np.ones(1, bool)])
     assert start.cost > 3 * 6.6 - 1e-9
     choice, others = exchanged(problem, loops, start)
     assert [mask.all() for mask in choice.inliers] == [True, True, False]
@@ -245,7 +245,7 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypa
     dear = Truncated(FactorGraph([*graph.factors, offset]), [*doubted, np.zeros(2, bool)], [6.6] * 4)
     best = dear.settled(choice.result.values)
     assert exchanged(dear, loop_graph(dear.graph, values), best)[0] is best
-    monkeypatch.setattr(preselection, "MANY", 3)  # where more are there, each is checked by others
+    monkeypatch.setattr(preselection, "MANY_CLOSURES", 3)  # where more are there, each is checked by others
     assert exchanged(problem, loops, start) == (start, [])
 
 

@@ -135,15 +135,6 @@ def test_pixels_of_two_or_more_poses_place_a_point(offset: str | None) -> None:
     assert locate_points(FactorGraph([pair]), start)[l[0:5]] == pytest.approx(truth[l[0:5]], abs=1e-9)
 
 
-def test_pixels_and_bearings_of_a_point_are_directions_alike() -> None:
-    truth, graph = filmed()
-    pixel = graph.factors[0][[0]]
-    bearing = exact(Bearing, truth, x[2], l[0])
-    start = truth.replaced({"l": np.full((6, 3), 30.0)})
-    assert locate_points(FactorGraph([pixel, bearing]), start)[l[0]] == pytest.approx(truth[l[0]], abs=1e-9)
-    assert locate_points(FactorGraph([bearing]), start)[l[0]].tolist() == [30.0] * 3
-
-
 def test_a_point_is_never_put_behind_a_camera_that_saw_it() -> None:
     """The rays of two pixels meet behind both: there is no image of it there, and the value given has one."""
     values = Values({x: (SE3, [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]), l: (R(3), [[0.5, 0.0, 9.0]])})

@@ -265,9 +265,6 @@ def test_axes_from_azimuths() -> None:
     for free, az in ((level, azimuth), (p[:4], azimuth[:4]), (line, np.full(9, np.arctan2(2, 1)))):
         with pytest.raises(SingularGeometryError, match=f"azimuths of {len(free)} contacts leave its rotation free"):
             axes_from_azimuths(np.matvec(R_os, free), az)
-    for turn in SO3.rotation(SO3.exp(rng.normal(size=(40, 3)))):  # which of many solutions comes out is chance
-        with pytest.raises(SingularGeometryError, match="500 contacts leave its rotation free"):
-            axes_from_azimuths(np.matvec(turn, level), azimuth)
     flat = p * [1.0, 1, 0.01]
     with pytest.raises(SingularGeometryError, match="above and below its plane"):
         axes_from_azimuths(flat, np.arctan2(flat[:, 1], flat[:, 0]) + rng.uniform(-0.08, 0.08, 500))

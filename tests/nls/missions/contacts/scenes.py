@@ -14,7 +14,6 @@ from models import SE2
 from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
-from nls.analysis.motions import motion_covariances
 from nls.missions.contacts import gates
 from nls.missions.contacts.anchors import Anchored, Motions
 from nls.missions.contacts.estimate import Estimate
@@ -143,7 +142,7 @@ def sighting_distances(scene: Scene, c: Index, d: Index) -> tuple[Array, Array]:
     """As in `nls.missions.contacts.gates`, by dead reckoning."""
     pings = scene.pings
     i, j = pings.poses[pings.ping[c]], pings.poses[pings.ping[d]]
-    motions = Motions(motion_covariances(scene.graph, scene.values, i, j), np.arange(len(c)))
+    motions = Motions(Marginals(scene.graph, scene.values, pairs=[(i, j)]).relative(i, j), np.arange(len(c)))
     return gates.sighting_distances(pings, scene.values, c, d, motions)
 
 

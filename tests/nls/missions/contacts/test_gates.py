@@ -10,7 +10,6 @@ import pytest
 from factors import RangeAzimuth
 from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, kinds
-from nls.analysis.motions import motion_covariances
 from nls.missions.contacts import gates
 from nls.missions.contacts import tracks as of
 from tests.nls.missions.contacts.scenes import (
@@ -83,7 +82,8 @@ def test_the_arc_against_numerical_derivatives() -> None:
     group, values = pings.group, scene.values
     c, d = c[::40], d[::40]
     i, j = pings.poses[pings.ping[c]], pings.poses[pings.ping[d]]
-    Sigma, elevation = motion_covariances(scene.graph, values, i, j), np.linspace(-1, 1, 801) * pings.limit
+    Sigma = Marginals(scene.graph, values, pairs=[(i, j)]).relative(i, j)
+    elevation = np.linspace(-1, 1, 801) * pings.limit
     sensor, n, step = pings.sensors(values)[c], len(elevation), 1e-6
     d2, widths = sighting_distances(scene, c, d)
     for k in range(len(c)):

@@ -10,7 +10,7 @@ import pytest
 from factors import Isotropic, Prior
 from models.algebra import Array, Index
 from nls import FactorGraph, Values, kinds
-from nls.analysis.motions import motion_covariances
+from nls.covariance import Marginals
 from nls.missions.contacts.estimate import Estimate
 from nls.missions.contacts.pairs import MOST, near_landmarks, near_pings, near_sightings
 from nls.missions.contacts.places import Pings
@@ -47,7 +47,8 @@ def test_sightings_of_following_pings(name: str) -> None:
     scene = SCENES[name]()
     pings, lags = scene.pings, 2
     c, d, motions = near_pings(pings, scene.graph, scene.values, lags, GATE)
-    exact = motion_covariances(scene.graph, scene.values, *(pings.poses[pings.ping[of]] for of in (c, d)))
+    i, j = (pings.poses[pings.ping[of]] for of in (c, d))
+    exact = Marginals(scene.graph, scene.values, pairs=[(i, j)]).relative(i, j)
     np.testing.assert_allclose(motions.Sigma[motions.which], exact, rtol=1e-9, atol=1e-15)
     lag = pings.ping[d] - pings.ping[c]
     assert (lag.min(), lag.max()) == (1, lags)

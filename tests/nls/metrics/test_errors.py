@@ -1,4 +1,4 @@
-"""Absolute trajectory error: by hand, invariant to what the alignment removes, refused where it is not unique."""
+"""Errors of trajectories, absolute and relative, circles of errors, poses matched by time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from nls import GraphError, OptionError, SingularGeometryError
-from nls.metrics import ate, displacements
+from nls.metrics import ate, cep, displacements, drms2, matched, rpe
 from tests.nls.graphs import moved, walk
 
 GROUPS = [SE2, SE3]
@@ -123,7 +123,7 @@ def test_what_does_not_determine_the_rotation() -> None:
         ate(np.zeros((3, 3)), np.zeros((3, 3)), "rigid")
 
 
-def test_mistakes() -> None:
+def test_what_is_no_pair_of_trajectories() -> None:
     X = walk(SE3, 3, np.random.default_rng(5))
     for estimate, truth in ((X, X[:2]), (X[:, :3], X), (X[:0], X[:0]), (X[:, :2], X[:, :2])):
         with pytest.raises(GraphError, match="expected the same"):
@@ -158,3 +158,122 @@ def test_displacements_of_points_on_a_line_and_in_general(d: int) -> None:
     assert displacements(group.position(P), group.position(Q)) == pytest.approx(ate(P, Q, "rigid").distances)
     mirrored = group.position(P) * np.r_[-1, np.ones(d - 1)]
     assert displacements(group.position(P), mirrored).max() > 0.1
+
+
+def test_normal_errors() -> None:
+    errors = np.random.default_rng(0).normal(size=(200_000, 3)) * [2.0, 2.0, 50.0]
+    circles = [cep(errors), cep(errors, 0.95), drms2(errors)]
+    assert circles == pytest.approx([2 * 1.1774, 2 * 2.4477, 2 * np.sqrt(8)], rel=0.01)
+    assert [cep(errors[:, :2]), drms2(errors[:, :2])] == [circles[0], circles[2]]
+    inside = np.mean(np.hypot(errors[:, 0], errors[:, 1]) < circles[2])
+    assert inside == pytest.approx(0.982, abs=0.002)
+
+
+def test_what_is_no_error() -> None:
+    for errors in ([1.0], np.zeros((0, 2)), np.zeros((2, 7))):
+        with pytest.raises(GraphError, match=r"expected \(n, 2\) or \(n, 3\)"):
+            cep(errors)
+    with pytest.raises(GraphError, match="not finite"):
+        drms2([[np.nan, 0.0]])
+    with pytest.raises(OptionError, match="between 0 and 1"):
+        cep([[1.0, 0.0]], 95)
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0, 7.0])
+def test_a_scale_of_one_percent_is_one_percent(step: float) -> None:
+    truth = np.zeros((int(120 / step), 7))
+    truth[:, 6] = 1.0
+    truth[:, 0] = step * np.arange(len(truth))
+    estimate = truth.copy()
+    estimate[:, 0] *= 1.01
+    for error in rpe(estimate, truth):
+        steps = int(np.ceil(error.distance / step - 1e-6))
+        assert error.way == pytest.approx(steps * step)
+        assert error.pairs == len(truth) - steps
+        assert (error.translation, error.rotation) == pytest.approx((0.01, 0.0), abs=1e-9)
+
+
+def test_a_turn_by_hand() -> None:
+    """True straight on, estimated on an arc of 0.01 rad/m: chords and tangents have closed forms."""
+    s, rate = np.arange(41.0), 0.01
+    truth = np.column_stack([s, 0 * s, 0 * s])
+    estimate = np.column_stack([np.sin(rate * s) / rate, (1 - np.cos(rate * s)) / rate, rate * s])
+    (error,) = rpe(estimate, truth, [20.0])
+    end = np.array([np.sin(0.2), 1 - np.cos(0.2)]) / rate
+    assert (error.rotation, error.pairs) == (pytest.approx(rate), 21)
+    assert error.translation == pytest.approx(np.linalg.norm(end - [20, 0]) / 20)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_frames_do_not_matter_to_relative_poses(group: LieGroup, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = walk(group, 40, rng)
+    estimate = moved(group, truth, 0.2, rng)
+    motion = group.exp(3 * rng.normal(size=(2, 1, group.dim)))
+    before, after = (
+        rpe(estimate, truth, [5]),
+        rpe(group.compose(motion[0], estimate), group.compose(motion[1], truth), [5]),
+    )
+    for a, b in zip(before, after, strict=True):
+        assert (a.pairs, a.translation, a.rotation) == (
+            b.pairs,
+            pytest.approx(b.translation),
+            pytest.approx(b.rotation),
+        )
+
+
+def test_no_pairs_and_mistakes() -> None:
+    (error,) = rpe(np.zeros((4, 3)), np.zeros((4, 3)), [1.0])  # nothing moves
+    assert (error.pairs, str(error)) == (0, "RPE over 1 m: the track is shorter")
+    for distances in ([], [0.0], [-3.0], [[1.0]]):
+        with pytest.raises((OptionError, GraphError)):
+            rpe(np.zeros((4, 3)), np.zeros((4, 3)), distances)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match="rpe: shapes"):
+        rpe(np.zeros((4, 3)), np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_a_steady_motion_is_met_between_the_rows(group: LieGroup) -> None:
+    """Straight ahead with a constant turn rate about the vertical, that wraps around pi."""
+
+    def poses(t: np.ndarray) -> np.ndarray:
+        yaw, zero = 0.3 * t, np.zeros_like(t)
+        if group is SE2:
+            return np.column_stack([2 * t, -t, (yaw + np.pi) % (2 * np.pi) - np.pi])
+        return np.column_stack([2 * t, -t, 0.1 * t, zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)])
+
+    times = np.arange(0.0, 30.0, 1.0)
+    at = np.array([0.0, 0.25, 7.9, 10.47, 29.0])
+    pairs = matched(at, poses(at), times, poses(times))
+    assert np.abs(group.local(pairs.truth, poses(at))).max() < 1e-12
+    assert ate(pairs.estimate, pairs.truth).rmse < 1e-12
+
+
+def test_what_has_no_match_is_counted() -> None:
+    times = np.array([0.0, 1.0, 2.0, 3.0, 8.0, 9.0])  # a gap of 5 s; the median is 1 s
+    truth = np.column_stack([times, 0 * times, 0 * times])
+    at = np.array([-0.1, 0.5, 3.0, 5.0, 8.0, 9.0, 9.1, 20.0])
+    estimate = np.column_stack([at, 0 * at, 0 * at])
+    pairs = matched(at, estimate, times, truth)
+    assert (pairs.outside, pairs.gaps, pairs.tolerance) == (3, 1, 2.0)
+    assert pairs.rows.tolist() == [1, 2, 4, 5]  # rows of the truth beside the gap are met
+    wide = matched(at, estimate, times, truth, tolerance=5.0)
+    assert (wide.gaps, wide.truth[wide.times == 5.0, 0].tolist()) == (0, [5.0])
+    one = matched([3.0, 4.0], truth[:2], [3.0], truth[:1])
+    assert (one.rows.tolist(), one.outside) == ([0], 1)
+
+
+def test_what_cannot_be_matched() -> None:
+    X = np.zeros((3, 3))
+    with pytest.raises(GraphError, match=r"none of 3 poses has a match. Their times are 100 to 102 s, those of the"):
+        matched([100, 101, 102], X, [0, 1, 2], X)
+    with pytest.raises(GraphError, match=r"times_truth\[2\], .*0.5.*, does not rise over .*1.0"):
+        matched([0, 1, 2], X, [0, 1, 0.5], X)
+    with pytest.raises(GraphError, match=r"times_estimate has shape \(2,\), expected \(3,\)"):
+        matched([0, 1], X, [0, 1, 2], X)
+    with pytest.raises(GraphError, match="matched: shapes"):
+        matched([0, 1, 2], X, [0, 1, 2], np.zeros((3, 7)))
+    with pytest.raises(OptionError, match="a time in seconds"):
+        matched([0, 1, 2], X, [0, 1, 2], X, tolerance=-1.0)

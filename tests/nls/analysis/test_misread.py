@@ -1,4 +1,4 @@
-"""Readings: each undoes itself, and says by hand what it says."""
+"""Readings undo themselves and say by hand what they say; kinds and single measurements read otherwise are named."""
 
 from __future__ import annotations
 
@@ -31,9 +31,12 @@ from models.algebra import Array
 from models.errors import GraphError
 from models.manifolds.so3 import rotation3
 from nls import FactorGraph, Values, kinds
-from nls.analysis.readings import READINGS
+from nls.analysis.misread import READINGS, MisreadMeasurement, misread_kinds, misread_measurements
 from nls.analysis.scales import outsized
 from tests.combinations import for_all
+from tests.nls.graphs import walk
+from tests.nls.misreadings import clean, doubted, misread_one, optimum, wrong_closure
+from tests.nls.misreadings import misread as misread_kind
 
 x, l = kinds("x", "l")
 ONE = Isotropic(0.1)
@@ -72,7 +75,7 @@ def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
         (Position(x[0], [1, 2], ONE), "x, y exchanged", [2, 1]),
         (Landmark(x[0], l[0], [1, 2], ONE), "y flipped", [1, -2]),
         (Wheels(x[0], x[1], [1.1, 0.9], ONE, base=0.5), "y flipped", [0.9, 1.1, 0]),
-    ],
+    ]
 )
 def test_in_the_plane(case: tuple[Factor, str, list[float]]) -> None:
     factor, name, z = case
@@ -115,7 +118,7 @@ def test_variables_exchanged() -> None:
         (RangeAzimuth(x[0], l[0], [1, 0.1], Diagonal(range=0.1, azimuth=0.1)), {"mirrored"}),
         (Position(x[0], 3.0, ONE, components=("z",)), {"z flipped"}),
         (Prior(l[0], [1, 2, 3], ONE), {"y flipped", "z flipped", "x, y exchanged"}),
-    ],
+    ]
 )
 def test_readings_that_make_sense(case: tuple[Factor, set[str]]) -> None:
     factor, names = case
@@ -154,3 +157,98 @@ def test_what_cannot_be_replaced() -> None:
         replaced(step, z=np.zeros((2, 3)))
     with pytest.raises(GraphError, match=r"\[1\] variables; expected 1 for each of its 2 slots"):
         replaced(step, keys=[x[0]])
+
+
+(x,) = kinds("x")
+# a vehicle that only goes ahead has no y to flip
+FORWARD = {("Between, steps", "transposed"), ("Between, steps", "y flipped"), ("Between, closures", "y flipped")}
+
+
+def named(graph: FactorGraph, values: Values) -> set[tuple[str, str]]:
+    return {(kind.kind, kind.reading) for kind in misread_kinds(graph, values)}
+
+
+@pytest.mark.parametrize(
+    ("name", "k", "reading", "expected"),
+    [
+        ("sphere", 1, "exchanged", {("Between, closures", "exchanged")}),
+        ("manhattan", 0, "y flipped", FORWARD),
+        ("subsea", 2, "mirrored", {("BearingRange", "mirrored"), ("Between", "y flipped")}),
+        ("headings", 2, "mirrored", {("BearingRange", "mirrored")}),
+        ("headings", 3, "transposed", {("Heading", "transposed")}),
+        ("lines", 1, "y flipped", {("Wheels", "y flipped"), ("Line", "mirrored")}),
+    ],
+)
+def test_a_kind_is_named(name: str, k: int, reading: str, expected: set[tuple[str, str]]) -> None:
+    graph, start, right = clean(name, 0)
+    wrong = misread_kind(graph, start, k, reading)
+    meant = misread_kinds(wrong, optimum(wrong, start))
+    assert {(kind.kind, kind.reading) for kind in meant} <= expected
+    (kind,) = (kind for kind in meant if (kind.reading, kind.places[0][0]) == (reading, k))
+    assert kind.chi2 == pytest.approx(graph.chi2(right), rel=1e-3)
+    assert kind.standing > 2 * kind.chi2
+
+
+def test_fixes_in_another_frame_than_the_odometry() -> None:
+    """North and east for east and north: with no heading that is the same as a mirrored odometry."""
+    rng = np.random.default_rng(0)
+    X, k = walk(SE2, 40, rng), np.arange(39)
+    sigmas = np.array([0.05, 0.05, 0.02])
+    z = SE2.retract(SE2.between(X[:-1], X[1:]), sigmas * rng.normal(size=(39, 3)))
+    fixes = Position(x[0:40], X[:, 1::-1] + 0.1 * rng.normal(size=(40, 2)), Isotropic(0.1))
+    graph = FactorGraph([Between(x[k], x[k + 1], z, Diagonal(sigmas)), fixes])
+    meant = named(graph, optimum(graph, Values({x: (SE2, X)})))
+    assert meant >= {("Between", "y flipped"), ("Position", "y flipped"), ("Position", "x, y exchanged")}
+
+
+def test_other_mistakes_are_not_named() -> None:
+    """Wrong sigmas, wrong closures."""
+    graph, start, _ = clean("manhattan", 0)
+    odometry, closures = graph.factors
+    assert isinstance(odometry, Between)
+    assert isinstance(closures, Between)
+    i, j = odometry.keys
+    sharp = Between(i, j, odometry.z, Isotropic(0.004))
+    wrong = closures[np.arange(20)]
+    shuffled = Between(wrong.keys[0], wrong.keys[1], np.add(wrong.z[::-1], [3.0, 1.0, 1.0]), wrong.noise)
+    for factors in ([sharp, closures], [odometry, closures[20:], shuffled]):
+        wrong_graph = FactorGraph(factors)
+        assert named(wrong_graph, optimum(wrong_graph, start)) == set()
+
+
+def misread(graph: FactorGraph, start: Values) -> tuple[list[tuple[int, int]], tuple[MisreadMeasurement, ...]]:
+    """Places of the suspects, and which of these fit under another reading."""
+    pattern, doubts = doubted(graph, optimum(graph, start))
+    return doubts.places, misread_measurements(pattern, doubts.values, doubts.places)
+
+
+@pytest.mark.parametrize(
+    ("name", "k", "reading"),
+    [
+        ("sphere", 0, "exchanged"),
+        ("sphere", 1, "transposed"),
+        ("sphere", 1, "z flipped"),
+        ("subsea", 1, "exchanged"),
+        ("subsea", 2, "mirrored"),
+        ("lines", 2, "mirrored"),
+    ],
+)
+def test_a_measurement_is_named(name: str, k: int, reading: str) -> None:
+    """Wherever it is a suspect: where the reading changes next to nothing it is none."""
+    suspected = 0
+    for seed in range(2):
+        graph, start, _ = clean(name, seed)
+        i = int(np.random.default_rng(seed).integers(2, len(graph.factors[k]) - 2))
+        wrong = misread_one(graph, start, k, i, reading)
+        place = (len(wrong.factors) - 1, 0)
+        places, meant = misread(wrong, start)
+        assert all(one.place == place and one.t < 30 < 100 <= one.standing for one in meant)
+        assert (reading in {one.reading for one in meant}) == (place in places)
+        suspected += place in places
+    assert suspected
+
+
+@for_all(name=["ring", "manhattan", "sphere"], seed=range(3))
+def test_a_wrong_closure_fits_under_no_reading(name: str, seed: int) -> None:
+    graph, start, _ = clean(name, seed)
+    assert misread(wrong_closure(graph, np.random.default_rng(seed)), start)[1] == ()
