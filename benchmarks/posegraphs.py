@@ -35,8 +35,8 @@ from typing import Any
 
 import numpy as np
 from gate import Clock, add_options, gate, refuse, stopwatch  # the scripts beside this one
+from harness import ONE_THREAD, arguments, machine, peak_memory
 from peers import CONTENDERS, PROGRAMS, TOLERANCE, Files, programs
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory
 from posegraphs_sets import QUICK, SETS, STAGED, Problem, prepare
 
 BASELINES = Path(__file__).parent / "baselines_posegraphs.json"
@@ -285,7 +285,7 @@ def main() -> int:
         files = Files(Path(graph), Path(complete), space == "1", int(most))
         child(contender, variant, files, Path(out), wanted == "1")
         return 0
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = arguments(__doc__, "posegraphs.md, .json and .png")
     data = os.environ.get("LEADLINE_DATA")
     choices = tuple(SETS) if data else (*QUICK, *STAGED)
     parser.add_argument("--quick", action="store_true", help=f"two small sets, {' and '.join(QUICK)}")
@@ -293,9 +293,6 @@ def main() -> int:
     parser.add_argument("--sets", nargs="+", choices=choices, metavar="NAME", help=", ".join(choices))
     parser.add_argument("--python", nargs="+", type=interpreter, default=[], metavar="PEER=PYTHON", help="where it is")
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="for the page: how g2o was built")
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for posegraphs.md, .json, .png"
-    )
     parser.add_argument("--gate", action="store_true", help="compare this library's speed with the baselines")
     add_options(parser, BASELINES)
     options = parser.parse_args()

@@ -25,7 +25,18 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
-from pinv import RESULTS, exponent, fresh, last_words, machine, peak_memory, positive, write_page  # beside this script
+from harness import (
+    Table,
+    arguments,
+    exponent,
+    fresh,
+    last_words,
+    line_of,
+    machine,
+    peak_memory,
+    positive,
+    write_page,
+)
 
 LARGEST, QUICK = 1_000_000, 10_000
 WORLDS = {
@@ -249,25 +260,23 @@ def law(series: Series, what: str, stage: str) -> str:
 
 def table(series: Series) -> list[str]:
     """Markdown: seconds by stage, then memory by stage, one row a size."""
-    lines = [f"## {WORLDS[series.world]}", ""]
-    columns = ("edges", "variables", *STAGES, "**total**", "wall", "iterations", "chi2 / dof")
-    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    all_stages = (*STAGES, "total")
+    lines = Table(["edges", "variables", *STAGES, "**total**", "wall", "iterations", "chi2 / dof"], names=0)
+    memory = Table(["edges", *STAGES, "**total**"], names=0)
     for r in series.runs:
-        cells = [f"{r['edges']:,}", f"{r['variables']:,}", *(f"{r['seconds'][s]:.3g}" for s in STAGES)]
-        cells += [f"**{r['seconds']['total']:.3g}**", f"{r['wall']['total']:.3g}", str(r["iterations"])]
-        cells.append(f"{r['chi2'] / r['dof']:.3f}" + ("" if r["converged"] else ", not converged"))
-        lines.append("| " + " | ".join(cells) + " |")
-    laws = [law(series, "seconds", s) for s in (*STAGES, "total")]
-    lines.append("| edges^p | | " + " | ".join(laws) + " | | | |")
-    columns = ("edges", *STAGES, "**total**")
-    lines += ["", "Peak memory of the process while a stage ran, MB:", ""]
-    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
-    for r in series.runs:
-        cells = [f"{r['bytes'][s] / 1e6:,.0f}" for s in (*STAGES, "total")]
-        lines.append(f"| {r['edges']:,} | {' | '.join(cells[:-1])} | **{cells[-1]}** |")
-    laws = [law(series, "bytes", s) for s in (*STAGES, "total")]
-    lines += ["| edges^p | " + " | ".join(laws) + " |", ""]
-    return [*lines, f"{series.stopped}.", ""] if series.stopped else lines
+        *seconds, total = (f"{r['seconds'][s]:.3g}" for s in all_stages)
+        quality = f"{r['chi2'] / r['dof']:.3f}" + ("" if r["converged"] else ", not converged")
+        wall = f"{r['wall']['total']:.3g}"
+        edges = f"{r['edges']:,}"
+        lines.append(line_of([edges, f"{r['variables']:,}", *seconds, f"**{total}**", wall, r["iterations"], quality]))
+        *peaks, peak = (f"{r['bytes'][s] / 1e6:,.0f}" for s in all_stages)
+        memory.append(line_of([edges, *peaks, f"**{peak}**"]))
+    seconds, peaks = ([law(series, what, s) for s in all_stages] for what in ("seconds", "bytes"))
+    lines.append(f"| edges^p | | {' | '.join(seconds)} | | | |")
+    memory.append(line_of(["edges^p", *peaks]))
+    title = "Peak memory of the process while a stage ran, MB:"
+    page = [f"## {WORLDS[series.world]}", "", *lines, "", title, "", *memory, ""]
+    return [*page, f"{series.stopped}.", ""] if series.stopped else page
 
 
 COLORED = ("linearize", "factorize", "init", "read", "assemble")  # the others are grey
@@ -312,14 +321,11 @@ def draw(found: list[Series], path: Path, seconds: float, largest: int) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = arguments(__doc__, "scaling.md, .json and .png")
     parser.add_argument("--quick", action="store_true", help=f"sizes up to {QUICK:,} edges")
     parser.add_argument("--largest", type=positive, metavar="EDGES", help=f"default {LARGEST:,}")
     parser.add_argument("--seconds", type=positive, default=120.0, help="a size predicted to take longer is left out")
     parser.add_argument("--gigabytes", type=positive, default=12.0, help="or one that takes more memory")
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for scaling.md, .json and .png"
-    )
     parser.add_argument("--only", nargs="+", choices=WORLDS, default=list(WORLDS), help="these worlds alone")
     parser.add_argument("--child", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -15,22 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, public_data, write_page
+from script import make_page
 
 from factors.keys import kinds
 from nls.metrics import ate
+from nls.missions.checks.scan_mounting import mounting
+from nls.missions.checks.scan_setup import SetupFinding, SetupKind, check_setup
 from nls.missions.checks.scan_words import observable, sentence
-from nls.missions.scans import (
-    Closing,
-    Drift,
-    Scans,
-    SetupFinding,
-    SetupKind,
-    check_setup,
-    close,
-    dead_reckoning,
-    mounting,
-)
+from nls.missions.scans import Closing, Drift, Scans, close, dead_reckoning
 from nls.missions.scans.folder import read_scan_mission
 
 Array = npt.NDArray[np.float64]
@@ -177,8 +169,9 @@ def row(log: Log, setup: Setup, rounds: int, report: Callable[[str], None]) -> t
     return cells, [f"- *{setup.name}*: {sentence(finding)}." for finding in findings]
 
 
-def page(log: Log, rounds: int) -> list[str]:
+def page(data: Path, rounds: int) -> list[str]:
     """All but the head."""
+    log = read(data / "aracati")
     rows, sentences = [], []
     for setup in SETUPS:
         cells, words = row(log, setup, rounds, lambda line: print(line, flush=True))
@@ -212,14 +205,5 @@ def page(log: Log, rounds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "scan_setup.md")
-    parser.add_argument("--rounds", type=at_least_one, default=3, help="of closing (default 3)")
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = [*page_head("Wrong setups of a scan mission"), "", *page(read(data / "aracati"), options.rounds)]
-    write_page(lines, options.out / "scan_setup.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "scan_setup.md", "Wrong setups of a scan mission", page, rounds=(3, "of closing"))
