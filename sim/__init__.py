@@ -7,27 +7,36 @@ from nls.lazy import importer
 
 TYPE_CHECKING = False  # to a type checker always true; the import of typing takes as long as all others of a start
 if TYPE_CHECKING:
-    from sim.camera_sonar import Rig, RigErrors
-    from sim.corrupt import outliers
-    from sim.landmark_world import LandmarkWorld
-    from sim.mission import Mission
-    from sim.scene import Scene
-    from sim.sonar_images import contacts, sonar_image
-    from sim.spoil import drop_contacts, exchange_contacts, false_contacts, poor_odometry
-    from sim.survey_log import SurveyLog
-    from sim.world import World, chain, measure, position_error
-    from sim.worlds.grid3d import grid3d
-    from sim.worlds.harbor import Harbor, harbor
-    from sim.worlds.hauv_floor import hauv_floor
-    from sim.worlds.hauv_hull import hauv_hull
-    from sim.worlds.lines import lines
-    from sim.worlds.manhattan import manhattan
-    from sim.worlds.rig import rig
-    from sim.worlds.ring import ring
-    from sim.worlds.sphere import sphere
-    from sim.worlds.subsea import subsea
-    from sim.worlds.survey import survey
-    from sim.worlds.torus import torus
+    from sim.camera_sonar import Rig as Rig
+    from sim.camera_sonar import RigErrors as RigErrors
+    from sim.corrupt import outliers as outliers
+    from sim.landmark_world import LandmarkWorld as LandmarkWorld
+    from sim.mission import Mission as Mission
+    from sim.scene import Scene as Scene
+    from sim.sonar_images import contacts as contacts
+    from sim.sonar_images import sonar_image as sonar_image
+    from sim.spoil import drop_contacts as drop_contacts
+    from sim.spoil import exchange_contacts as exchange_contacts
+    from sim.spoil import false_contacts as false_contacts
+    from sim.spoil import poor_odometry as poor_odometry
+    from sim.survey_log import SurveyLog as SurveyLog
+    from sim.world import World as World
+    from sim.world import chain as chain
+    from sim.world import measure as measure
+    from sim.world import position_error as position_error
+    from sim.worlds.grid3d import grid3d as grid3d
+    from sim.worlds.harbor import Harbor as Harbor
+    from sim.worlds.harbor import harbor as harbor
+    from sim.worlds.hauv import hauv_floor as hauv_floor
+    from sim.worlds.hauv import hauv_hull as hauv_hull
+    from sim.worlds.lines import lines as lines
+    from sim.worlds.manhattan import manhattan as manhattan
+    from sim.worlds.rig import rig as rig
+    from sim.worlds.ring import ring as ring
+    from sim.worlds.sphere import sphere as sphere
+    from sim.worlds.subsea import subsea as subsea
+    from sim.worlds.survey import survey as survey
+    from sim.worlds.torus import torus as torus
 
 _WHERE = {
     "sim.camera_sonar": "Rig RigErrors",
@@ -41,8 +50,7 @@ _WHERE = {
     "sim.world": "World chain measure position_error",
     "sim.worlds.grid3d": "grid3d",
     "sim.worlds.harbor": "Harbor harbor",
-    "sim.worlds.hauv_floor": "hauv_floor",
-    "sim.worlds.hauv_hull": "hauv_hull",
+    "sim.worlds.hauv": "hauv_floor hauv_hull",
     "sim.worlds.lines": "lines",
     "sim.worlds.manhattan": "manhattan",
     "sim.worlds.rig": "rig",
@@ -53,6 +61,7 @@ _WHERE = {
     "sim.worlds.torus": "torus",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
+__all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:
     __getattr__ = importer("sim", _MODULE)
@@ -61,37 +70,3 @@ if not TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-__all__ = [
-    "Harbor",
-    "LandmarkWorld",
-    "Mission",
-    "Rig",
-    "RigErrors",
-    "Scene",
-    "SurveyLog",
-    "World",
-    "chain",
-    "contacts",
-    "drop_contacts",
-    "exchange_contacts",
-    "false_contacts",
-    "grid3d",
-    "harbor",
-    "hauv_floor",
-    "hauv_hull",
-    "lines",
-    "manhattan",
-    "measure",
-    "outliers",
-    "poor_odometry",
-    "position_error",
-    "rig",
-    "ring",
-    "sonar_image",
-    "sphere",
-    "subsea",
-    "survey",
-    "torus",
-]
