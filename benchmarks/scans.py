@@ -94,10 +94,10 @@ def all_at_once(count: int) -> dict[str, Any]:
     def watch(owner: Any, name: str, stage: str) -> None:
         inner = getattr(owner, name)
 
-        def timed(*arguments: Any) -> Any:
+        def timed(*arguments: Any, **options: Any) -> Any:
             begin = process_time()
             try:
-                return inner(*arguments)
+                return inner(*arguments, **options)
             finally:
                 seconds[stage] += process_time() - begin
 
@@ -105,8 +105,8 @@ def all_at_once(count: int) -> dict[str, Any]:
 
     for owner, name, stage in (
         (candidates, "pairs", "pairs"),
-        (closing, "windows", "windows"),
-        (closing.Matches, "of", "matching"),
+        (closing, "motion_covariances", "windows"),
+        (closing.Matches, "around", "matching"),
         (closing, "sequential_matches", "matching"),
         (closing, "chosen", "solving"),
     ):

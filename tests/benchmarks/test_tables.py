@@ -71,3 +71,10 @@ def test_all_elimination_orders_give_the_same_step(tmp_path: Path) -> None:
     for name in ("schur", "cholesky"):
         assert float(rows[name][7]) > 0
         assert float(rows[name][12]) < 1e-12
+
+
+def test_every_stage_of_closing_loops_is_timed() -> None:
+    done = run("scans.py", "--child", "whole", 60)
+    assert done.returncode == 0, done.stderr
+    seconds = json.loads(done.stdout)["seconds"]
+    assert min(seconds[stage] for stage in ("pairs", "windows", "matching", "solving")) > 0

@@ -63,6 +63,8 @@ def test_one_number_locates_nothing() -> None:
         factor = kind(x[0], l[0], 1.0, UNIT)
         assert not factor.locates
         refused(lambda f=factor: f.locate(SE2, SE2.identity(), np.ones((1, 1))), NotImplementedError, kind.__name__)
+    assert np.array_equal(Range(x[0], l[0], 1.0, UNIT).ranges(np.array([[2.5], [3.5]])), [2.5, 3.5])
+    assert Bearing(x[0], l[0], 1.0, UNIT).ranges(np.ones((1, 1))) is None
 
 
 ZERO = np.zeros((2, 3))

@@ -8,7 +8,6 @@ from math import atan, cos, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from models import SE3, euler
 from models.algebra import Array
 from models.errors import OptionError
 from models.sensors import (
@@ -54,17 +53,6 @@ def test_derivatives() -> None:
     same(q, p, atol=1e-12)
     same(dq, difference(lambda a: cartesian(a)[0], h), atol=2e-8)
     same(np.linalg.det(dq), h[:, 0] ** 2 * np.cos(h[:, 2]), rtol=1e-9)
-
-
-def test_one_view_says_nothing_along_the_arc() -> None:
-    """The tangent of the arc is in the null space of the measurement, and of nothing less: two numbers are measured."""
-    p = points(seed=2)
-    h, _ = spherical(p)
-    along = cartesian(h)[1][:, :, 2]
-    _, J = range_azimuth(p)
-    same((J @ along[..., None])[..., 0], 0.0, atol=1e-12)
-    same(np.linalg.norm(along, axis=1), h[:, 0], rtol=1e-9)
-    assert (np.linalg.matrix_rank(J) == 2).all()
 
 
 def test_the_fan_image() -> None:
@@ -136,12 +124,3 @@ def test_no_such_sonar(name: str) -> None:
         with pytest.raises(OptionError, match=f"DIDSON, high frequency: {name}: ") as caught:
             replace(DIDSON_HIGH, **{name: value})  # type: ignore[arg-type]
         assert caught.value.value is value
-
-
-def test_the_side_of_a_positive_elevation_is_below() -> None:
-    """A level vehicle, z down, sonar as it is: what is deeper than the sonar has a positive elevation."""
-    X = euler.to_se3(np.array([[0.0, 0.0, 1.0, 7.0, 8.0, 10.0]]))
-    below = SE3.position(X) + np.array([[np.cos(1.0), np.sin(1.0), 0.1]])
-    h, _ = spherical(SE3.act(SE3.inverse(X), below))
-    assert h[0, 2] > 0
-    same(h[0, :2], [np.sqrt(1.01), 0.0], atol=1e-12)
