@@ -59,6 +59,7 @@ def test_files_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixtur
         np.testing.assert_array_equal(values[x], expected[x])
         assert len(graph) == len(world.graph)
         assert graph.chi2(values) == pytest.approx(world.graph.chi2(expected), rel=1e-9)
+    np.testing.assert_array_equal(load(folder / "truth.npz")[1][x], world.truth[x])
     graph, start, _ = load(folder)
     assert graph.chi2(start) == world.graph.chi2(world.start)
     result = graph.optimize(start)
