@@ -91,6 +91,8 @@ def test_without_noise_the_truth_is_the_optimum(name: str) -> None:
     assert exact.graph.chi2(exact.truth) < 1e-15 * exact.rows
     assert exact.graph.optimize(exact.truth).converged
     assert name == "rig" or exact.ate(exact.start) < 1e-9
+    away = np.subtract(*(v.stack("x").manifold.position(v.stack("x").X) for v in (noisy.start, noisy.truth)))
+    assert noisy.ate(noisy.start) == pytest.approx(np.linalg.norm(away) / np.sqrt(noisy.poses))
     if isinstance(exact, sim.LandmarkWorld):
         return  # the way of these is drawn as well
     for kind in noisy.truth.stacks:  # the noise is all that differs
