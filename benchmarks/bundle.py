@@ -8,8 +8,6 @@ and pycolmap, whose cost is C++. Same residuals, same start, interleaved rounds;
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import subprocess
 import sys
@@ -19,7 +17,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from pinv import RESULTS, child, machine, peak_memory, write_page  # the script beside this one
+from harness import child, line_of, make_page, peak_memory
 
 BAL = "bal/problem-49-7776-pre.txt.gz"
 SOLVERS = ("cholesky", "schur", "pcg", "pcg, tol 0.1")  # of the rig
@@ -137,7 +135,7 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
         cells = [who, f"`{solver}`", str(threads), str(len(trace) - 1), f"{trace[0][2]:.2f}", f"{trace[-1][2]:.2f}"]
         cells += [f"{there[0]:.2f}", f"{there[1]:.2f}", f"{there[0] / best:.2f}"]
         cells += [f"{below[0]:.2f}" if np.isfinite(below[0]) else "not reached", f"{every[0]:.2f}", f"{every[1]:.2f}"]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(line_of(cells))
     return lines
 
 
@@ -210,32 +208,27 @@ def rigs(names: list[str]) -> list[str]:
                 for run in (newton, marquardt):
                     cells += [f"{run['seconds']:.1f}", str(run["steps"])]
                 cells += [f"{marquardt['chi2'] / marquardt['dof']:.5f}", f"{far:.0e}"]
-                lines.append("| " + " | ".join(cells) + " |")
+                lines.append(line_of(cells))
                 print(f"  {name:9s}{solver:14s}{one['solve']:8.2f} s a solve", flush=True)
     return lines
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=3, help="of the bundle adjustment")
-    parser.add_argument("--ceres", default=sys.executable, metavar="PYTHON", help="one that has pyceres and pycolmap")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for bundle.md")
-    parser.add_argument("--quick", action="store_true", help="the small rig only")
-    parser.add_argument("--child", nargs="+", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        kind, *rest = options.child
-        print(json.dumps({"bundle": optimize_bundle, "rig": solve_rig}[kind](*rest)))
-        return 0
-    options.out.mkdir(parents=True, exist_ok=True)
-    lines = ["# Many points", "", *machine(), ""]
-    data = os.environ.get("LEADLINE_DATA")
-    if data and (Path(data) / BAL).exists() and not options.quick:
-        lines += [*against_ceres(Path(data) / BAL, options.rounds, options.ceres), ""]
-    lines += rigs(list(RIGS)[: 1 if options.quick else None])
-    write_page(lines, options.out / "bundle.md")
-    return 0
+def measure(kind: str, *words: str) -> dict[str, Any]:
+    """One run of either part."""
+    return {"bundle": optimize_bundle, "rig": solve_rig}[kind](*words)
+
+
+def page(rounds: int, ceres: str, quick: bool) -> list[str]:
+    """Both parts; the first one where its data is."""
+    data = Path(os.environ.get("LEADLINE_DATA", "")) / BAL
+    lines = [*against_ceres(data, rounds, ceres), ""] if data.exists() and not quick else []
+    return lines + rigs(list(RIGS)[: 1 if quick else None])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    make_page(
+        *(__doc__, "bundle.md", "Many points", page, measure),
+        rounds=(3, "of the bundle adjustment"),
+        ceres={"default": sys.executable, "metavar": "PYTHON", "help": "one that has pyceres and pycolmap"},
+        quick={"action": "store_true", "help": "the small rig only"},
+    )

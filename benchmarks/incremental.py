@@ -10,7 +10,6 @@ chordal start. w10000 is in GTSAM's wheel.
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -21,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pinv import ONE_THREAD, RESULTS, machine, write_page
+from harness import ONE_THREAD, Table, make_page
 from posegraphs import SETS, prepare
 
 Array = npt.NDArray[np.float64]
@@ -124,52 +123,37 @@ def run(command: list[str], out: Path) -> dict[str, Any] | None:
         return dict(file)
 
 
-def row(name: str, title: str, runs: list[dict[str, Any]], off: Array, ratio: str) -> str:
-    """A line of the table: medians over the rounds."""
-    totals = [float(f["seconds"].sum()) for f in runs]
+def row(name: str, title: str, runs: list[dict[str, Any]], off: Array, ratio: str) -> list[str]:
+    """Cells of the table: medians over the rounds."""
+    total = np.median([float(f["seconds"].sum()) for f in runs])
     ms = 1e3 * np.median([f["seconds"] for f in runs], axis=0)
-    honest = ""
-    if "gaps" in runs[-1]:
-        gaps = runs[-1]["gaps"]
-        honest = f"{int((off[:, 1] > gaps + 1e-9).sum())} of {len(gaps)}"
-    cells = [
-        name,
-        title,
-        f"{np.median(totals):.2f}",
-        ratio,
-        f"{ms.mean():.2f}",
-        f"{ms[-len(ms) // 10 :].mean():.2f}",
-        f"{np.quantile(ms, 0.99):.1f}",
-        f"{ms.max():.0f}",
-        f"{100 * off[:, 0].max():.2g} %",
-        f"{100 * off[-1, 0]:.2g} %",
-        honest,
-    ]
-    return "| " + " | ".join(cells) + " |"
+    cells = [name, title, f"{total:.2f}", ratio, f"{ms.mean():.2f}", f"{ms[-len(ms) // 10 :].mean():.2f}"]
+    cells += [f"{np.quantile(ms, 0.99):.1f}", f"{ms.max():.0f}"]
+    cells += [f"{100 * off[:, 0].max():.2g} %", f"{100 * off[-1, 0]:.2g} %"]
+    gaps = runs[-1].get("gaps")
+    return [*cells, "" if gaps is None else f"{int((off[:, 1] > gaps + 1e-9).sum())} of {len(gaps)}"]
 
 
-def measured(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
+def measured(name: str, rounds: int, gtsam: str | None, folder: Path) -> list[list[str]]:
     """The rows of a set: ours, and iSAM2 with each setting."""
     if name in LOGS:
-        command = [sys.executable, __file__, "--drive", name, str(folder / "run.npz")]
-        results = [r for _ in range(options.rounds) if (r := run(command, folder / "run.npz")) is not None]
-        lines = [row(name, "leadline", results, results[-1]["offs"], "")] if results else []
-        print(*lines, sep="\n", flush=True)
-        return lines
+        command = [sys.executable, __file__, "--child", name, str(folder / "run.npz")]
+        results = [r for _ in range(rounds) if (r := run(command, folder / "run.npz")) is not None]
+        return [row(name, "leadline", results, results[-1]["offs"], "")] if results else []
     if name == WHEEL:
-        if not options.gtsam:
+        if not gtsam:
             return []
-        ask = [options.gtsam, "-c", f"import gtsam; print(gtsam.findExampleDataFile({WHEEL!r}))"]
+        ask = [gtsam, "-c", f"import gtsam; print(gtsam.findExampleDataFile({WHEEL!r}))"]
         SETS[WHEEL] = subprocess.run(ask, check=True, capture_output=True, text=True).stdout.strip(), "toro"
     problem = prepare(name, folder, os.environ["LEADLINE_DATA"])
     path, out = problem.files.graph, folder / "run.npz"
-    commands = {"leadline": [sys.executable, __file__, "--drive", str(path), str(out)]}
-    for threshold, skip in SETTINGS if options.gtsam else ():
+    commands = {"leadline": [sys.executable, __file__, "--child", str(path), str(out)]}
+    for threshold, skip in SETTINGS if gtsam else ():
         script = Path(__file__).parent / "peers" / "isam2.py"
         numbers = [str(value) for value in (threshold, skip, CHECK, WHOLE)]
-        commands[f"iSAM2 {threshold:g}, {skip}"] = [options.gtsam, "-P", str(script), str(path), str(out), *numbers]
+        commands[f"iSAM2 {threshold:g}, {skip}"] = [gtsam, "-P", str(script), str(path), str(out), *numbers]
     runs: dict[str, list[dict[str, Any]]] = {title: [] for title in commands}
-    for _ in range(1 if name in LARGE else options.rounds):
+    for _ in range(1 if name in LARGE else rounds):
         for title, command in commands.items():
             if (result := run(command, out)) is not None:
                 runs[title].append(result)
@@ -186,55 +170,35 @@ def measured(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
     for title, results in runs.items():
         ratio = f"{total[title] / fastest:.2f}" if title == "leadline" and fastest == fastest else ""
         rows.append(row(name, title, results, off[title], ratio))
-        print(rows[-1], flush=True)
     return rows
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "--sets",
-        nargs="+",
-        choices=[*SETS, WHEEL, *LOGS],
-        default=[*NAMES, WHEEL, *LOGS],
-        metavar="NAME",
-        help="of public graphs and logs",
-    )
-    parser.add_argument("--rounds", type=int, default=3, help="runs of each, interleaved (default 3)")
-    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="for incremental.md")
-    parser.add_argument("--drive", nargs=2, metavar=("SET", "OUT"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.drive:
-        drive(*options.drive)
-        return 0
-    if not os.environ.get("LEADLINE_DATA"):
-        print("incremental: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    head = machine()
-    titles = (
-        "set|smoother|s|ours / fastest|mean, ms|last tenth|p99|largest|above at most|above in the end|beyond its gap"
-    )
-    lines = [
-        "# While the vehicle drives",
-        "",
-        *head,
-        f"- Figures are medians of {options.rounds} rounds ({' and '.join(LARGE)}: 1 round). Every run is a fresh "
+def page(data: Path, sets: list[str], rounds: int, gtsam: str | None) -> list[str]:
+    """The page without its head."""
+    titles = ["set", "smoother", "s", "ours / fastest", "mean, ms", "last tenth", "p99", "largest", "above at most"]
+    table = Table([*titles, "above in the end", "beyond its gap"], names=2)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in sets:
+            for cells in measured(name, rounds, gtsam, Path(folder)):
+                table.add(*cells)
+    return [
+        f"- Figures are medians of {rounds} rounds ({' and '.join(LARGE)}: 1 round). Every run is a fresh "
         "process; the smoothers take turns",
         "- ms: processor time of a step, one thread; last tenth: mean of the last tenth of the steps",
         "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, by Cholesky, or QR where Cholesky fails",
         f"- above: how far chi2 is above the batch minimum, at every {CHECK}th step",
         "- beyond its gap: how often chi2 is farther above the minimum than the smoother's own bound",
         "",
-        "| " + titles.replace("|", " | ") + " |",
-        "|:--|:--|" + "--:|" * (titles.count("|") - 1),
+        *table,
     ]
-    with tempfile.TemporaryDirectory() as folder:
-        for name in options.sets:
-            lines += measured(name, options, Path(folder))
-    write_page(lines, options.out / "incremental.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    default = [*NAMES, WHEEL, *LOGS]
+    names = {"nargs": "+", "choices": [*SETS, WHEEL, *LOGS], "default": default, "metavar": "NAME"}
+    make_page(
+        *(__doc__, "incremental.md", "While the vehicle drives", page, drive),
+        sets=names | {"help": "of public graphs and logs"},
+        rounds=(3, "runs of each, interleaved"),
+        gtsam={"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"},
+    )

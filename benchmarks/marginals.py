@@ -11,19 +11,16 @@ small world.
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
-from pinv import machine, write_page  # the script beside this one
+from harness import Table, make_page
 
 RUNS, COLUMNS = 5, 60  # columns: a multiple of 3 and of 6
-RESULTS = Path(__file__).parent / "results"
 SETS = {
     "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
     "city10000": "pose-graphs-2d/city10000.g2o.gz",
@@ -64,7 +61,7 @@ def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
     return float(np.median(seconds)), found
 
 
-def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> str:
+def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> list[str]:
     """Measure one problem with one factorization."""
     from nls.gauge import choose_gauge, fixed_variables
     from nls.sparse.threads import single_thread
@@ -100,42 +97,35 @@ def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) ->
         cells += [f"{seconds:.1f}", f"{seconds / ours:.0f}", f"{off:.0e}"]
     else:
         cells += ["", "", ""]
-    return "| " + " | ".join(cells) + " |"
+    return cells
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for marginals.md")
-    parser.add_argument("--quick", action="store_true", help="one small simulated world")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+def page(quick: bool) -> list[str]:
+    """The page without its head."""
     from nls.linear import LU, Cholesky
 
-    lines = [
-        "# All marginal covariances: one pass against column solves",
-        "",
-        *machine(),
+    titles = ["graph", "factor", "poses", "unknowns", "numbers in L", "factorize, ms", "one pass, s"]
+    table = Table([*titles, "column solves, s", "times", "difference"], names=2)
+    for name, load in problems(quick).items():
+        graph, values = load()
+        for solver in (Cholesky(), LU()):
+            if solver.missing() is not None:
+                table.add(name, solver.name, "not installed" + 7 * " |")
+                continue
+            columns = solver.name == "cholesky" or Cholesky.missing() is not None
+            table.add(*row(name, graph, values, solver, columns))
+    return [
         f"- processor time with one thread; median of {RUNS} runs, the column solves once",
         "- one pass: from the factor to the diagonal block of every variable; column solves: the same factor, "
         f"{COLUMNS} columns at a time, the blocks of every pose kept",
         "- linearized at the values of the file, first pose held; difference of the two relative to the largest number "
         "of each block",
         "",
-        "| graph | factor | poses | unknowns | numbers in L | factorize, ms | one pass, s | column solves, s | times "
-        "| difference |",
-        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|",
+        *table,
     ]
-    for name, load in problems(options.quick).items():
-        graph, values = load()
-        for solver in (Cholesky(), LU()):
-            if solver.missing() is not None:
-                lines.append(f"| {name} | {solver.name} | not installed | | | | | | | |")
-                continue
-            lines.append(row(name, graph, values, solver, solver.name == "cholesky" or Cholesky.missing() is not None))
-            print(lines[-1], flush=True)
-    write_page(lines, options.out / "marginals.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    small = {"action": "store_true", "help": "one small simulated world"}
+    title = "All marginal covariances: one pass against column solves"
+    make_page(__doc__, "marginals.md", title, page, quick=small)

@@ -8,7 +8,6 @@ its own with one thread.
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -18,11 +17,10 @@ from statistics import median
 from time import process_time
 
 import numpy as np
-from pinv import ONE_THREAD, PROCESSOR_TIME, RESULTS, machine, write_page
+from harness import ONE_THREAD, PROCESSOR_TIME, Table, make_page
 
 SIGMAS = (0.05, 0.05, 0.01)
 TITLES = {"batch": "ours, one batch", "single": "ours, one by one", "gtsam": "GTSAM from Python, one by one"}
-HEAD = "| way | add, s | first solve, s | chi2 |"
 
 
 def prepare(edges: int, path: Path) -> int:
@@ -61,39 +59,34 @@ def run(way: str, path: str) -> None:
     print(added - began, process_time() - added, result.chi2_final)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--edges", type=int, default=100_000, help="measurements, about (default 100,000)")
-    parser.add_argument("--rounds", type=int, default=3, help="runs of each, interleaved (default 3)")
-    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="for one_by_one.md")
-    parser.add_argument("--run", nargs=2, metavar=("WAY", "FILE"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.run:
-        run(*options.run)
-        return 0
-    head = machine()
+def page(edges: int, rounds: int, gtsam: str | None) -> list[str]:
+    """The page without its head."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "city.npz"
-        count = prepare(options.edges, path)
+        count = prepare(edges, path)
         commands = {way: [sys.executable, __file__, "--run", way, str(path)] for way in ("batch", "single")}
-        if options.gtsam:
-            script = Path(__file__).parent / "peers" / "one_by_one.py"
-            commands["gtsam"] = [options.gtsam, "-P", str(script), str(path)]
+        if gtsam:
+            commands["gtsam"] = [gtsam, "-P", str(Path(__file__).parent / "peers" / "one_by_one.py"), str(path)]
         rows: dict[str, list[list[float]]] = {way: [] for way in commands}
-        for _ in range(options.rounds):
+        for _ in range(rounds):
             for way, command in commands.items():
                 out = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD)
                 rows[way].append([float(word) for word in out.stdout.split()[-3:]])
-    lines = ["# One by one", "", *head, PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane"]
-    lines += ["", HEAD, "|:--|--:|--:|--:|"]
+    table = Table(["way", "add, s", "first solve, s", "chi2"])
     for way, runs in rows.items():
         add, solve, chi2 = (median(column) for column in zip(*runs, strict=True))
-        lines.append(f"| {TITLES[way]} | {add:.2f} | {solve:.2f} | {chi2:.6g} |")
-    lines += ["", "The first solve of single measurements joins them; the next one takes as long as that of a batch."]
-    write_page(lines, options.out / "one_by_one.md")
-    return 0
+        table.add(TITLES[way], f"{add:.2f}", f"{solve:.2f}", f"{chi2:.6g}")
+    joined = "The first solve of single measurements joins them; the next one takes as long as that of a batch."
+    return [PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane", "", *table, "", joined]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    if sys.argv[1:2] == ["--run"]:
+        run(*sys.argv[2:])
+    else:
+        make_page(
+            *(__doc__, "one_by_one.md", "One by one", page),
+            edges=(100_000, "measurements, about"),
+            rounds=(3, "runs of each, interleaved"),
+            gtsam={"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"},
+        )

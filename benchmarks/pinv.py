@@ -12,15 +12,7 @@ true poses, and solves for the update. A solver stops where its next size is pre
 
 from __future__ import annotations
 
-import argparse
-import ctypes
-import ctypes.util
-import datetime
 import json
-import os
-import platform
-import resource
-import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, field
@@ -30,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from harness import PROCESSOR_TIME, exponent, fresh, last_words, line_of, make_page, peak_memory, positive
 
 SIZES = (30, 99, 300, 999, 3_000, 9_999, 30_000, 99_999)  # three unknowns a pose, the first pose held
 QUICK = 3_000
@@ -45,11 +38,8 @@ TITLE = {
     "cholesky": "sparse Cholesky",
 }
 REFERENCES = ("dense-qr", "qr", "cholesky", "lu", "dense-cholesky", "formula", "pinv")  # the most accurate first
-PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RUNS, ENOUGH = 99, 1.0  # runs of one measurement at most; no further one after so many seconds
 SMALL = 1e6  # bytes; less is lost in the memory a process has at hand
-RESULTS = Path(__file__).parent / "results"
 
 
 @dataclass
@@ -68,8 +58,8 @@ class Series:
 # --- one measurement, in a process of its own -------------------------------------------------------------------------
 
 
-def measure(name: str, n: int, folder: Path) -> None:
-    """Solve the system of n unknowns; print seconds and bytes as JSON, leave the update in the folder."""
+def measure(name: str, unknowns: str, folder: str) -> dict[str, float]:
+    """Seconds and bytes of solving a system; the update is left in the folder."""
     import sim
     from nls.linear import SOLVERS
     from nls.system import LinearSystem
@@ -95,25 +85,14 @@ def measure(name: str, n: int, folder: Path) -> None:
     kind: Any = SOLVERS.get(name)  # None: the formula
     solver = None if kind is None else kind(memory_limit=np.inf) if name in DENSE else kind()
     solve(system(50))  # libraries loaded
-    given = system(n // 3 + 1)
+    given = system(int(unknowns) // 3 + 1)
     before = peak_memory(reset=True)
     runs = [solve(given)]
     added = max(peak_memory() - before, 0.0)
     while len(runs) < RUNS and sum(seconds for seconds, _ in runs) < ENOUGH:
         runs.append(solve(given))
-    np.save(folder / "dx.npy", runs[0][1])
-    print(json.dumps({"seconds": float(np.median([s for s, _ in runs])), "bytes": added}))
-
-
-def peak_memory(reset: bool = False) -> float:
-    """Largest resident memory of this process so far, bytes; on Linux, with `reset`, from now on."""
-    status = Path("/proc/self/status")
-    if not status.exists():
-        return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1 if sys.platform == "darwin" else 1024)
-    if reset:
-        Path("/proc/self/clear_refs").write_text("5")
-    # not getrusage: on Linux that begins with the peak of the parent process
-    return 1024.0 * next(int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+    np.save(Path(folder) / "dx.npy", runs[0][1])
+    return {"seconds": float(np.median([s for s, _ in runs])), "bytes": added}
 
 
 # --- the series of one solver -----------------------------------------------------------------------------------------
@@ -178,13 +157,6 @@ def predict(series: Series, n: int, cells: dict[int, float]) -> tuple[float, flo
     return time, memory
 
 
-def exponent(n: list[int], y: list[float]) -> float:
-    """p of the power law y ~ n^p through the points, by least squares of the logarithms."""
-    if len(n) < 2:
-        return float("nan")
-    return float(np.polyfit(np.log(n), np.log(np.maximum(y, 1e-9)), 1)[0])
-
-
 # --- the report -------------------------------------------------------------------------------------------------------
 
 
@@ -198,7 +170,7 @@ def table(found: list[Series]) -> list[str]:
             relative = f"{seconds / here['cholesky'][0]:,.1f}" if "cholesky" in here else ""
             off = "reference" if name == reference else f"{np.abs(dx - here[reference][2]).max():.1e}"
             mb = f"{added / 1e6:,.1f}" if added > SMALL else "< 1"
-            lines.append(f"| {n:,} | {TITLE[name]} | {seconds:.3g} | {relative} | {mb} | {off} |")
+            lines.append(line_of([f"{n:,}", TITLE[name], f"{seconds:.3g}", relative, mb, off]))
     lines += ["", "| solver | largest size | time grows as | memory grows as |", "|:--|--:|:--|:--|"]
     for s in (s for s in found if s.n):
         powers = (f"n^{exponent(s.n[-3:], y[-3:]):.2f}" for y in (s.seconds, s.bytes))
@@ -218,27 +190,6 @@ def crossings(found: list[Series]) -> list[str]:
         if first < k:
             lines.append(f"- Sparse Cholesky is faster than {TITLE[name]} from {at[name].n[first]:,} unknowns on.")
     return lines
-
-
-def machine() -> list[str]:
-    """What the figures depend on."""
-    import scipy
-
-    processor, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
-    if info.exists():
-        named = [line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line]
-        processor = (named or [processor])[0]
-    suitesparse = "not installed"
-    if (library := ctypes.util.find_library("suitesparseconfig")) is not None:
-        numbers = (ctypes.c_int * 3)()
-        ctypes.CDLL(library).SuiteSparse_version(numbers)
-        suitesparse = ".".join(map(str, numbers))
-    versions = f"NumPy {np.__version__}, SciPy {scipy.__version__}, SuiteSparse {suitesparse}"
-    return [
-        f"- {datetime.date.today():%Y-%m-%d}, {processor}, {os.cpu_count()} cores",
-        f"- other work on the machine at the start: load {os.getloadavg()[0]:.1f}",
-        f"- Python {platform.python_version()}, {versions}",
-    ]
 
 
 def notes() -> list[str]:
@@ -289,72 +240,21 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
     figure.savefig(path, dpi=130)
 
 
-def fresh(*command: object) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own, with one thread."""
-    return subprocess.run([*map(str, command)], env=os.environ | ONE_THREAD, capture_output=True, text=True)
-
-
-def last_words(failed: subprocess.CompletedProcess[str]) -> str:
-    """Why a process failed."""
-    return (failed.stderr.strip() or "killed").splitlines()[-1]
-
-
-def child(*command: object) -> dict[str, Any]:
-    """JSON that a process of its own prints last; where it fails the benchmark ends."""
-    done = fresh(*command)
-    if done.returncode:
-        print(done.stderr, file=sys.stderr)
-        raise SystemExit(f"{' '.join(map(str, command[1:]))}: {last_words(done)}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
-
-
-def write_page(lines: list[str], path: Path) -> None:
-    """Print a page and write it; its folder is made."""
-    print("\n" + "\n".join(lines))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines).rstrip() + "\n")
-
-
-# --- command line -----------------------------------------------------------------------------------------------------
-
-
-def positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
-    return value
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=positive, default=20.0, help="a solver stops before a solve longer than this")
-    parser.add_argument("--gigabytes", type=positive, default=4.0, help="or before one that takes more memory")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for pinv.md and pinv.png")
-    parser.add_argument("--quick", action="store_true", help=f"sizes up to {QUICK:,} unknowns")
-    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        measure(options.child[0], int(options.child[1]), Path(options.child[2]))
-        return 0
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        parser.error(f"--out: {error}")
+def page(seconds: float, gigabytes: float, quick: bool, out: Path) -> list[str]:
+    """The page without its head, and the picture beside it."""
     import sim
 
-    sizes = [n for n in SIZES if n <= QUICK or not options.quick]
+    sizes = [n for n in SIZES if n <= QUICK or not quick]
     cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
-    head = [*machine(), *notes()]
-    found = [run(name, sizes, cells, options.seconds, options.gigabytes) for name in (*DENSE, *SPARSE)]
-    limits = f"- limits: {options.seconds:g} s and {options.gigabytes:g} GB a solve"
-    lines = ["# The pseudo-inverse against sparse solvers", "", *head, limits, "", *table(found)]
-    write_page(lines, options.out / "pinv.md")
-    draw(found, options.out / "pinv.png", options.seconds, options.gigabytes)
-    return 0
+    found = [run(name, sizes, cells, seconds, gigabytes) for name in (*DENSE, *SPARSE)]
+    draw(found, out / "pinv.png", seconds, gigabytes)
+    return [*notes(), f"- limits: {seconds:g} s and {gigabytes:g} GB a solve", "", *table(found)]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    make_page(
+        *(__doc__, "pinv.md", "The pseudo-inverse against sparse solvers", page, measure),
+        seconds={"type": positive, "default": 20.0, "help": "a solver stops before a solve longer than this"},
+        gigabytes={"type": positive, "default": 4.0, "help": "or before one that takes more memory"},
+        quick={"action": "store_true", "help": f"sizes up to {QUICK:,} unknowns"},
+    )

@@ -35,8 +35,8 @@ from typing import Any
 
 import numpy as np
 from gate import Clock, add_options, gate, refuse, stopwatch  # the scripts beside this one
+from harness import ONE_THREAD, arguments, at_least_one, machine, peak_memory
 from peers import CONTENDERS, PROGRAMS, TOLERANCE, Files, programs
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory
 from posegraphs_sets import QUICK, SETS, STAGED, Problem, prepare
 
 BASELINES = Path(__file__).parent / "baselines_posegraphs.json"
@@ -273,43 +273,33 @@ def interpreter(text: str) -> tuple[str, str]:
     return name, path
 
 
-def count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
-    return int(text)
-
-
 def main() -> int:
     if sys.argv[1:2] == ["--child"]:
         contender, variant, graph, complete, space, most, out, wanted = sys.argv[2:]
         files = Files(Path(graph), Path(complete), space == "1", int(most))
         child(contender, variant, files, Path(out), wanted == "1")
         return 0
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = arguments(__doc__, "posegraphs.md, .json and .png")
     data = os.environ.get("LEADLINE_DATA")
     choices = tuple(SETS) if data else (*QUICK, *STAGED)
     parser.add_argument("--quick", action="store_true", help=f"two small sets, {' and '.join(QUICK)}")
-    parser.add_argument("--rounds", type=count, default=3, help="runs of each contender; medians are shown")
+    parser.add_argument("--rounds", type=at_least_one, default=3, help="runs of each contender; medians are shown")
     parser.add_argument("--sets", nargs="+", choices=choices, metavar="NAME", help=", ".join(choices))
     parser.add_argument("--python", nargs="+", type=interpreter, default=[], metavar="PEER=PYTHON", help="where it is")
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="for the page: how g2o was built")
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for posegraphs.md, .json, .png"
-    )
     parser.add_argument("--gate", action="store_true", help="compare this library's speed with the baselines")
     add_options(parser, BASELINES)
     options = parser.parse_args()
+    names = options.sets or (QUICK if options.quick else choices)
     if options.gate or options.update:
         refuse(parser, options, bool(options.sets or options.quick))
         if not data:
             parser.error("the baselines are of the public sets: LEADLINE_DATA has to name their folder")
         with tempfile.TemporaryDirectory() as folder:
-            names = options.sets or (QUICK if options.quick else choices)
             return gate("posegraphs", {n: clocks(prepare(n, Path(folder), data)) for n in names}, options)
     options.out.mkdir(parents=True, exist_ok=True)
     import posegraphs_report as report
 
-    names = options.sets or (QUICK if options.quick else choices)
     results: dict[str, Any] = {"machine": machine(), "rounds": options.rounds, "notes": [], "sets": {}}
     results["simulated"] = data is None
     with tempfile.TemporaryDirectory() as compiled:

@@ -25,7 +25,7 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
-from pinv import RESULTS, exponent, fresh, last_words, machine, peak_memory, positive, write_page  # beside this script
+from harness import Table, exponent, fresh, last_words, line_of, machine, make_page, peak_memory, positive
 
 LARGEST, QUICK = 1_000_000, 10_000
 WORLDS = {
@@ -131,8 +131,8 @@ def end_after(seconds: float) -> None:
     os._exit(TOO_LONG)
 
 
-def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
-    """Load, start and solve a file; print everything as JSON."""
+def measure(world: str, file: Path, seconds: float, gigabytes: float) -> dict[str, Any]:
+    """Load, start and solve a file."""
     threading.Thread(target=end_after, args=[ENOUGH * seconds], daemon=True).start()
     import nls
     import nls.graph
@@ -169,8 +169,7 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
             start, init, tried = nls.initialize(graph, values)
         result = graph.optimize(start, linear_solver=solver(memory_limit=1e9 * gigabytes))
     except nls.ResourceLimitError as refused:
-        print(json.dumps({"refused": str(refused).split(";")[0]}))
-        return
+        return {"refused": str(refused).split(";")[0]}
     found = {
         "edges": len(graph),
         "variables": len(values),
@@ -183,7 +182,15 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
         "dof": result.dof,
         "linear_solver": result.linear_solver,
     }
-    print(json.dumps(found | meter.total()))
+    return found | meter.total()
+
+
+def child(task: str, world: str, *given: str) -> dict[str, Any] | None:
+    """What a process of its own does."""
+    if task == "measure":
+        return measure(world, Path(given[0]), float(given[1]), float(given[2]))
+    write(world, int(given[0]), Path(given[1]))
+    return None
 
 
 # --- the series of one world ------------------------------------------------------------------------------------------
@@ -191,7 +198,7 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
 
 def run(world: str, sizes: list[int], seconds: float, gigabytes: float) -> Series:
     """Measure a world size by size, up to the one predicted to pass a limit."""
-    series, child = Series(world), (sys.executable, __file__, "--child")
+    series, process = Series(world), (sys.executable, __file__, "--child")
     for size in sizes:
         time, memory = predict(series, size)
         if time > seconds or memory > gigabytes * 1e9:
@@ -200,8 +207,8 @@ def run(world: str, sizes: list[int], seconds: float, gigabytes: float) -> Serie
             break
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "graph.g2o"
-            made = fresh(*child, "write", world, size, file)
-            done = made if made.returncode else fresh(*child, "measure", world, file, seconds, gigabytes)
+            made = fresh(*process, "write", world, size, file)
+            done = made if made.returncode else fresh(*process, "measure", world, file, seconds, gigabytes)
         if done.returncode:
             ended = f"ended after {ENOUGH * seconds:,.0f} s" if done.returncode == TOO_LONG else last_words(done)
             series.stopped = f"{size:,} edges: {ended}"
@@ -249,25 +256,23 @@ def law(series: Series, what: str, stage: str) -> str:
 
 def table(series: Series) -> list[str]:
     """Markdown: seconds by stage, then memory by stage, one row a size."""
-    lines = [f"## {WORLDS[series.world]}", ""]
-    columns = ("edges", "variables", *STAGES, "**total**", "wall", "iterations", "chi2 / dof")
-    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    all_stages = (*STAGES, "total")
+    lines = Table(["edges", "variables", *STAGES, "**total**", "wall", "iterations", "chi2 / dof"], names=0)
+    memory = Table(["edges", *STAGES, "**total**"], names=0)
     for r in series.runs:
-        cells = [f"{r['edges']:,}", f"{r['variables']:,}", *(f"{r['seconds'][s]:.3g}" for s in STAGES)]
-        cells += [f"**{r['seconds']['total']:.3g}**", f"{r['wall']['total']:.3g}", str(r["iterations"])]
-        cells.append(f"{r['chi2'] / r['dof']:.3f}" + ("" if r["converged"] else ", not converged"))
-        lines.append("| " + " | ".join(cells) + " |")
-    laws = [law(series, "seconds", s) for s in (*STAGES, "total")]
-    lines.append("| edges^p | | " + " | ".join(laws) + " | | | |")
-    columns = ("edges", *STAGES, "**total**")
-    lines += ["", "Peak memory of the process while a stage ran, MB:", ""]
-    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
-    for r in series.runs:
-        cells = [f"{r['bytes'][s] / 1e6:,.0f}" for s in (*STAGES, "total")]
-        lines.append(f"| {r['edges']:,} | {' | '.join(cells[:-1])} | **{cells[-1]}** |")
-    laws = [law(series, "bytes", s) for s in (*STAGES, "total")]
-    lines += ["| edges^p | " + " | ".join(laws) + " |", ""]
-    return [*lines, f"{series.stopped}.", ""] if series.stopped else lines
+        *seconds, total = (f"{r['seconds'][s]:.3g}" for s in all_stages)
+        quality = f"{r['chi2'] / r['dof']:.3f}" + ("" if r["converged"] else ", not converged")
+        wall = f"{r['wall']['total']:.3g}"
+        edges = f"{r['edges']:,}"
+        lines.append(line_of([edges, f"{r['variables']:,}", *seconds, f"**{total}**", wall, r["iterations"], quality]))
+        *peaks, peak = (f"{r['bytes'][s] / 1e6:,.0f}" for s in all_stages)
+        memory.append(line_of([edges, *peaks, f"**{peak}**"]))
+    seconds, peaks = ([law(series, what, s) for s in all_stages] for what in ("seconds", "bytes"))
+    lines.append(f"| edges^p | | {' | '.join(seconds)} | | | |")
+    memory.append(line_of(["edges^p", *peaks]))
+    title = "Peak memory of the process while a stage ran, MB:"
+    page = [f"## {WORLDS[series.world]}", "", *lines, "", title, "", *memory, ""]
+    return [*page, f"{series.stopped}.", ""] if series.stopped else page
 
 
 COLORED = ("linearize", "factorize", "init", "read", "assemble")  # the others are grey
@@ -311,47 +316,39 @@ def draw(found: list[Series], path: Path, seconds: float, largest: int) -> None:
 # --- command line -----------------------------------------------------------------------------------------------------
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help=f"sizes up to {QUICK:,} edges")
-    parser.add_argument("--largest", type=positive, metavar="EDGES", help=f"default {LARGEST:,}")
-    parser.add_argument("--seconds", type=positive, default=120.0, help="a size predicted to take longer is left out")
-    parser.add_argument("--gigabytes", type=positive, default=12.0, help="or one that takes more memory")
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for scaling.md, .json and .png"
-    )
-    parser.add_argument("--only", nargs="+", choices=WORLDS, default=list(WORLDS), help="these worlds alone")
-    parser.add_argument("--child", nargs="+", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        task, *given = options.child
-        if task == "write":
-            write(given[0], int(given[1]), Path(given[2]))
-        else:
-            measure(given[0], Path(given[1]), float(given[2]), float(given[3]))
-        return 0
-    largest = options.largest or (QUICK if options.quick else LARGEST)
+def page(out: Path, quick: bool, largest: float | None, seconds: float, gigabytes: float, only: list[str]) -> list[str]:
+    """All tables; beside them the numbers and the figure."""
+    largest = largest or (QUICK if quick else LARGEST)
     sizes = [n for k in range(3, 10) for n in (10**k, 3 * 10**k) if n <= largest]
-    if not sizes:
-        parser.error(f"--largest {largest:g}: expected at least 1,000 edges")
-    options.out.mkdir(parents=True, exist_ok=True)
     head = [
-        *machine(),
         "- processor time with one thread, which other work on the machine hardly changes; wall: by the clock; seconds",
         "- a fresh process for every row; seed 1; read: the .g2o file to graph and values; init: `nls.initialize`, "
         "which takes the better of the start in the file, the odometry, and the chordal one; the rest: "
         "`graph.optimize` with its defaults",
         f"- edges^p: fitted to the last {UPPER} sizes",
-        f"- limits: {options.seconds:g} s and {options.gigabytes:g} GB from file to optimum",
+        f"- limits: {seconds:g} s and {gigabytes:g} GB from file to optimum",
     ]
-    found = [run(world, sizes, options.seconds, options.gigabytes) for world in options.only]
-    lines = ["# From file to optimum as graphs grow", "", *head, "", *(line for s in found for line in table(s))]
-    write_page(lines, options.out / "scaling.md")
-    record = {"machine": head, "limits": [options.seconds, options.gigabytes], "worlds": [asdict(s) for s in found]}
-    (options.out / "scaling.json").write_text(json.dumps(record, indent=1) + "\n")
-    draw(found, options.out / "scaling.png", options.seconds, int(max(sizes)))
-    return 0
+    record: dict[str, Any] = {"machine": [*machine(), *head], "limits": [seconds, gigabytes]}
+    found = [run(world, sizes, seconds, gigabytes) for world in only]
+    record["worlds"] = [asdict(s) for s in found]
+    (out / "scaling.json").write_text(json.dumps(record, indent=1) + "\n")
+    draw(found, out / "scaling.png", seconds, max(sizes))
+    return [*head, "", *(line for s in found for line in table(s))]
+
+
+def edges(text: str) -> float:
+    """The largest size."""
+    if (value := positive(text)) < 1000:
+        raise argparse.ArgumentTypeError(f"expected at least 1,000 edges, got {text!r}")
+    return value
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    make_page(
+        *(__doc__, "scaling.md", "From file to optimum as graphs grow", page, child),
+        quick={"action": "store_true", "help": f"sizes up to {QUICK:,} edges"},
+        largest={"type": edges, "metavar": "EDGES", "help": f"default {LARGEST:,}"},
+        seconds={"type": positive, "default": 120.0, "help": "a size predicted to take longer is left out"},
+        gigabytes={"type": positive, "default": 12.0, "help": "or one that takes more memory"},
+        only={"nargs": "+", "choices": WORLDS, "default": list(WORLDS), "help": "these worlds alone"},
+    )

@@ -12,8 +12,6 @@ it grows; the elevation is kept in the aperture. It only prints.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from math import radians
@@ -22,15 +20,7 @@ from time import process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pinv import (  # the script beside this one
-    PROCESSOR_TIME,
-    RESULTS,
-    child,
-    machine,
-    peak_memory,
-    positive,
-    write_page,
-)
+from harness import PROCESSOR_TIME, Table, child, line_of, make_page, peak_memory, positive
 
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
@@ -90,7 +80,7 @@ def elimination(solver: str, system: LinearSystem) -> Any:
     return Elimination(blocks.u, blocks.v, len(blocks.dims), order).variables
 
 
-def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str, Any]:
+def measure(name: str, solver: str, gigabytes: str, flops: str) -> dict[str, Any]:
     """Fill, seconds and bytes of one solver on one problem; no seconds where it would pass a limit."""
     from nls.sparse.fill import counted
 
@@ -103,7 +93,7 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
     sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
     contacts = max(len(factor) for factor in graph.factors)
     found: dict[str, Any] = {"sizes": sizes, "contacts": contacts, "nnz": fill.nnz, "flops": fill.flops}
-    if fill.flops > flops or 17 * fill.nnz > gigabytes * 1e9:
+    if fill.flops > float(flops) or 17 * fill.nnz > float(gigabytes) * 1e9:
         return found
     way = linear_solver(solver)
     before = peak_memory(reset=True)
@@ -143,23 +133,18 @@ def rows(names: list[str], gigabytes: float, flops: float) -> list[dict[str, Any
 
 def table(found: list[dict[str, Any]]) -> list[str]:
     """Markdown: one row per problem and solver."""
-    lines = [
-        "| problem | poses | landmarks | contacts | order | analysis, s | solve, s | relative | numbers in R | "
-        "10^9 flops | memory, MB | residual |",
-        "|:--|--:|--:|--:|:--|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+    titles = "problem|poses|landmarks|contacts|order|analysis, s|solve, s|relative|numbers in R|10^9 flops|memory, MB"
+    lines = [line_of([*titles.split("|"), "residual"]), "|:--|--:|--:|--:|:--|--:|--:|--:|--:|--:|--:|--:|"]
     for one in found:
         poses, landmarks = (one["sizes"].get(kind, 0) for kind in ("x", "l"))
         poses = poses or one["sizes"]["c"]
         best = next(o for o in found if o["name"] == one["name"] and o["solver"] == "schur")["solve"]
-        cells = [one["name"], f"{poses:,}", f"{landmarks:,}", f"{one['contacts']:,}", f"`{one['solver']}`"]
+        times, costs = ["-", "not run", "-"], ["-", "-"]
         if "solve" in one:
-            cells += [f"{one['analyze']:.2f}", f"{one['solve']:.3g}", f"{one['solve'] / best:.2f}"]
-        else:
-            cells += ["-", "not run", "-"]
-        cells += [f"{one['nnz']:.3g}", f"{one['flops'] / 1e9:,.3g}"]
-        cells += [f"{one['bytes'] / 1e6:,.0f}", f"{one['residual']:.0e}"] if "solve" in one else ["-", "-"]
-        lines.append("| " + " | ".join(cells) + " |")
+            times = [f"{one['analyze']:.2f}", f"{one['solve']:.3g}", f"{one['solve'] / best:.2f}"]
+            costs = [f"{one['bytes'] / 1e6:,.0f}", f"{one['residual']:.0e}"]
+        cells = [one["name"], f"{poses:,}", f"{landmarks:,}", f"{one['contacts']:,}", f"`{one['solver']}`", *times]
+        lines.append(line_of([*cells, f"{one['nnz']:.3g}", f"{one['flops'] / 1e9:,.3g}", *costs]))
     return lines
 
 
@@ -178,10 +163,8 @@ def whole(name: str) -> list[str]:
     from nls.starts import incremental
 
     mission = survey(name, "hinge")
-    lines = [
-        "| start | its seconds | its chi2 | ATE, m | steps | their seconds | chi2 | ATE, m |",
-        "|:--|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+    titles = ["start", "its seconds", "its chi2", "ATE, m", "steps", "their seconds", "chi2", "ATE, m"]
+    lines = Table(titles)
     for start in ("dead reckoning", "incremental"):
         began = process_time()
         values = incremental(mission.graph, mission.start) if start == "incremental" else mission.start
@@ -189,32 +172,21 @@ def whole(name: str) -> list[str]:
         result = mission.graph.optimize(values, LevenbergMarquardt())
         cells = [start, f"{found - began:.1f}", f"{result.chi2_initial:.4g}", f"{mission.ate(values):.3f}"]
         cells += [f"{result.iterations}", f"{process_time() - found:.1f}", f"{result.chi2_final:.7g}"]
-        lines.append("| " + " | ".join([*cells, f"{mission.ate(result.values):.3f}"]) + " |")
+        lines.add(*cells, f"{mission.ate(result.values):.3f}")
     return lines
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--gigabytes", type=positive, default=8.0, help="no solve that would take more memory")
-    parser.add_argument("--flops", type=positive, default=3e11, help="or more multiplications and additions")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for schur.md")
-    parser.add_argument("--quick", action="store_true", help="the smallest survey only")
-    parser.add_argument("--mission", choices=FLOORS, help="solve a whole survey instead, and print")
-    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        name, solver, gigabytes, flops = options.child
-        print(json.dumps(measure(name, solver, float(gigabytes), float(flops))))
-        return 0
-    if options.mission:
-        print("\n".join([f"{options.mission}, seconds of one processor:", "", *whole(options.mission)]))
-        return 0
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = list(FLOORS)[: 1 if options.quick else None]
+def page(gigabytes: float, flops: float, quick: bool, mission: str | None) -> list[str]:
+    """The page without its head; a whole survey is printed alone."""
+    if mission:
+        print("\n".join([f"{mission}, seconds of one processor:", "", *whole(mission)]))
+        raise SystemExit
+    names = list(FLOORS)[: 1 if quick else None]
     data = os.environ.get("LEADLINE_DATA")
-    if data and (Path(data) / BAL).exists() and not options.quick:
+    if data and (Path(data) / BAL).exists() and not quick:
         names = ["problem-49-7776", *names]
-    notes = [
+    return [
+        PROCESSOR_TIME,
         "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, at the start "
         "of the file. Damping: 1e-4 of the diagonal. Not run where the data set is missing",
         "- floor: `sim.hauv_floor`, seed 1, two passes over legs of 6 m, 14 deg of elevation. Factors: `XYH`, "
@@ -225,20 +197,17 @@ def main() -> int:
         f"median of up to {RUNS} runs; relative: to `schur`",
         "- memory: what analysis and solve add to the process at their peak; a fresh process for every row",
         "- residual: largest cosine between A dx - b (damping included) and a column of A",
-        f"- not run: more than {options.flops:g} flops, or than {options.gigabytes:g} GB at 17 bytes a number of R",
-    ]
-    lines = [
-        "# The order of elimination",
+        f"- not run: more than {flops:g} flops, or than {gigabytes:g} GB at 17 bytes a number of R",
         "",
-        *machine(),
-        PROCESSOR_TIME,
-        *notes,
-        "",
-        *table(rows(names, options.gigabytes, options.flops)),
+        *table(rows(names, gigabytes, flops)),
     ]
-    write_page(lines, options.out / "schur.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    make_page(
+        *(__doc__, "schur.md", "The order of elimination", page, measure),
+        gigabytes={"type": positive, "default": 8.0, "help": "no solve that would take more memory"},
+        flops={"type": positive, "default": 3e11, "help": "or more multiplications and additions"},
+        quick={"action": "store_true", "help": "the smallest survey only"},
+        mission={"choices": FLOORS, "help": "solve a whole survey instead, and print"},
+    )

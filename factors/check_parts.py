@@ -41,7 +41,7 @@ def check_parts(model: Model, X: tuple[Array, ...], b: Array, terms: Array) -> N
     ):
         try:
             other = factor[index].bind(*model.manifolds).error(*(Y[index] for Y in X))
-        except Exception as error:  # broad: `predict` is the user's and may raise anything; it is named and chained
+        except Exception as error:  # broad: data, space and `predict` are the user's; named and chained
             raised = f"a batch {batch} of its measurements raised {type(error).__name__}: {error}"
             raise GraphError(f"{factor!r:.200}: {raised}; {cure}", factor.keys, factor.name) from error
         wrong = (np.abs(other - b[index]) > SAME * terms[index]).any(axis=1)

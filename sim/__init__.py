@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from sim.world import World as World, chain as chain, measure as measure, position_error as position_error
     from sim.worlds.grid3d import grid3d as grid3d
     from sim.worlds.harbor import Harbor as Harbor, harbor as harbor
-    from sim.worlds.hauv_floor import hauv_floor as hauv_floor
-    from sim.worlds.hauv_hull import hauv_hull as hauv_hull
+    from sim.worlds.hauv import hauv_floor as hauv_floor
+    from sim.worlds.hauv import hauv_hull as hauv_hull
     from sim.worlds.lines import lines as lines
     from sim.worlds.manhattan import manhattan as manhattan
     from sim.worlds.rig import rig as rig
@@ -46,8 +46,7 @@ _WHERE = {
     "sim.world": "World chain measure position_error",
     "sim.worlds.grid3d": "grid3d",
     "sim.worlds.harbor": "Harbor harbor",
-    "sim.worlds.hauv_floor": "hauv_floor",
-    "sim.worlds.hauv_hull": "hauv_hull",
+    "sim.worlds.hauv": "hauv_floor hauv_hull",
     "sim.worlds.lines": "lines",
     "sim.worlds.manhattan": "manhattan",
     "sim.worlds.rig": "rig",

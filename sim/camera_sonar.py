@@ -20,6 +20,7 @@ from models.alignment import align
 from models.errors import GraphError
 from models.sensors import Camera
 from nls import FactorGraph, Values
+from sim.world import Simulated
 
 __all__ = ["Rig", "RigErrors"]
 
@@ -51,7 +52,7 @@ class RigErrors:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Simulated):
     """A simulated rig together with its answer.
 
     Attributes
@@ -87,26 +88,17 @@ class Rig:
     @property
     def images(self) -> Projection:
         """The measurements of the camera."""
-        factor = self.graph.factors[0]
-        assert isinstance(factor, Projection)
-        return factor
+        return self.measured(0, Projection)
 
     @property
     def contacts(self) -> RangeAzimuth:
         """The measurements of the sonar."""
-        factor = self.graph.factors[1]
-        assert isinstance(factor, RangeAzimuth)
-        return factor
-
-    @property
-    def poses(self) -> int:
-        """Number of poses."""
-        return len(self.truth.stack("x"))
+        return self.measured(1, RangeAzimuth)
 
     @property
     def points(self) -> int:
         """Number of points."""
-        return len(self.truth.stack("l"))
+        return self.landmarks
 
     @property
     def rows(self) -> int:

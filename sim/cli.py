@@ -18,20 +18,17 @@ from models.errors import LeadlineError, OptionError
 from nls.cli.outputs import say
 from nls.cli.phase import INTERRUPTED, Phase
 from sim.arguments import Parser, add_parameters, command, flag, seed_number
-from sim.calibration import calibrated, calibration_files, calibration_rows
 from sim.camera_sonar import Rig
-from sim.cli_estimators import SCENE_FILES, Files, add_compare, add_estimators, estimated
+from sim.cli_estimators import SCENE_FILES, add_compare, add_estimators, estimated
 from sim.estimators import SCENES
-from sim.harbor_files import harbor_files, harbor_rows
+from sim.files import Files, simulated
 from sim.mission import Mission
 from sim.monte_carlo import FailedRunsError, sentence
-from sim.native_files import HOLD, native_files
 from sim.survey_log import SurveyLog
-from sim.world import World, position_error
+from sim.world import World
 from sim.worlds.grid3d import grid3d
 from sim.worlds.harbor import Harbor, harbor
-from sim.worlds.hauv_floor import hauv_floor
-from sim.worlds.hauv_hull import hauv_hull
+from sim.worlds.hauv import hauv_floor, hauv_hull
 from sim.worlds.manhattan import manhattan
 from sim.worlds.rig import rig
 from sim.worlds.ring import ring
@@ -139,93 +136,6 @@ def aligned(table: list[tuple[str, str]]) -> str:
     """The table as lines of text."""
     width = max(14, *(len(label) for label, _ in table))
     return "\n".join(f"{label:{width}s}  {text}" for label, text in table)
-
-
-def rows(world: World) -> list[tuple[str, str]]:
-    """The table, one (label, text) a line."""
-    odometry, closures = world.graph.factors
-    return [
-        ("world", f"{world.name}, seed {world.seed}"),
-        ("poses", f"{world.poses} in {world.truth.stack('x').manifold}"),
-        ("edges", f"{len(world.graph)}: {len(odometry)} odometry, {len(closures)} loop closures"),
-        ("chi2 at start", f"{world.graph.chi2(world.start):.6g} (convention log)"),
-        ("chi2 at truth", f"{world.graph.chi2(world.truth):.6g}, expected {world.rows} (rows of A)"),
-        ("dof", f"{world.dof}: the expected chi2 at the optimum"),
-        ("start error", f"{position_error(world.start, world.truth):.4g} m (RMSE of positions, first pose aligned)"),
-    ]
-
-
-def mission_rows(mission: Mission) -> list[tuple[str, str]]:
-    """The table of a sonar mission."""
-    wrong = int(mission.wrong.sum())
-    return [
-        ("world", f"{mission.name}, seed {mission.seed}"),
-        ("poses", f"{mission.poses} in SE3, {mission.distance:.4g} m of way"),
-        ("landmarks", f"{mission.landmarks}"),
-        ("contacts", f"{len(mission.contacts)}" + (f", {wrong} of them wrong" if wrong else "")),
-        ("elevation", mission.elevation),
-        ("chi2 at truth", f"{mission.sensed.chi2(mission.truth):.6g}, expected {mission.rows} (numbers not wrong)"),
-        ("dead reckoning", f"{mission.ate(mission.start):.4g} m (ATE, rmse of positions, nothing aligned)"),
-    ]
-
-
-def simulated(
-    world: World | Mission | Rig | SurveyLog | Harbor, out: str | None
-) -> tuple[list[tuple[str, str]], Files]:
-    """The table of a world, and what makes its files."""
-    if isinstance(world, SurveyLog):
-        from sim.survey_files import survey_rows  # only here: other worlds need no file formats
-
-        return survey_rows(world), lambda: survey_folder(world, str(out))
-    if isinstance(world, Harbor):
-        return harbor_rows(world), lambda: harbor_folder(world, str(out))
-    if isinstance(world, Mission):
-        return mission_rows(world), lambda: mission_folder(world, str(out))
-    if isinstance(world, Rig):
-        result = calibrated(world)
-        holds = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n" + HOLD
-        files = calibration_files
-        return calibration_rows(world, result), lambda: ({**files(world, result), **native_files(world)}, holds)
-    return rows(world), lambda: graph_files(world)
-
-
-def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
-    """The files of a mission, for a folder without those of another one."""
-    from nls.missions.folder.write import mission_files, refuse_mixed  # only here: a table needs no file formats
-
-    files = mission_files(mission.graph, mission.sonar, mission.offset, mission.truth)
-    refuse_mixed(out, files)
-    return {**files, **native_files(mission)}, (
-        "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n" + HOLD
-    )
-
-
-def survey_folder(log: SurveyLog, out: str) -> tuple[dict[str, bytes], str]:
-    """The files of a survey, for a folder without those of another mission."""
-    from nls.missions.folder.write import refuse_mixed
-    from sim.survey_files import survey_files
-
-    files, holds = survey_files(log)
-    refuse_mixed(out, files)
-    return files, holds
-
-
-def harbor_folder(world: Harbor, out: str) -> tuple[dict[str, bytes], str]:
-    """The files of a harbor, for a folder without those of a mission."""
-    from nls.missions.folder.write import refuse_mixed
-
-    files, holds = harbor_files(world)
-    refuse_mixed(out, files)
-    return files, holds
-
-
-def graph_files(world: World) -> tuple[dict[str, bytes], str]:
-    """The graph with the start and with the truth, in two formats."""
-    from nls.io import rendered
-
-    values = {"graph.g2o": world.start, "truth.g2o": world.truth}
-    text = {name: rendered(name, world.graph, estimate)[0] for name, estimate in values.items()}
-    return {**native_files(world), **text}, HOLD + "graph.g2o, truth.g2o: the same for other programs.\n"
 
 
 def write(folder: str, files: Files, description: str, table: str, call: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -16,9 +16,9 @@ from models.listing import some
 from sim.arguments import add_parameters, flag, number, parameters, seed_number, whole_number
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
+from sim.files import HOLD, Contents, Files, Rows, native_files
 from sim.landmark_world import LandmarkWorld
 from sim.monte_carlo import FailedRunsError, runs, sentence
-from sim.native_files import HOLD, native_files
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
 SCENE_FILES = "graph.npz, truth.npz, estimate.png and offsets.png (four pictures each), estimate.json"
@@ -33,8 +33,7 @@ EXAMPLE = """examples:
   nls-sim compare --world lines --laps 1 --estimators ekf batch --out compared
   nls-sim compare --scaling --out cost
 """
-Files = Callable[[], tuple[dict[str, bytes], str]]  # contents by name, and what they hold
-Estimated = tuple[list[tuple[str, str]], Files, str, FailedRunsError | None]
+Estimated = tuple[Rows, Files, str, FailedRunsError | None]
 
 
 def add_estimators(sub: argparse.ArgumentParser) -> None:
@@ -123,7 +122,7 @@ def estimated(name: str, seed: int, arguments: dict[str, Any], pictured: bool) -
     return *_single(world, head, request, names[0], pictured), None
 
 
-def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
+def scene_rows(world: LandmarkWorld) -> Rows:
     """The table of a scene."""
     return [
         ("world", f"{world.name}, seed {world.seed}"),
@@ -135,8 +134,8 @@ def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
 
 
 def _single(
-    world: LandmarkWorld, head: list[tuple[str, str]], request: dict[str, Any], name: str, pictured: bool
-) -> tuple[list[tuple[str, str]], Files, str]:
+    world: LandmarkWorld, head: Rows, request: dict[str, Any], name: str, pictured: bool
+) -> tuple[Rows, Files, str]:
     from nls.filters.consistency import nees_bounds
 
     settings = request["settings"]
@@ -158,7 +157,7 @@ def _single(
         ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
     ]
 
-    def files() -> tuple[dict[str, bytes], str]:
+    def files() -> Contents:
         from nls.plot import offsets
         from nls.plot.filters import estimator_figure
         from nls.plot.picture import drawn
@@ -177,11 +176,11 @@ def _single(
 
 
 def _compared(
-    world: LandmarkWorld, head: list[tuple[str, str]], request: dict[str, Any], names: list[str], memory: bool
-) -> tuple[list[tuple[str, str]], Files, str]:
+    world: LandmarkWorld, head: Rows, request: dict[str, Any], names: list[str], memory: bool
+) -> tuple[Rows, Files, str]:
     comparison = compare(world, names, request["settings"], memory)
 
-    def files() -> tuple[dict[str, bytes], str]:
+    def files() -> Contents:
         from nls.plot.filters import several
 
         tracks, title = [entry.track for entry in comparison], f"{world.name}, seed {world.seed}"
@@ -201,7 +200,7 @@ def _compared(
     return [*head, *compared_rows(world, comparison)], files, world.description
 
 
-def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[list[tuple[str, str]], Files, str]:
+def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[Rows, Files, str]:
     if limit <= 0:
         raise OptionError("scaling", limit, "a number of seconds above 0")
     options = {option: value for option, value in arguments.items() if value is not None and value is not False}
@@ -216,7 +215,7 @@ def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[list[tu
     rows = [("world", f"circuit, seed {seed}"), *scaling_rows(all_costs)]
     rows += [("note", str(note.message)) for note in noted]
 
-    def files() -> tuple[dict[str, bytes], str]:
+    def files() -> Contents:
         from nls.plot.filters import power_laws
 
         report = {"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in all_costs]}
@@ -228,7 +227,7 @@ def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[list[tu
 
 def _many(
     world: LandmarkWorld,
-    head: list[tuple[str, str]],
+    head: Rows,
     request: dict[str, Any],
     names: list[str],
     count: int,
@@ -250,7 +249,7 @@ def _many(
     rows += [] if failed is None else [("failed", f"{_listed(failed.failures)}, left out of the means")]
     rows += [("note", str(note.message)) for note in noted]
 
-    def files() -> tuple[dict[str, bytes], str]:
+    def files() -> Contents:
         from nls.cli.outputs import json_text
 
         report = {**request, "runs": [{"seed": seed, **record} for seed, record in records.items()]}

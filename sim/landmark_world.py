@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from factors import BearingRange, Between, Line, Prior, Wheels
-from nls import FactorGraph, Values, kinds
-from nls.metrics import ate
+from nls import FactorGraph, Values
+from sim.world import Simulated
 
 __all__ = ["KNOWN_START", "LandmarkWorld"]
 
@@ -22,7 +22,7 @@ KNOWN_START = (1e-3, 1e-3, 1e-4)  # m, m, rad: a first pose that is known, but f
 
 
 @dataclass(frozen=True)
-class LandmarkWorld:
+class LandmarkWorld(Simulated):
     """A simulated vehicle among landmarks, together with its answer.
 
     Attributes
@@ -50,35 +50,18 @@ class LandmarkWorld:
     @property
     def first(self) -> Prior:
         """The prior of the first pose."""
-        factor = self.graph.factors[0]
-        assert isinstance(factor, Prior)
-        return factor
+        return self.measured(0, Prior)
 
     @property
     def odometry(self) -> Between | Wheels:
         """The steps from pose to pose."""
-        factor = self.graph.factors[1]
-        assert isinstance(factor, Between | Wheels)
-        return factor
+        steps = self.graph.factors[1]
+        assert isinstance(steps, (Between, Wheels))
+        return steps
 
     @property
     def sightings(self) -> BearingRange | Line:
         """The sightings of the landmarks, in the order of the poses."""
-        factor = self.graph.factors[2]
-        assert isinstance(factor, BearingRange | Line)
-        return factor
-
-    @property
-    def poses(self) -> int:
-        """Number of poses."""
-        return len(self.truth.stack("x"))
-
-    @property
-    def landmarks(self) -> int:
-        """Number of landmarks."""
-        return len(self.truth.stack("l"))
-
-    def ate(self, estimate: Values, align: str = "none") -> float:
-        """Absolute trajectory error of an estimate, m rmse, after one of the alignments of `nls.metrics.ate`."""
-        (x,) = kinds("x")
-        return ate(estimate[x], self.truth[x], align).rmse
+        sightings = self.graph.factors[2]
+        assert isinstance(sightings, (BearingRange, Line))
+        return sightings

@@ -23,11 +23,10 @@ from models.algebra import Array, Index, Mask, distance_along, wrap
 from models.errors import GraphError
 from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
-from nls.metrics import ate
 from nls.starts import dead_reckoning, first_sighting
 from sim.checks import check_not_negative, check_rng
 from sim.hauv import SIGMA_SONAR, SIGMA_XYH, SIGMA_ZPR
-from sim.world import reflected, seed_of
+from sim.world import Simulated, reflected, seed_of
 
 __all__ = ["Mission", "rebuilt", "visible"]
 
@@ -37,7 +36,7 @@ SOFTNESS = radians(1.0)  # of the hinge that keeps elevations in the aperture
 
 
 @dataclass(frozen=True)
-class Mission:
+class Mission(Simulated):
     """A simulated sonar mission together with its answer.
 
     Attributes
@@ -69,33 +68,17 @@ class Mission:
     @property
     def odometry(self) -> XYH:
         """The steps in x, y and heading."""
-        factor = self.graph.factors[0]
-        assert isinstance(factor, XYH)
-        return factor
+        return self.measured(0, XYH)
 
     @property
     def attitude(self) -> ZPR:
         """Depth, pitch and roll of every pose."""
-        factor = self.graph.factors[1]
-        assert isinstance(factor, ZPR)
-        return factor
+        return self.measured(1, ZPR)
 
     @property
     def contacts(self) -> RangeAzimuth:
         """The sonar contacts of the landmarks."""
-        factor = self.graph.factors[4]
-        assert isinstance(factor, RangeAzimuth)
-        return factor
-
-    @property
-    def poses(self) -> int:
-        """Number of poses."""
-        return len(self.truth.stack("x"))
-
-    @property
-    def landmarks(self) -> int:
-        """Number of landmarks."""
-        return len(self.truth.stack("l"))
+        return self.measured(4, RangeAzimuth)
 
     @property
     def distance(self) -> float:
@@ -112,11 +95,6 @@ class Mission:
         """Measured numbers in `sensed`: the expected chi2 of these at the truth."""
         odometry, attitude, contacts = self.sensed.factors
         return 3 * len(odometry) + 3 * len(attitude) + 2 * len(contacts)
-
-    def ate(self, estimate: Values) -> float:
-        """Absolute trajectory error of an estimate, m rmse; nothing is aligned, for the first pose is anchored."""
-        (x,) = kinds("x")
-        return ate(estimate[x], self.truth[x]).rmse
 
 
 def survey(

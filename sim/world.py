@@ -9,24 +9,64 @@ chi2 at the truth is a chi-square variable with as many degrees of freedom as me
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from factors import Between, Diagonal
+from factors import Between, Diagonal, Factor
 from models import LieGroup
 from models.algebra import Array, Index
 from models.dead_reckoning.chain import chain
 from models.errors import GraphError
 from models.options import check_positive
 from nls import FactorGraph, Values, kinds
+from nls.metrics import ate
 from sim.checks import check_not_negative, check_rng
 
-__all__ = ["World", "chain", "measure", "position_error", "reflected"]
+F = TypeVar("F", bound=Factor)
+
+__all__ = ["Simulated", "World", "chain", "measure", "position_error", "reflected"]
+
+
+class Simulated:
+    """Numbers and measurements of every simulated world.
+
+    Attributes
+    ----------
+    truth : the true poses, kind ``x``, and what else is to be found.
+    graph : the measurements.
+    start : where a solver begins.
+    """
+
+    truth: Values
+    graph: FactorGraph
+    start: Values
+
+    @property
+    def poses(self) -> int:
+        """Number of poses."""
+        return len(self.truth.stack("x"))
+
+    @property
+    def landmarks(self) -> int:
+        """Number of landmarks."""
+        return len(self.truth.stack("l"))
+
+    def measured(self, factor: int, kind: type[F]) -> F:
+        """A factor of the graph, which is of a kind."""
+        measurements = self.graph.factors[factor]
+        assert isinstance(measurements, kind)
+        return measurements
+
+    def ate(self, estimate: Values, align: str = "none") -> float:
+        """Absolute trajectory error of an estimate, m rmse, after one of the alignments of `nls.metrics.ate`."""
+        (x,) = kinds("x")
+        return ate(estimate[x], self.truth[x], align).rmse
 
 
 @dataclass(frozen=True)
-class World:
+class World(Simulated):
     """A simulated problem together with its answer.
 
     Attributes
@@ -46,11 +86,6 @@ class World:
     start: Values
     seed: int | None
     description: str
-
-    @property
-    def poses(self) -> int:
-        """Number of poses."""
-        return len(self.truth)
 
     @property
     def closures(self) -> int:

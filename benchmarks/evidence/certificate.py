@@ -25,7 +25,7 @@ from tempfile import TemporaryDirectory
 from time import process_time
 
 import numpy as np
-from script import arguments, markdown, page_head, public_data, write_page
+from script import make_page, markdown
 
 import nls
 import sim
@@ -211,12 +211,13 @@ def way_on(world: World, certificate: Certificate) -> Values | None:
     return values
 
 
-def verdicts(file: Path) -> list[list[str]]:
-    """Verdicts on the solutions of all worlds in a file."""
-    return [[nls.certify(graph, values).verdict for values in many] for graph, many in pickle.loads(file.read_bytes())]
+def judge(file: Path) -> None:
+    """Print verdicts on the solutions of all worlds in a file."""
+    found = [[nls.certify(graph, values).verdict for values in many] for graph, many in pickle.loads(file.read_bytes())]
+    print(json.dumps(found))
 
 
-def before(checkout: Path, tried: list[World]) -> list[list[str]]:
+def of_another(checkout: Path, tried: list[World]) -> list[list[str]]:
     """Verdicts of another version of the library."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "solutions.pickle"
@@ -244,7 +245,7 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
             count[world.row]["led"] += truth == "wrong" and end is not None and world.is_right(end)
     seconds = process_time() - began
     if checkout is not None:
-        for world, old in zip(tried, before(checkout, tried), strict=True):
+        for world, old in zip(tried, of_another(checkout, tried), strict=True):
             for values, verdict in zip(world.solutions, old, strict=True):
                 count[world.row][f"{'right' if world.is_right(values) else 'wrong'} {verdict}, before"] += 1
     columns = [
@@ -273,7 +274,7 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
     ]
 
 
-def report(data: Path) -> list[str]:
+def page(data: Path, before: Path | None) -> list[str]:
     """The page below its head."""
     lines = [
         "- one BLAS thread, processor time; *solve*: start values and optimization of chi2, *certify*: optimization of",
@@ -292,22 +293,13 @@ def report(data: Path) -> list[str]:
         lines.append(certified(Path(file).name.split(".")[0], *solved(data / file, "auto"), published))
     graph, values, chi2, seconds = solved(data / STUCK, "file")
     lines.append(certified("torus3D, start of the file", graph, values, chi2, seconds, ""))
-    return [*lines, "", climbed(graph, values)]
-
-
-def main() -> None:
-    parser = arguments(__doc__, "certificate.md")
-    parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="another version of the library, to compare")
-    parser.add_argument("--verdicts", type=Path, metavar="FILE", help="print verdicts on the solutions in a file")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore", nls.GraphWarning)
-    if options.verdicts:
-        print(json.dumps(verdicts(options.verdicts)))
-        return
-    data = public_data(parser)
-    page = page_head("Certified pose graphs")
-    write_page([*page, *report(data), "", *tables(data, options.before)], options.out / "certificate.md")
+    return [*lines, "", climbed(graph, values), "", *tables(data, before)]
 
 
 if __name__ == "__main__":
-    main()
+    warnings.simplefilter("ignore", nls.GraphWarning)
+    if sys.argv[1:2] == ["--verdicts"]:
+        judge(Path(sys.argv[2]))
+    else:
+        other = {"type": Path, "metavar": "CHECKOUT", "help": "another version of the library, to compare"}
+        make_page(__doc__, "certificate.md", "Certified pose graphs", page, before=other)

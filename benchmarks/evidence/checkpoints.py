@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown
 
 import nls
 import sim
@@ -72,7 +72,7 @@ def verdict(path: Path, again_whole: bytes) -> str:
     return "the same" if smoother_bytes(again) == again_whole else "another answer"
 
 
-def damages(count: int, folder: Path) -> list[list[str]]:
+def damaged_files(count: int, folder: Path) -> list[list[str]]:
     """A row for each of ten checkpoints."""
     rows = []
     for name, make in WORLDS.items():
@@ -118,7 +118,7 @@ def streamed(*words: str | Path) -> str:
     return out.getvalue()
 
 
-def cuts(count: int, folder: Path) -> list[list[str]]:
+def cut_files(count: int, folder: Path) -> list[list[str]]:
     """A row for each sort of stream: a shorter file, then the whole one."""
     rows = []
     for name, make in WORLDS.items():
@@ -138,7 +138,7 @@ def cuts(count: int, folder: Path) -> list[list[str]]:
     return rows
 
 
-def kills(count: int, folder: Path) -> list[str]:
+def killed_streams(count: int, folder: Path) -> list[str]:
     """A row: kill -9 at random times, again and again until a stream ends, and then from the begin."""
     rng, path, state = np.random.default_rng(0), folder / "killed.g2o", folder / "state"
     in_time(sim.manhattan(rng, 2000), path)
@@ -166,47 +166,31 @@ def kills(count: int, folder: Path) -> list[str]:
     return [f"{killed}", f"{ended}", f"{lines:,}", f"{different}", f"{complaints.total()}", f"{parts}"]
 
 
-def tables(options: Any) -> Iterator[str]:
-    """All three."""
+LEGEND = """\
+- *damages*: in turn a bit, a byte or a block of random bytes in its place, or the end cut off
+- *the same*: the smoother that is read writes the same bytes, as where the date of an array is damaged
+- *anything else*: another answer, an exception that is no sentence, a sentence without the name of the file
+- *a shorter file*: its first lines, cut at a random one, then the whole file with the same checkpoint
+- *kills*: of a stream of 2,000 poses, at random times; it goes on until it is killed again or ends
+- *parts left over*: files that a kill left while they were written, beside the checkpoint, which is whole
+"""
+
+
+def page(damages: int, kills: int, cuts: int) -> Iterator[str]:
+    """All three tables."""
+    yield from LEGEND.split("\n")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        yield "## Damages"
-        yield ""
-        heads = ("checkpoint", "bytes", "damages", "refused", "the same", "anything else")
-        yield from markdown(heads, damages(options.damages, folder))
+        yield from ("## Damages", "")
+        heads = ["checkpoint", "bytes", "damages", "refused", "the same", "anything else"]
+        yield from markdown(heads, damaged_files(damages, folder))
         yield from ("", "## A shorter file, then the whole one", "")
-        yield from markdown(("stream", "steps", "cuts", "not equal to the bit"), cuts(options.cuts, folder))
+        yield from markdown(["stream", "steps", "cuts", "not equal to the bit"], cut_files(cuts, folder))
         yield from ("", "## Kills", "")
-        heads = (
-            "kills",
-            "streams that ended",
-            "steps printed",
-            "not equal to the bit",
-            "complaints",
-            "parts left over",
-        )
-        yield from markdown(heads, [kills(options.kills, folder)], names=0)
-
-
-def main() -> None:
-    parser = arguments(__doc__, "checkpoints.md")
-    parser.add_argument("--damages", type=at_least_one, default=2000, help="of ten checkpoints (default 2000)")
-    parser.add_argument("--kills", type=at_least_one, default=200, help="at random times (default 200)")
-    parser.add_argument("--cuts", type=at_least_one, default=400, help="of ten files (default 400)")
-    options = parser.parse_args()
-    lines = page_head("Checkpoints")
-    lines += [
-        "- *damages*: in turn a bit, a byte or a block of random bytes in its place, or the end cut off",
-        "- *the same*: the smoother that is read writes the same bytes, as where the date of an array is damaged",
-        "- *anything else*: another answer, an exception that is no sentence, a sentence without the name of the file",
-        "- *a shorter file*: its first lines, cut at a random one, then the whole file with the same checkpoint",
-        "- *kills*: of a stream of 2,000 poses, at random times; it goes on until it is killed again or ends",
-        "- *parts left over*: files that a kill left while they were written, beside the checkpoint, which is whole",
-        "",
-        *tables(options),
-    ]
-    write_page(lines, options.out / "checkpoints.md")
+        heads = ["kills", "streams that ended", "steps printed", "not equal to the bit", "complaints"]
+        yield from markdown([*heads, "parts left over"], [killed_streams(kills, folder)], names=0)
 
 
 if __name__ == "__main__":
-    main()
+    counts = {"damages": (2000, "of ten checkpoints"), "kills": (200, "at random times"), "cuts": (400, "of ten files")}
+    make_page(__doc__, "checkpoints.md", "Checkpoints", page, **counts)

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import Table, make_page
 
 import sim
 from factors import Bearing, Between, Diagonal, Isotropic, Prior, Range, RangeAzimuth
@@ -85,34 +85,29 @@ def compared(seed: int, make: Callable[[int], tuple[FactorGraph, Values]], landm
     }
 
 
-def main() -> None:
-    parser = arguments(__doc__, "delayed.md")
-    parser.add_argument("--seeds", type=at_least_one, default=60, metavar="N", help="of each row (default 60)")
-    options = parser.parse_args()
-    head, rows = page_head("EKF-SLAM from sightings that do not locate"), []
+def page(seeds: int) -> list[str]:
+    """The page without its head."""
+    titles = ["sightings", "landmarks", "NEES, EKF", "NEES, graph", "95 % of means", "error, EKF", "error, graph"]
+    table = Table([*titles, "waiting", "given up"], names=2)
     cases = [("range with bearing, the control", partial(lap, seen="whole"), "correlated", 3)]
     cases += [(name, partial(lap, seen=name), "delayed", 3) for name in ("whole", "ranges", "bearings", "in turn")]
     cases += [("range and azimuth in space", heaving, "delayed", 6)]
     for name, make, landmarks, d in cases:
-        found = runs(partial(compared, make=make, landmarks=landmarks), range(options.seeds), progress=True)
+        found = runs(partial(compared, make=make, landmarks=landmarks), range(seeds), progress=True)
         mean = {key: float(np.mean([record[key] for record in found])) for key in found[0]}
-        low, high = nees_bounds(d, options.seeds)
+        low, high = nees_bounds(d, seeds)
         numbers = [f"{mean['nees']:.2f}", f"{mean['nees of the graph']:.2f}", f"{low:.1f} to {high:.1f}"]
         numbers += [f"{mean['off']:.3f} m", f"{mean['off of the graph']:.3f} m"]
-        waits = sum(record["waiting"] for record in found), sum(record["given up"] for record in found)
-        rows.append([name, f"`{landmarks}`", *numbers, *(f"{n:.0f}" for n in waits)])
-        print(" | ".join(rows[-1]), flush=True)
-    titles = ["sightings", "landmarks", "NEES, EKF", "NEES, graph", "95 % of means", "error, EKF", "error, graph"]
-    lines = [
-        *head,
-        "",
-        f"The last pose, means over seeds 0 to {options.seeds - 1}. Waiting: landmarks that were seen and are not "
+        waits = (f"{sum(record[key] for record in found):.0f}" for key in ("waiting", "given up"))
+        table.add(name, f"`{landmarks}`", *numbers, *waits)
+    return [
+        f"The last pose, means over seeds 0 to {seeds - 1}. Waiting: landmarks that were seen and are not "
         "located in the end, of all runs. Given up: sightings that left with their pose.",
         "",
-        *markdown([*titles, "waiting", "given up"], rows, names=2),
+        *table,
     ]
-    write_page(lines, options.out / "delayed.md")
 
 
 if __name__ == "__main__":
-    main()
+    title = "EKF-SLAM from sightings that do not locate"
+    make_page(__doc__, "delayed.md", title, page, seeds=(60, "of each row"))

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import ncx2
-from script import arguments, markdown, page_head, write_page
+from script import make_page, markdown
 
 import sim
 from models.sensors import ARIS_3000, DIDSON_HIGH, OCULUS_M750D, ImagingSonar
@@ -176,12 +176,5 @@ def page(images: int) -> list[str]:
     return [*lines, "", "Every square takes the cell that holds its center; the others are lost."]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "detection.md")
-    parser.add_argument("--images", type=int, default=40, help="images of Rayleigh noise (default 40)")
-    options = parser.parse_args()
-    write_page([*page_head("Detections in sonar images"), "", *page(options.images)], options.out / "detection.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "detection.md", "Detections in sonar images", page, images=(40, "images of Rayleigh noise"))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, markdown, page_head, write_page
+from script import Table, make_page
 
 from factors import Bearing, Between, Factor, Isotropic, Landmark, Range, check_jacobians
 from factors.conventions import innovation
@@ -186,52 +186,46 @@ def checked(problem: Problem, scale: float) -> str:
     return "doubted" if doubts else "passed"
 
 
-def main() -> None:
-    options = arguments(__doc__, "differences.md").parse_args()
-    lines = page_head("Numeric Jacobians where the residual says nothing about its rounding")
-    table = []
+def counted(ends: list[tuple[str, float, float]]) -> list[int]:
+    """How many are right, refused and wrong."""
+    return [sum(end == which for end, _, _ in ends) for which in ("right", "refused", "wrong")]
+
+
+def page() -> list[str]:
+    """The page without its head."""
+    titles = ["residual", "cases", "right", "refused", "wrong", "farthest off", "evaluations a column"]
+    table = Table([*titles, "exact: passed / doubted / refused", "wrong: refused / doubted / passed"])
     for name, problem in problems():
         cases = [problem(*numbers) for numbers in product(VALUES, INNER, RESIDUALS)]
         ends = [by_differences(case) for case in cases]
-        counts = [sum(end == which for end, _, _ in ends) for which in ("right", "refused", "wrong")]
         exact = [checked(case, 1.0) for case in cases]
         wrong = [checked(case, scale) for case in cases for scale in (0.0, 2.0)]
-        table.append(
-            [
-                name,
-                str(len(cases)),
-                *map(str, counts),
-                f"{max(off for _, off, _ in ends):.0e}",
-                f"{np.mean([calls for _, _, calls in ends]):.1f}",
-                " / ".join(str(exact.count(verdict)) for verdict in ("passed", "doubted", "refused")),
-                " / ".join(str(wrong.count(verdict)) for verdict in ("refused", "doubted", "passed")),
-            ]
+        table.add(
+            *(name, len(cases), *counted(ends), f"{max(off for _, off, _ in ends):.0e}"),
+            f"{np.mean([calls for _, _, calls in ends]):.1f}",
+            " / ".join(str(exact.count(verdict)) for verdict in ("passed", "doubted", "refused")),
+            " / ".join(str(wrong.count(verdict)) for verdict in ("refused", "doubted", "passed")),
         )
-    ends_at = []
+    singular_table = Table(["function", "slope", "right", "refused", "wrong"])
     for name, (function, slope) in SINGULAR.items():
         ends = [by_differences(singular(function, slope, *numbers)) for numbers in product(VALUES, RESIDUALS)]
-        counts = [sum(end == which for end, _, _ in ends) for which in ("right", "refused", "wrong")]
-        ends_at.append([name, "none" if np.isnan(slope) else f"{slope:g}", *map(str, counts)])
-    titles = ["residual", "cases", "right", "refused", "wrong", "farthest off", "evaluations a column"]
-    titles += ["exact: passed / doubted / refused", "wrong: refused / doubted / passed"]
-    text = [
-        "",
+        singular_table.add(name, "none" if np.isnan(slope) else f"{slope:g}", *counted(ends))
+    return [
         f"Variables of {VALUES[0]:g} and {VALUES[1]:g} to {VALUES[-1]:g}, inner numbers of {INNER[0]:g} to "
         f"{INNER[-1]:g}, residuals of {RESIDUALS[0]:g} to {RESIDUALS[-1]:g}. A column is right within {RIGHT:g} of the "
         f"exact one; one that is less than {NOTHING / RIGHT:g} of the largest, within {NOTHING:g} of that. "
         "`check_jacobians` gets the exact Jacobian, and wrong ones: zeros, and twice the exact one.",
         "",
-    ]
-    beside = [
+        *table,
         "",
         "Functions of u = x - value, with the same values and residuals, in R(1). A slope of 0 is right within "
         f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right. Wrong are kinks "
         "and roots in the rounding of f: it stands still at small steps, as at a plateau, and the column is 0.",
         "",
-        *markdown(["function", "slope", "right", "refused", "wrong"], ends_at),
+        *singular_table,
     ]
-    write_page([*lines, *text, *markdown(titles, table), *beside], options.out / "differences.md")
 
 
 if __name__ == "__main__":
-    main()
+    title = "Numeric Jacobians where the residual says nothing about its rounding"
+    make_page(__doc__, "differences.md", title, page)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from script import arguments, markdown, page_head, public_data, write_page
+from script import make_page, markdown
 from wrong_closures import KINDS, SETS, solved, spoiled
 
 import nls
@@ -51,19 +51,15 @@ def clean(data: Path) -> Iterator[list[str]]:
         yield [name, str(len(places)), f"{CHANCE:g}"]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "explained.md")
-    parser.add_argument("--wrong", type=int, default=5, help="closures that are planted (default 5)")
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = [*page_head("Wrong closures that `nls.explain` names"), "", "## Planted", ""]
-    rows = list(planted(data, options.wrong))
-    sums = ["**all**", "", *(str(sum(int(row[k]) for row in rows)) for k in (2, 3, 4)), ""]
+def page(data: Path, wrong: int) -> list[str]:
+    """Both tables."""
+    rows = list(planted(data, wrong))
+    sums = ["**all**", "", *(sum(int(row[k]) for row in rows) for k in (2, 3, 4)), ""]
     titles = ("graph", "wrong ones", "named", "missed", "falsely named", "other findings")
-    lines += [*markdown(titles, [*rows, sums], names=6), "", "## Clean graphs", ""]
-    lines += markdown(("graph", "falsely named", "expected by chance"), clean(data), names=3)
-    write_page(lines, options.out / "explained.md")
+    lines = ["## Planted", "", *markdown(titles, [*rows, sums], names=6), "", "## Clean graphs", ""]
+    return lines + markdown(("graph", "falsely named", "expected by chance"), clean(data), names=3)
 
 
 if __name__ == "__main__":
-    main()
+    title = "Wrong closures that `nls.explain` names"
+    make_page(__doc__, "explained.md", title, page, wrong=(5, "closures that are planted"))

@@ -9,12 +9,13 @@ closures), MIT.g2o or input_MITb_g2o.g2o, which is not shipped.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
 
 import numpy as np
-from script import arguments, at_least_one, markdown, page_head, public_data, write_page
+from script import make_page, markdown
 from wrong_closures import KINDS, SETS, Array, Solved, X, few, solved, spoiled
 
 import nls
@@ -128,7 +129,7 @@ def rates(trials: list[Trial]) -> str:
     return f"{100 * np.mean([bool(trial.doubts) for trial in right]):.0f} %" if right else ""
 
 
-def page(trials: list[Trial], clean: list[str]) -> list[str]:
+def tables(trials: list[Trial], clean: list[str]) -> list[str]:
     """The page below its head."""
     heads = ("right", "right, doubted", "wrong, noticed", "wrong, within its sigmas", "wrong, silent", "right doubted")
     every, names = trials, list(dict.fromkeys(trial.name for trial in trials))
@@ -176,34 +177,29 @@ def controls(data: Path) -> list[str]:
     return markdown(("graph", "closures", "rejected", "doubts", "chi2 plausible"), rows)
 
 
-def main() -> None:
-    parser = arguments(__doc__, "few_closures.md")
-    parser.add_argument("--mit", type=Path, default=None, metavar="FILE", help="the graph of the MIT Killian Court")
-    parser.add_argument("--seeds", type=at_least_one, default=5, help="trials of every share (default 5)")
-    parser.add_argument(
-        "--names", nargs="*", default=[*HALLS, *PUBLIC, *(name + RUNS for name in PUBLIC)], help="graphs (default: all)"
-    )
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = page_head("Twenty loop closures")
+def page(data: Path, mit: Path | None, seeds: int, names: list[str]) -> list[str]:
+    """All trials, and their tables."""
     trials: list[Trial] = []
     with TemporaryDirectory() as folder:
-        graphs = {"MIT": solved(options.mit)} if options.mit else {}
-        for name in options.names:
+        graphs = {"MIT": solved(mit)} if mit else {}
+        for name in names:
+            path = Path(folder) / f"{len(graphs)}.g2o"
             if name in HALLS:
-                halls(path := Path(folder) / f"{len(graphs)}.g2o", HALLS[name])
-                graphs[name] = solved(path)
-            else:
-                graphs[name] = solved(data / SETS[name.removesuffix(RUNS)])
+                halls(path, HALLS[name])
+            graphs[name] = solved(path if name in HALLS else data / SETS[name.removesuffix(RUNS)])
         for name, whole in graphs.items():
-            for share_number, share in enumerate(SHARES):
-                for seed in range(options.seeds):
-                    turn = list(KINDS)[(seed + share_number) % len(KINDS)]
-                    for kind in KINDS if name == "MIT" else [turn]:
-                        trials.append(tried(name, whole, share, kind, seed))
+            for (number, share), seed in product(enumerate(SHARES), range(seeds)):
+                turn = list(KINDS)[(seed + number) % len(KINDS)]
+                trials += [tried(name, whole, share, kind, seed) for kind in (KINDS if name == "MIT" else [turn])]
             print(name, *counted([t for t in trials if t.name == name]), flush=True)
-    write_page([*lines, *page(trials, controls(data))], options.out / "few_closures.md")
+    return tables(trials, controls(data))
 
 
 if __name__ == "__main__":
-    main()
+    graphs = [*HALLS, *PUBLIC, *(name + RUNS for name in PUBLIC)]
+    make_page(
+        *(__doc__, "few_closures.md", "Twenty loop closures", page),
+        mit={"type": Path, "metavar": "FILE", "help": "the graph of the MIT Killian Court"},
+        seeds=(5, "trials of every share"),
+        names={"nargs": "*", "default": graphs, "help": "graphs (default: all)"},
+    )

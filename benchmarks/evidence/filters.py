@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, positive, write_page
+from script import Table, make_page, positive, spread
 
 import sim
 from models import SE2
@@ -106,26 +106,15 @@ def known_start(seed: int) -> Record:
     return both | {"reckoning": given.ate(given.start), "apart": apart}
 
 
-def spread(numbers: Array, digits: int = 3) -> str:
-    """Mean, and smallest and largest."""
-    return f"{numbers.mean():.{digits}f} ({numbers.min():.{digits}f}-{numbers.max():.{digits}f})"
-
-
-def row(name: str, found: dict[str, Array], columns: Sequence[str], digits: int = 3) -> str:
-    """A line of a table."""
-    line = f"| {name} | " + " | ".join(spread(found[c], digits) if c in found else "" for c in columns) + " |"
-    print(line, flush=True)
-    return line
-
-
-def table(first: str, titles: Sequence[str]) -> list[str]:
-    return [f"| {first} | " + " | ".join(titles) + " |", "|:--|" + "--:|" * len(titles)]
+def cells(found: dict[str, Array], columns: Sequence[str]) -> list[str]:
+    """What was found of some quantities; empty where there is nothing."""
+    return [spread(found[column]) if column in found else "" for column in columns]
 
 
 def start_unknown(seeds: int, many: int) -> list[str]:
     """What a landmark is believed to be at its first sighting."""
     low, high = nees_bounds(3, seeds)
-    lines = table("estimator", ["final sigma, m", f"final NEES, 3 expected in {low:.2f}-{high:.2f}", "final error, m"])
+    lines = Table(["estimator", "final sigma, m", f"final NEES, 3 expected in {low:.2f}-{high:.2f}", "final error, m"])
     once, charted = partial(filtered, scene=sim.subsea), partial(filtered, scene=sim.subsea, landmarks="independent")
     surveyed = {"known_landmarks": 1, "azimuth": "absolute"}
     for name, (function, count) in {
@@ -139,7 +128,7 @@ def start_unknown(seeds: int, many: int) -> list[str]:
         "EKF, one landmark known to 0.1 m, absolute azimuth": (partial(once, estimator=EKF, **surveyed), many),
         "batch, the same": (partial(solved, scene=sim.subsea, **surveyed), seeds),
     }.items():
-        lines.append(row(of(name, count, seeds), over(function, count), ("sigma", "NEES", "final")))
+        lines.add(of(name, count, seeds), *cells(over(function, count), ("sigma", "NEES", "final")))
     return lines
 
 
@@ -151,11 +140,11 @@ def of(name: str, count: int, seeds: int) -> str:
 def accuracy(seeds: int, many: int) -> list[str]:
     """ATE with a known start."""
     found = over(known_start, seeds)
-    lines = table("estimator", ["ATE, m", "ATE smoothed, m", "processor time a step, ms"])
+    lines = Table(["estimator", "ATE, m", "ATE smoothed, m", "processor time a step, ms"])
     columns = ("ATE", "smoothed", "ms")
-    lines.append(row("dead reckoning", {"ATE": found["reckoning"]}, columns))
+    lines.add("dead reckoning", *cells({"ATE": found["reckoning"]}, columns))
     for name in ("EKF", "batch"):
-        lines.append(row(name, {column: found[f"{name} {column}"] for column in columns}, columns))
+        lines.add(name, *cells({column: found[f"{name} {column}"] for column in columns}, columns))
     estimators: dict[str, tuple[Callable[[int], Record], int]] = {}
     for version in (1, 2):
         for N in (*PARTICLES, MANY):
@@ -165,16 +154,18 @@ def accuracy(seeds: int, many: int) -> list[str]:
         function = partial(filtered, estimator=smoother, scene=sim.subsea, known_start=True)
         estimators[smoother().method] = (function, max(1, many // 3))
     for name, (function, count) in estimators.items():
-        lines.append(row(of(name, count, seeds), over(function, count), columns))
+        lines.add(of(name, count, seeds), *cells(over(function, count), columns))
     apart = found["apart"]
     return [*lines, "", f"Final poses of EKF and batch are {apart.mean():.2f} mm apart, {apart.max():.2f} mm at most."]
 
 
 def walls(seeds: int) -> list[str]:
     """ATE on the lines."""
-    lines = table("estimator", ["ATE, m", "final error, m", "final NEES"])
-    lines.append(row("EKF", over(partial(filtered, estimator=EKF, scene=sim.lines), seeds), ("ATE", "final", "NEES")))
-    lines.append(row("batch", over(partial(solved, scene=sim.lines), seeds), ("ATE", "final", "NEES")))
+    lines = Table(["estimator", "ATE, m", "final error, m", "final NEES"])
+    one = partial(filtered, estimator=EKF)
+    for name, function in (("EKF", one), ("batch", solved)):
+        found = over(partial(function, scene=sim.lines), seeds)
+        lines.add(name, *cells(found, ("ATE", "final", "NEES")))
     return lines
 
 
@@ -205,8 +196,9 @@ def cost(seconds: float, picture: Path) -> list[str]:
     ]
 
 
-def report(seeds: int, many: int) -> list[str]:
-    """The tables over seeds."""
+def page(seeds: int, many_seeds: int, seconds: float, out: Path) -> list[str]:
+    """The tables over seeds, then the cost."""
+    many = many_seeds
     low, high = nees_bounds(3, many)
     return [
         "Every cell: the mean over seeds, and the smallest and the largest. Nothing is aligned.",
@@ -233,22 +225,14 @@ def report(seeds: int, many: int) -> list[str]:
         f"## Lines, seeds 0 to {min(seeds, many) - 1}",
         "",
         *walls(min(seeds, many)),
+        "",
+        "## Cost against landmarks",
+        "",
+        *cost(seconds, out / "filters.png"),
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "filters.md and .png")
-    parser.add_argument("--seeds", type=at_least_one, default=200, metavar="N", help="of the tables (default 200)")
-    parser.add_argument(
-        "--many-seeds", type=at_least_one, default=30, metavar="N", help="of what takes long (default 30)"
-    )
-    parser.add_argument("--seconds", type=positive, default=300.0, help="of the cost: no run foreseen to take longer")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    lines = [*page_head("Filters and graphs"), "", *report(options.seeds, options.many_seeds)]
-    lines += ["", "## Cost against landmarks", "", *cost(options.seconds, options.out / "filters.png")]
-    write_page(lines, options.out / "filters.md")
-
-
 if __name__ == "__main__":
-    main()
+    limit = {"type": positive, "default": 300.0, "help": "of the cost: no run foreseen to take longer"}
+    counts = {"seeds": (200, "of the tables"), "many_seeds": (30, "of what takes long")}
+    make_page(__doc__, "filters.md", "Filters and graphs", page, **counts, seconds=limit)

@@ -29,7 +29,7 @@ import numpy as np
 from fuzz_judges import judged
 from fuzz_mutants import mutated
 from fuzz_seeds import FOLDER, READERS, Reading, Seed, graph_reading, seeds
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown
 
 import nls
 import nls.io
@@ -275,52 +275,42 @@ def ends(all_seeds: list[Seed], tasks: list[tuple[str, int]], seed: int, jobs: i
                         waiting.append(list(left))
 
 
-def main() -> None:
-    parser = arguments(__doc__, "fuzz.md")
-    parser.add_argument("--mutants", type=at_least_one, default=20_000, help="of all readers (default 20,000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
-    parser.add_argument("--jobs", type=at_least_one, default=2, help="processes at once (default 2)")
-    options = parser.parse_args()
-    page = page_head("Mutants of files")
+EXPLAINED = f"""
+A mutant is a small valid file, or one file of a folder, with bits, bytes, blocks, lines, words, numbers, \
+names, encodings or control characters changed. It is read twice.
+
+- *refused*: by an error of the library that names the file
+- *other exception*: every other one, and warnings that are none about graphs
+- *raw character*: a control character in a message, such as one that clears a terminal
+- *other answer*: two answers, other measurements than its lines say, or a wrong checksum
+- *slow or large*: more than {SLOW:g} s or {LARGE >> 20} MiB
+"""
+
+
+def page(mutants: int, seed: int, jobs: int) -> list[str]:
+    """The page without its head."""
     all_seeds = seeds()
-    tasks = [(reader, k) for k in range(-(-options.mutants // len(READERS))) for reader in READERS][: options.mutants]
+    tasks = [(reader, k) for k in range(-(-mutants // len(READERS))) for reader in READERS][:mutants]
     counts: dict[str, Counter[str]] = {reader: Counter() for reader in READERS}
     faults = []
-    for end in ends(all_seeds, tasks, options.seed, options.jobs):
+    for end in ends(all_seeds, tasks, seed, jobs):
         counts[end.reader][end.end] += 1
         if end.fault:
             print(end, flush=True)
-            faults.append(end)
-    rows = [
-        [
-            name,
-            str(sum(one.reader == name for one in all_seeds)),
-            str(count.total()),
-            *(str(count[end]) for end in ENDS),
-        ]
-        for name, count in counts.items()
-    ]
-    total = sum(counts.values(), Counter[str]())
-    rows.append(["**all**", str(len(all_seeds)), str(total.total()), *(str(total[end]) for end in ENDS)])
-    page += [
-        f"- random numbers of seed {options.seed}",
-        "",
-        "A mutant is a small valid file, or one file of a folder, with bits, bytes, blocks, lines, words, numbers, "
-        "names, encodings or control characters changed. It is read twice.",
-        "",
-        "- *refused*: by an error of the library that names the file",
-        "- *other exception*: every other one, and warnings that are none about graphs",
-        "- *raw character*: a control character in a message, such as one that clears a terminal",
-        "- *other answer*: two answers, other measurements than its lines say, or a wrong checksum",
-        f"- *slow or large*: more than {SLOW:g} s or {LARGE >> 20} MiB",
-        "",
-        *markdown(["reader", "seeds", "mutants", *ENDS], rows),
-    ]
-    if faults:
-        shown = [re.sub(r"\s+", " ", f"{end.reader} {end.number}: {end.end}: {end.fault:.200}") for end in faults]
-        page += ["", "Faults:", "", "```text", *shown, "```"]
-    write_page(page, options.out / "fuzz.md")
+            faults.append(re.sub(r"\s+", " ", f"{end.reader} {end.number}: {end.end}: {end.fault:.200}"))
+    of = Counter(one.reader for one in all_seeds)
+    every = ("**all**", of.total(), sum(counts.values(), Counter[str]()))
+    rows = [(name, of[name], count) for name, count in counts.items()]
+    cells = [[name, n, count.total(), *(count[end] for end in ENDS)] for name, n, count in [*rows, every]]
+    table = markdown(["reader", "seeds", "mutants", *ENDS], cells)
+    shown = ["", "Faults:", "", "```text", *faults, "```"] if faults else []
+    return [f"- random numbers of seed {seed}", *EXPLAINED.split("\n"), *table, *shown]
 
 
 if __name__ == "__main__":
-    main()
+    make_page(
+        *(__doc__, "fuzz.md", "Mutants of files", page),
+        mutants=(20_000, "of all readers"),
+        seed={"type": int, "default": 0, "help": "of the random numbers (default 0)"},
+        jobs=(2, "processes at once"),
+    )

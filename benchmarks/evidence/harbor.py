@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown, spread
 
 import sim
 from models import SE2
@@ -83,11 +83,6 @@ def row_of(world: sim.Harbor, closing: Closing, seconds: float) -> list[float]:
     ]
 
 
-def spread(values: Array, digits: int = 2) -> str:
-    """Mean, least and most."""
-    return f"{values.mean():.{digits}f} ({values.min():.{digits}f}-{values.max():.{digits}f})"
-
-
 def share(part: float, whole: float) -> str:
     """In per cent."""
     return f"{100 * part / whole:.1f} %" if whole else "-"
@@ -101,8 +96,8 @@ def maps(rows: dict[str, Array]) -> list[str]:
         table.append(
             [
                 geometry,
-                spread(r[:, 0]),
-                spread(r[:, 1]),
+                spread(r[:, 0], 2),
+                spread(r[:, 1], 2),
                 spread(r[:, 2], 0),
                 f"{total[5] / len(r):.0f}",
                 share(total[6], total[5]),
@@ -263,7 +258,7 @@ def strays(world: sim.Harbor) -> float:
     return float((d > 1.0).mean())
 
 
-def images(seeds: int) -> list[str]:
+def from_images(seeds: int) -> list[str]:
     """The chain from the image to the map, beside points that are drawn from their rates."""
     rows = []
     for geometry in ("marina", "rocks"):
@@ -316,7 +311,7 @@ def one(geometry: str, seed: int) -> tuple[list[float], Trials]:
     return figures, results
 
 
-def page(seeds: int, image_seeds: int, workers: int) -> list[str]:
+def page(seeds: int, images: int, workers: int) -> list[str]:
     """All but the head."""
     calls = [(geometry, seed) for geometry in GEOMETRIES for seed in range(seeds)]
     with ProcessPoolExecutor(workers) as pool:
@@ -332,19 +327,13 @@ def page(seeds: int, image_seeds: int, workers: int) -> list[str]:
         for name, r in trial.items():
             merged.setdefault(name, []).extend(r)
     lines = [*maps(rows), "", *matchers({name: np.array(r) for name, r in merged.items()})]
-    return [*lines, "", *images(image_seeds)] if image_seeds else lines
-
-
-def main() -> None:
-    parser = arguments(__doc__, "harbor.md")
-    parser.add_argument("--seeds", type=at_least_one, default=20, help="harbors of every geometry (default 20)")
-    parser.add_argument("--images", type=int, default=1, help="harbors whose scans come from images (default 1)")
-    parser.add_argument("--workers", type=at_least_one, default=2, help="processes (default 2)")
-    options = parser.parse_args()
-    title = f"Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
-    lines = [*page_head(title), "", *page(options.seeds, options.images, options.workers)]
-    write_page(lines, options.out / "harbor.md")
+    return [*lines, "", *from_images(images)] if images else lines
 
 
 if __name__ == "__main__":
-    main()
+    make_page(
+        *(__doc__, "harbor.md", "Scan matching in simulated harbors, seeds 0 to {last}", page),
+        seeds=(20, "harbors of every geometry"),
+        images={"type": int, "default": 1, "help": "harbors whose scans come from images (default 1)"},
+        workers=(2, "processes"),
+    )

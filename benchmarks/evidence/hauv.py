@@ -10,14 +10,14 @@ pose is known.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import radians
 from time import process_time
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, write_page
+from script import Table, line_of, make_page, spread
 
 import sim
 from factors import RangeAzimuth, sonar_factors
@@ -82,18 +82,10 @@ def solve(given: sim.Mission, optimizer: Optimizer) -> Solved:
     return Solved(result.status.name, result.iterations, given.ate(result.values), process_time() - began)
 
 
-def spread(numbers: Iterable[float], digits: int = 3) -> str:
-    """Mean, and smallest and largest."""
-    found = np.array([number for number in numbers if np.isfinite(number)])
-    return f"{found.mean():.{digits}f} ({found.min():.{digits}f}-{found.max():.{digits}f})"
-
-
 def drift(seeds: int) -> list[str]:
     """A row a scene, a treatment and an optimizer."""
-    lines = [
-        "| scene | elevation | dead reckoning, m | optimizer | optimized, m | better | iterations | status | s |",
-        "|:--|:--|--:|:--|--:|--:|--:|:--|--:|",
-    ]
+    titles = "| scene | elevation | dead reckoning, m | optimizer | optimized, m | better | iterations | status | s |"
+    lines = [titles, "|:--|:--|--:|:--|--:|--:|--:|:--|--:|"]
     for scene in SCENES:
         for elevation in (*TREATMENTS, SEARCH):
             given = [mission(scene, elevation, seed) for seed in range(seeds)]
@@ -102,11 +94,9 @@ def drift(seeds: int) -> list[str]:
                 found = [solve(m, optimizer) for m in given]
                 better = sum(s.ate < b for s, b in zip(found, before, strict=True))
                 status = ", ".join(f"{count} {word}" for word, count in Counter(s.status for s in found).most_common())
-                lines.append(
-                    f"| {scene} | {elevation} | {spread(before)} | {name} | {spread(s.ate for s in found)} | "
-                    f"{better}/{seeds} | {spread((s.iterations for s in found), 0)} | {status} | "
-                    f"{np.mean([s.seconds for s in found]):.2f} |"
-                )
+                cells = [scene, elevation, spread(before), name, spread(s.ate for s in found), f"{better}/{seeds}"]
+                cells += [spread((s.iterations for s in found), 0), status]
+                lines.append(line_of([*cells, f"{np.mean([s.seconds for s in found]):.2f}"]))
                 print(lines[-1], flush=True)
     return lines
 
@@ -161,14 +151,11 @@ def clustered_error(each: list[Array]) -> float:
 
 
 def consistency(seeds: range) -> list[str]:
-    """A row a scene and a treatment."""
+    """A section with a row a scene and a treatment."""
     pose, point = nees_bounds(6, len(seeds)), nees_bounds(3, len(seeds))
-    lines = [
-        f"| scene | elevation | final pose, expected 6 in {pose[0]:.2f}-{pose[1]:.2f} "
-        f"| one landmark a seed, expected 3 in {point[0]:.2f}-{point[1]:.2f} "
-        "| all well observed, and how many; expected 3 | of them beyond 95 % |",
-        "|:--|:--|--:|--:|--:|--:|",
-    ]
+    titles = ["scene", "elevation", f"final pose, expected 6 in {pose[0]:.2f}-{pose[1]:.2f}"]
+    titles += [f"one landmark a seed, expected 3 in {point[0]:.2f}-{point[1]:.2f}"]
+    lines = Table([*titles, "all well observed, and how many; expected 3", "of them beyond 95 %"], names=2)
     for scene in CONSISTENCY:
         for elevation in (*TREATMENTS, ALONE):
             given = (mission(scene, elevation.split(",")[0], seed) for seed in seeds)
@@ -184,15 +171,14 @@ def consistency(seeds: range) -> list[str]:
             everyone = f"{each.mean():.2f} +- {half:.2f} ({len(each)})" + (
                 "" if abs(each.mean() - 3) <= half else " **outside**"
             )
-            lines.append(f"| {scene} | {elevation} | {' | '.join(said)} | {everyone} | {beyond:.1f} % |")
-            print(lines[-1], flush=True)
-    return lines
+            lines.add(scene, elevation, *said, everyone, f"{beyond:.1f} %")
+    return [f"## Consistency, seeds {seeds[0]} to {seeds[-1]}, Levenberg-Marquardt", "", *lines, ""]
 
 
 # --- command line -----------------------------------------------------------------------------------------------------
 
 
-def report(seeds: int, nees_seeds: int) -> list[str]:
+def page(seeds: int, nees_seeds: int) -> list[str]:
     """The page."""
     floor, hull = mission("floor, +-7 deg", "hinge", 0), mission("hull, +-7 deg", "hinge", 0)
     return [
@@ -207,16 +193,8 @@ def report(seeds: int, nees_seeds: int) -> list[str]:
         "- Better: seeds whose optimized trajectory is nearer to the truth than dead reckoning. s: processor time "
         "of a solve.",
         "",
-        *(
-            line
-            for seeds in (range(nees_seeds), range(nees_seeds, 2 * nees_seeds))
-            for line in (
-                f"## Consistency, seeds {seeds[0]} to {seeds[-1]}, Levenberg-Marquardt",
-                "",
-                *consistency(seeds),
-                "",
-            )
-        ),
+        *consistency(range(nees_seeds)),
+        *consistency(range(nees_seeds, 2 * nees_seeds)),
         "- NEES: e' P^-1 e with the error e and the covariance P at the optimum. Its mean should lie within the 95 "
         "% bounds.",
         f"- Well observed: landmarks with a standard deviation below {WELL:g} m along the weak direction, with the "
@@ -233,18 +211,6 @@ def report(seeds: int, nees_seeds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "hauv.md")
-    parser.add_argument(
-        "--seeds", type=at_least_one, default=10, metavar="N", help="of the table of drift (default 10)"
-    )
-    parser.add_argument(
-        "--nees-seeds", type=at_least_one, default=100, metavar="N", help="of a table of consistency (default 100)"
-    )
-    options = parser.parse_args()
-    lines = [*page_head("A hovering vehicle with an imaging sonar"), *report(options.seeds, options.nees_seeds)]
-    write_page(lines, options.out / "hauv.md")
-
-
 if __name__ == "__main__":
-    main()
+    counts = {"seeds": (10, "of the table of drift"), "nees_seeds": (100, "of a table of consistency")}
+    make_page(__doc__, "hauv.md", "A hovering vehicle with an imaging sonar", page, **counts)

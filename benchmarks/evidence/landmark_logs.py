@@ -19,7 +19,7 @@ import numpy as np
 from logs import read_mrclam, read_victoria_park
 from mrclam import BEARING, DENSITY, RANGE, mrclam
 from mrclam import l as landmark
-from script import arguments, page_head, public_data, write_page
+from script import make_page
 from victoria_park import Park, victoria_park, x
 
 from factors import Cauchy
@@ -32,7 +32,6 @@ from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
 from nls.metrics import TrajectoryError
-from nls.missions.sonar import contacts
 from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from sim import LandmarkWorld
@@ -274,7 +273,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
     table.append(park_row("graph, trees found again", park.gps_error(last[x]), trees_of(graph), seconds))
     began = process_time()
     odometry, poses = FactorGraph(park.graph.factors[:2]), Values.of([park.start.stack("x")])
-    associated = contacts.associate(odometry, poses, park.sightings)
+    associated = associate(odometry, poses, park.sightings)
     named, start = park.named(associated.numbers, associated.values[x])
     at_once, _ = solve(named, start)
     table.append(
@@ -338,15 +337,12 @@ def park_picture(park: Park, filtered: Any, values: Values, path: Path) -> None:
     write_picture(path, figure)
 
 
-def main() -> None:
-    parser = arguments(__doc__, "landmark-logs.md")
-    parser.add_argument("--images", type=Path, default=None, metavar="DIR", help="for mrclam.png and victoria-park.png")
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = [*page_head("Filters and graphs on public logs with landmarks"), ""]
-    lines += [*robots(data, options.images), *trees(data, options.images)]
-    write_page(lines, options.out / "landmark-logs.md")
+def page(data: Path, images: Path | None) -> list[str]:
+    """Both parts."""
+    return robots(data, images) + trees(data, images)
 
 
 if __name__ == "__main__":
-    main()
+    where = {"type": Path, "metavar": "DIR", "help": "for mrclam.png and victoria-park.png"}
+    title = "Filters and graphs on public logs with landmarks"
+    make_page(__doc__, "landmark-logs.md", title, page, images=where)

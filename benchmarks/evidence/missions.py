@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from script import arguments, page_head, public_data, write_page
+from script import make_page
 
 Report = dict[str, Any]
 MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
@@ -99,7 +99,7 @@ def acoustic(data: Path, folder: Path) -> list[str]:
 MEASURED = "4,484 fixes, 17,168 ranges to four receivers whose places are not given"
 
 
-def report(data: Path) -> list[str]:
+def page(data: Path) -> list[str]:
     """The tables, in Markdown."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -126,12 +126,5 @@ def report(data: Path) -> list[str]:
         ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "missions.md")
-    options = parser.parse_args()
-    data = public_data(parser)
-    write_page([*page_head("Real logs"), "", *report(data)], options.out / "missions.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "missions.md", "Real logs", page)

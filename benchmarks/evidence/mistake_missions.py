@@ -211,22 +211,12 @@ def dive(seed: int) -> Survey:
             **dict(zip(("vx_m_s", "vy_m_s", "vz_m_s"), VELOCITIES, strict=True)),
             "valid": "lock",
         },
-        "ahrs": {"file": log_of("ahrs"), **dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), ANGLES, strict=True))},
-        "depth": {"file": log_of("depth"), "z_m": DEPTH},
-        "fixes": {
-            "file": log_of("fixes"),
-            **dict(zip(("lat_deg", "lon_deg"), PLACES, strict=True)),
-            **{"sigma_x_m": SIGMA_GPS, "sigma_y_m": SIGMA_GPS},
-            **arms(ANTENNA),
-        },
+        **angles_and_depth(),
+        "fixes": {"file": log_of("fixes"), **places(), "sigma_x_m": SIGMA_GPS, "sigma_y_m": SIGMA_GPS, **arms(ANTENNA)},
         "dvl_mount": dict(
             zip(("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"), (*DVL_ARM, 0, 0, 0), strict=True)
         ),
-        "noise": {
-            **{"sigma_v_m_s": SIGMA_V, "scale": 2 * SCALE, "sigma_bridge_m_s_sqrt_s": 0.05},
-            **dict(zip(("sigma_roll_rad", "sigma_pitch_rad", "sigma_yaw_rad"), SIGMA_RPY, strict=True)),
-            "sigma_z_m": SIGMA_Z,
-        },
+        "noise": {"sigma_v_m_s": SIGMA_V, "scale": 2 * SCALE, "sigma_bridge_m_s_sqrt_s": 0.05, **noise()},
     }
     return Survey("dive", logs, mapping, START + vehicle.t, vehicle.X[:, 3:])
 
@@ -250,12 +240,7 @@ def usbl(seed: int) -> Survey:
     names = ("range_m", "bearing_rad", "elevation_rad")
     sigmas = dict(zip((f"sigma_{name}" for name in names), SIGMA_USBL, strict=True))
     survey.mapping["usbl"] = {"file": log_of("usbl"), **dict(zip(names, SEEN, strict=True)), **sigmas}
-    survey.mapping["ship"] = {
-        "file": log_of("ship"),
-        **dict(zip(("lat_deg", "lon_deg"), PLACES, strict=True)),
-        "z_m": "z [m]",
-        **dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), ANGLES, strict=True)),
-    }
+    survey.mapping["ship"] = {"file": log_of("ship"), **places(), "z_m": "z [m]", **angles()}
     survey.mission = "usbl"
     return survey
 
@@ -274,18 +259,15 @@ def rov(seed: int) -> Survey:
     mapping: dict[str, Any] = {
         "time_s": TIME,
         "motion": {"sigma_walk_m_sqrt_s": WALK},
-        "ahrs": {"file": log_of("ahrs"), **dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), ANGLES, strict=True))},
-        "depth": {"file": log_of("depth"), "z_m": DEPTH},
+        **angles_and_depth(),
         "fixes": {
             "file": log_of("fixes"),
-            **dict(zip(("lat_deg", "lon_deg"), PLACES, strict=True)),
-            **{"sigma_x_m": SIGMA_FIX, "sigma_y_m": SIGMA_FIX},
+            **places(),
+            "sigma_x_m": SIGMA_FIX,
+            "sigma_y_m": SIGMA_FIX,
             **arms(TRANSPONDER),
         },
-        "noise": {
-            **dict(zip(("sigma_roll_rad", "sigma_pitch_rad", "sigma_yaw_rad"), SIGMA_RPY, strict=True)),
-            "sigma_z_m": SIGMA_Z,
-        },
+        "noise": noise(),
     }
     return Survey("rov", logs, mapping, START + vehicle.t, vehicle.X[:, 3:])
 
@@ -293,6 +275,27 @@ def rov(seed: int) -> Survey:
 def log_of(name: str) -> str:
     """The file of a log."""
     return f"{name}.log.csv"
+
+
+def places() -> dict[str, str]:
+    """The columns of a position in a mapping."""
+    return dict(zip(("lat_deg", "lon_deg"), PLACES, strict=True))
+
+
+def angles() -> dict[str, str]:
+    """The columns of an attitude in a mapping."""
+    return dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), ANGLES, strict=True))
+
+
+def angles_and_depth() -> dict[str, dict[str, str]]:
+    """The sections that every mission has."""
+    return {"ahrs": {"file": log_of("ahrs"), **angles()}, "depth": {"file": log_of("depth"), "z_m": DEPTH}}
+
+
+def noise() -> dict[str, float]:
+    """The noise of these sections."""
+    names = ("sigma_roll_rad", "sigma_pitch_rad", "sigma_yaw_rad", "sigma_z_m")
+    return dict(zip(names, (*SIGMA_RPY, SIGMA_Z), strict=True))
 
 
 def arms(arm: tuple[float, ...]) -> dict[str, float]:

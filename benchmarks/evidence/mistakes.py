@@ -8,7 +8,6 @@ followed to the letter, up to six times. With ``LEADLINE_DATA`` the clean contro
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import itertools
@@ -31,7 +30,7 @@ from cures import Cure, Unfollowable, cures_of
 from mistake_base import Mistake
 from mistake_kinds import MISTAKES
 from mistake_missions import MISSIONS, Survey, toml
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown
 
 from nls.cli import main as command
 from sim.cli import main as simulated
@@ -251,7 +250,7 @@ def plain(cure: Cure) -> str:
     return cure.text.replace("`", "")
 
 
-def controls(data: Path | None, seeds: int, folder: Path) -> Iterator[tuple[str, int, int, str]]:
+def without_mistake(data: Path | None, seeds: int, folder: Path) -> Iterator[tuple[str, int, int, str]]:
     """Logs without a mistake: name, how many, alarms and what they say."""
     for name in MISSIONS:
         runs = [solved(MISSIONS[name](seed), folder) for seed in range(seeds)]
@@ -276,10 +275,10 @@ def judged(name: str, answer: Answer) -> tuple[str, int, int, str]:
     return name, 1, int(answer.alarm), " / ".join(answer.statements)[:200] if answer.alarm else ""
 
 
-def verdicts(options: argparse.Namespace) -> list[Verdict]:
-    """Of all mistakes in all missions and seeds that are asked for."""
-    pairs = itertools.product([options.mission] if options.mission else MISSIONS, range(options.seeds), [options.only])
-    with ProcessPoolExecutor(options.jobs) as pool:
+def verdicts(missions: Iterable[str], only: str, seeds: int, jobs: int) -> list[Verdict]:
+    """Of all mistakes in some missions and seeds."""
+    pairs = itertools.product(missions, range(seeds), [only])
+    with ProcessPoolExecutor(jobs) as pool:
         return [verdict for given in pool.map(verdicts_of, *zip(*pairs, strict=True)) for verdict in given]
 
 
@@ -326,15 +325,15 @@ def summary(by_mission: Mapping[str, Sequence[Verdict]]) -> list[str]:
     return markdown(titles, rows)
 
 
-def page(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]]) -> list[str]:
-    """The tables."""
+def tables(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]]) -> list[str]:
+    """Mistakes by mission, and controls."""
     by_mission: dict[str, list[Verdict]] = {}
     for mission in dict.fromkeys(v.mission for v in given):
         of_mission = [v for v in given if v.mission == mission]
         names = dict.fromkeys(v.mistake for v in of_mission)
         by_mission[mission] = [worst([v for v in of_mission if v.mistake == name]) for name in names]
     lines = [*EXPLAINED.splitlines(), "", *summary(by_mission), "", "## Logs without a mistake", ""]
-    rows = [(name, str(n), str(alarms), said.replace("|", "\\|")) for name, n, alarms, said in clean]
+    rows = [(*numbers, said.replace("|", "\\|")) for *numbers, said in clean]
     lines += markdown(("log", "missions", "alarms", "remarks"), rows)
     for mission, worsts in by_mission.items():
         titles = ("mistake", "verdict", "cause", "cure as printed, or what was said", "error before, m", "after, m")
@@ -342,27 +341,24 @@ def page(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]]) -
     return lines
 
 
-def main() -> None:
-    parser = arguments(__doc__, "mistakes.md")
-    parser.add_argument("--mission", choices=MISSIONS, help="one of them alone")
-    parser.add_argument("--only", default="", metavar="PATTERN", help="mistakes whose name has this regular expression")
-    parser.add_argument("--seeds", type=at_least_one, default=SEEDS)
-    parser.add_argument("--controls", type=at_least_one, default=CONTROLS, help="clean missions of each kind")
-    parser.add_argument("--jobs", type=at_least_one, default=2, help="processes")
-    options = parser.parse_args()
+def page(mission: str | None, only: str, seeds: int, controls: int, jobs: int) -> list[str]:
+    """The page without its head."""
     signal.signal(signal.SIGPROF, signal.default_int_handler)
-    head = page_head("Mistakes in logs")
     began = time.monotonic()
-    given = verdicts(options)
+    given = verdicts([mission] if mission else MISSIONS, only, seeds, jobs)
     data = Path(folder) if (folder := os.environ.get("LEADLINE_DATA")) else None
     with TemporaryDirectory() as name:
-        clean = list(controls(data, options.controls, Path(name)))
-    head += [
-        f"- `python {' '.join(sys.argv)}`, {(time.monotonic() - began) / 60:.0f} min in {options.jobs} processes",
-        "",
-    ]
-    write_page([*head, *page(given, clean)], options.out / "mistakes.md")
+        clean = list(without_mistake(data, controls, Path(name)))
+    minutes = (time.monotonic() - began) / 60
+    return [f"- `python {' '.join(sys.argv)}`, {minutes:.0f} min in {jobs} processes", "", *tables(given, clean)]
 
 
 if __name__ == "__main__":
-    main()
+    make_page(
+        *(__doc__, "mistakes.md", "Mistakes in logs", page),
+        mission={"choices": MISSIONS, "help": "one of them alone"},
+        only={"default": "", "metavar": "PATTERN", "help": "mistakes whose name has this regular expression"},
+        seeds=(SEEDS, "of every mission"),
+        controls=(CONTROLS, "clean missions of each kind"),
+        jobs=(2, "processes"),
+    )

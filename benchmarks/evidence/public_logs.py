@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, markdown, page_head, write_page
+from script import make_page, markdown
 
 from models.geodesy import LocalPlane
 
@@ -200,11 +200,18 @@ alarm.
 """
 
 
-def report(all_logs: list[Log], logs: Path, folder: Path) -> list[str]:
+def page(logs: Path | None) -> list[str]:
     """Origins, numbers, and what the charts showed."""
+    text = (FOLDER / "logs.toml").read_text(encoding="utf-8")
+    all_logs = [Log(**entry) for entry in tomllib.loads(text)["log"]]
+    if not logs:
+        print("the logs are not shipped; in a folder, which --logs then names:")
+        print(*(line for log in all_logs for line in log.commands()), sep="\n")
+        raise SystemExit
     rows, words = [], []
     for log in all_logs:
-        row, said = imported(log, logs, folder)
+        with TemporaryDirectory() as folder:
+            row, said = imported(log, logs, Path(folder))
         rows.append(row)
         words += [f"- **{log.name}**: {log.found}.", *(f"  `{line}`" for line in said)]
     origins = [
@@ -216,23 +223,6 @@ def report(all_logs: list[Log], logs: Path, folder: Path) -> list[str]:
     return [*markdown(ORIGINS, origins, 6), *legend, "", *table, *heading, *words]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "public_logs.md")
-    parser.add_argument("--logs", type=Path, metavar="DIR", help="folder of the logs")
-    options = parser.parse_args()
-    text = (FOLDER / "logs.toml").read_text(encoding="utf-8")
-    all_logs = [Log(**entry) for entry in tomllib.loads(text)["log"]]
-    if not options.logs:
-        lines = ["the logs are not shipped; in a folder, which --logs then names:"]
-        parser.exit(message="\n".join([*lines, *(line for log in all_logs for line in log.commands()), ""]))
-    with TemporaryDirectory() as folder:
-        page = [
-            *page_head("Public logs, from the file to the chart"),
-            "",
-            *report(all_logs, options.logs, Path(folder)),
-        ]
-        write_page(page, options.out / "public_logs.md")
-
-
 if __name__ == "__main__":
-    main()
+    where = {"type": Path, "metavar": "DIR", "help": "folder of the logs"}
+    make_page(__doc__, "public_logs.md", "Public logs, from the file to the chart", page, logs=where)

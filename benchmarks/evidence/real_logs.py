@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from logs import AuvDvl, Caves, HoloOcean, read_auv_dvl, read_caves, read_holoocean
-from script import arguments, page_head, public_data, write_page
+from script import make_page
 
 from factors import Between, Covariance, Diagonal, Position, Prior
 from models import SE3, wrap
@@ -194,7 +194,7 @@ def cones(log: Caves) -> list[tuple[int, int, float, float, float, float]]:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def report(data: Path) -> list[str]:
+def page(data: Path) -> list[str]:
     """The tables, in Markdown."""
     lines = [
         "## AUV at sea",
@@ -256,12 +256,5 @@ def report(data: Path) -> list[str]:
     return lines
 
 
-def main() -> None:
-    parser = arguments(__doc__, "real_logs.md")
-    options = parser.parse_args()
-    data = public_data(parser)
-    write_page([*page_head("Dead reckoning on public logs"), "", *report(data)], options.out / "real_logs.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "real_logs.md", "Dead reckoning on public logs", page)

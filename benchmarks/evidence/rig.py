@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, write_page
+from script import make_page
 
 import sim
 from models import SE3
@@ -203,7 +203,7 @@ def consistency(seeds: int) -> list[str]:
     ]
 
 
-def report(seeds: int, sigma_seeds: int) -> list[str]:
+def page(seeds: int, sigma_seeds: int) -> list[str]:
     """The page."""
     first = sim.rig(np.random.default_rng(0))
     return [
@@ -226,16 +226,6 @@ def report(seeds: int, sigma_seeds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "rig.md")
-    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="scenes (default 20)")
-    parser.add_argument(
-        "--sigma-seeds", type=at_least_one, default=100, metavar="N", help="predicted, observed (default 100)"
-    )
-    options = parser.parse_args()
-    lines = [*page_head("A camera and a sonar, calibrated on the fly"), "", *report(options.seeds, options.sigma_seeds)]
-    write_page(lines, options.out / "rig.md")
-
-
 if __name__ == "__main__":
-    main()
+    counts = {"seeds": (20, "scenes"), "sigma_seeds": (100, "predicted, observed")}
+    make_page(__doc__, "rig.md", "A camera and a sonar, calibrated on the fly", page, **counts)

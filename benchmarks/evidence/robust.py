@@ -28,7 +28,7 @@ from robust_trials import (
     run,
     tasks,
 )
-from script import ONE_THREAD, arguments, at_least_one, markdown, page_head, public_data, write_page
+from script import ONE_THREAD, make_page, markdown
 from wrong_closures import KINDS, SETS, Array, X
 
 import nls
@@ -149,7 +149,7 @@ def draw(tracks: dict[str, tuple[Array, float]], trials: list[Trial], path: Path
     write_picture(path, figure)
 
 
-def page(trials: list[Trial], closures: list[str]) -> list[str]:
+def tables(trials: list[Trial], closures: list[str]) -> list[str]:
     """The page below its head."""
     silent = sum(t.outcome == "silent" for t in trials)
     return [
@@ -197,26 +197,21 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "robust.md and .png")
-    parser.add_argument("--seeds", type=at_least_one, default=5, help="trials of every kind (default 5)")
-    parser.add_argument(
-        "--large", type=int, default=1, help="the same on large graphs, and with few closures (default 1)"
-    )
-    parser.add_argument("--minutes", type=float, default=60.0, help="no trial begins after so many (default 60)")
-    parser.add_argument(
-        "--trials", type=Path, default=None, metavar="FILE", help="keeps every trial; those in it stand"
-    )
-    options = parser.parse_args()
-    if options.large < 0:
-        parser.error(f"--large {options.large}: expected 0 or more")
-    data = public_data(parser)
+def page(data: Path, out: Path, seeds: int, large: int, minutes: float, trials: Path | None) -> list[str]:
+    """The page below its head; the picture in its folder."""
+    if large < 0:
+        raise SystemExit(f"--large {large}: expected 0 or more")
     os.environ.update(ONE_THREAD)  # for the workers
-    lines = page_head("Wrong loop closures")
-    trials = run(data, tasks(options.seeds, options.large), options.trials, WORKERS, options.minutes)
-    write_page([*lines, *page(trials, real(data / "robust-real"))], options.out / "robust.md")
-    draw(maps(data), trials, options.out / "robust.png")
+    ended = run(data, tasks(seeds, large), trials, WORKERS, minutes)
+    draw(maps(data), ended, out / "robust.png")
+    return tables(ended, real(data / "robust-real"))
 
 
 if __name__ == "__main__":
-    main()
+    make_page(
+        *(__doc__, "robust.md", "Wrong loop closures", page),
+        seeds=(5, "trials of every kind"),
+        large={"type": int, "default": 1, "help": "the same on large graphs, and with few closures (default 1)"},
+        minutes={"type": float, "default": 60.0, "help": "no trial begins after so many (default 60)"},
+        trials={"type": Path, "metavar": "FILE", "help": "keeps every trial; those in it stand"},
+    )

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown
 
 import nls
 from models import SE3, euler
@@ -152,7 +152,7 @@ def raw(folder: Path, truth: tuple[Array, Array]) -> float:
     return float(np.sqrt(np.square(z - truth[1][:, :2]).sum(axis=1).mean()))
 
 
-def report(seeds: int) -> list[str]:
+def page(seeds: int) -> list[str]:
     """The table, in Markdown."""
     rows = []
     for walk in WALKS:
@@ -185,13 +185,5 @@ def report(seeds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "rov.md")
-    parser.add_argument("--seeds", type=at_least_one, default=20)
-    options = parser.parse_args()
-    head = page_head("An ROV without a DVL")
-    write_page([*head, "", *report(options.seeds)], options.out / "rov.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "rov.md", "An ROV without a DVL", page, seeds=(20, "missions of every row"))

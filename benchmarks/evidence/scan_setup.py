@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, public_data, write_page
+from script import make_page
 
 from factors.keys import kinds
 from nls.metrics import ate
@@ -196,8 +196,9 @@ def observable(estimate: Mounting) -> list[str]:
     return lines
 
 
-def page(log: Log, rounds: int) -> list[str]:
+def page(data: Path, rounds: int) -> list[str]:
     """All but the head."""
+    log = read(data / "aracati")
     rows, sentences = [], []
     for setup in SETUPS:
         cells, words = row(log, setup, rounds, lambda line: print(line, flush=True))
@@ -231,14 +232,5 @@ def page(log: Log, rounds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "scan_setup.md")
-    parser.add_argument("--rounds", type=at_least_one, default=3, help="of closing (default 3)")
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = [*page_head("Wrong setups of a scan mission"), "", *page(read(data / "aracati"), options.rounds)]
-    write_page(lines, options.out / "scan_setup.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "scan_setup.md", "Wrong setups of a scan mission", page, rounds=(3, "of closing"))

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 from logs import read_victoria_park
-from script import arguments, at_least_one, page_head, public_data, write_page
+from script import make_page
 from victoria_park import victoria_park
 
 import nls
@@ -379,16 +379,6 @@ def page(data: Path, seeds: int) -> Sequence[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "sigmas.md")
-    parser.add_argument(
-        "--seeds", type=at_least_one, default=20, metavar="N", help="simulated twins of a log (default 20)"
-    )
-    options = parser.parse_args()
-    data = public_data(parser)
-    lines = [*page_head("Sigmas that the residuals show"), "", *page(data, options.seeds)]
-    write_page(lines, options.out / "sigmas.md")
-
-
 if __name__ == "__main__":
-    main()
+    count = (20, "simulated twins of a log")
+    make_page(__doc__, "sigmas.md", "Sigmas that the residuals show", page, seeds=count)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, page_head, write_page
+from script import make_page, spread
 
 import nls
 import sim
@@ -157,12 +157,7 @@ def outside(right: bool) -> str:
     return "" if right else " **outside**"
 
 
-def spread(numbers: Array) -> str:
-    """Mean, and least and most."""
-    return f"{numbers.mean():.3f} ({numbers.min():.3f}-{numbers.max():.3f})"
-
-
-def report(seeds: int) -> list[str]:
+def page(seeds: int) -> list[str]:
     """The page."""
     log = sim.survey(np.random.default_rng(0))
     clean = over(seeds)
@@ -198,12 +193,5 @@ def report(seeds: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "survey.md")
-    parser.add_argument("--seeds", type=at_least_one, default=100, metavar="N", help="of every table (default 100)")
-    options = parser.parse_args()
-    write_page([*page_head("A survey from its raw log"), "", *report(options.seeds)], options.out / "survey.md")
-
-
 if __name__ == "__main__":
-    main()
+    make_page(__doc__, "survey.md", "A survey from its raw log", page, seeds=(100, "of every table"))

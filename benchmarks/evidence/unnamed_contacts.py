@@ -17,7 +17,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from script import arguments, at_least_one, page_head, write_page
+from script import make_page
 
 import sim
 from factors import Cauchy, Robust, sonar_factors
@@ -144,24 +144,20 @@ def draw(trials: list[Trial], path: Path) -> None:
     write_picture(path, figure)
 
 
-def main() -> None:
-    parser = arguments(__doc__, "the page")
-    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="(default 20)")
-    parser.add_argument("--processes", type=at_least_one, default=1, metavar="N", help="(default 1)")
-    options = parser.parse_args()
-    lines = [*page_head("Contacts without names"), ""]
-    few = max(1, options.seeds // 5)
+def page(seeds: int, processes: int, out: Path) -> list[str]:
+    """The table, and the picture in its folder."""
     cases = [
         (scene, spoiled, seed)
         for spoiled, scene in product(SPOILED, SCENES)
-        for seed in range(few if spoiled in SWEEP else options.seeds)
+        for seed in range(max(1, seeds // 5) if spoiled in SWEEP else seeds)
     ]
     trials = []
-    with ProcessPoolExecutor(options.processes) as pool:
+    with ProcessPoolExecutor(processes) as pool:
         for done in pool.map(trial, cases):
             trials.append(done)
             print(done, file=sys.stderr, flush=True)
-    lines += [
+    draw(trials, out / "unnamed_contacts.png")
+    return [
         *rows(trials),
         "",
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
@@ -170,9 +166,8 @@ def main() -> None:
         "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
         "means of the seeds. s: processor time of the association.",
     ]
-    write_page(lines, options.out / "unnamed_contacts.md")
-    draw(trials, options.out / "unnamed_contacts.png")
 
 
 if __name__ == "__main__":
-    main()
+    counts = {"seeds": (20, "of every row"), "processes": (1, "at once")}
+    make_page(__doc__, "unnamed_contacts.md", "Contacts without names", page, **counts)

@@ -15,7 +15,7 @@ from time import process_time
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, at_least_one, markdown, page_head, write_page
+from script import make_page, markdown
 
 import nls
 from factors import BearingRange, Between, Diagonal, Factor, Isotropic, Prior
@@ -133,34 +133,26 @@ def chi2_of(graph: FactorGraph, start: Values) -> float:
         return np.inf
 
 
-def summed(name: str, trials: list[Trial]) -> list[str]:
+def summed(name: str, trials: list[Trial]) -> list[object]:
     """A row of the table."""
     return [
         name,
-        str(len(trials)),
-        str(sum(trial.updates for trial in trials)),
-        str(sum(trial.wrong for trial in trials)),
-        str(sum(len(trial.failed[True]) for trial in trials)),
-        str(sum(len(trial.failed[False]) for trial in trials)),
-        str(sum(trial.batches for trial in trials)),
-        str(sum(trial.above for trial in trials)),
-        str(sum(bool(trial.removal) for trial in trials)),
-        str(sum(trial.equal for trial in trials)),
+        len(trials),
+        *(sum(getattr(trial, name) for trial in trials) for name in ("updates", "wrong")),
+        *(sum(len(trial.failed[right]) for trial in trials) for right in (True, False)),
+        *(sum(getattr(trial, name) for trial in trials) for name in ("batches", "above")),
+        sum(bool(trial.removal) for trial in trials),
+        sum(trial.equal for trial in trials),
         f"{max(trial.off for trial in trials):.1e}",
         f"{np.median([1e3 * trial.seconds / trial.updates for trial in trials]):.1f}",
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "updates.md")
-    parser.add_argument("--clean", type=at_least_one, default=200, help="worlds without wrong names (default 200)")
-    parser.add_argument("--wrong", type=at_least_one, default=50, help="worlds with wrong names (default 50)")
-    parser.add_argument("--processes", type=at_least_one, default=2, help="at once (default 2)")
-    options = parser.parse_args()
-    lines = page_head("Updates, one by one")
+def page(clean: int, wrong: int, processes: int) -> list[str]:
+    """The page without its head."""
     rows = []
-    with ProcessPoolExecutor(options.processes) as pool:
-        for name, share, count in (("right names", 0.0, options.clean), ("5 % wrong names", SHARE, options.wrong)):
+    with ProcessPoolExecutor(processes) as pool:
+        for name, share, count in (("right names", 0.0, clean), ("5 % wrong names", SHARE, wrong)):
             trials = list(pool.map(partial(tried, share), range(count)))
             for trial in trials:
                 if not trial.equal or any(trial.failed.values()):
@@ -168,7 +160,7 @@ def main() -> None:
             rows.append(summed(name, trials))
     heads = ("worlds", "how many", "updates", "wrong ones", "right ones that failed", "wrong ones that failed")
     more = ("by a batch solution", "gap above tol", "removals that failed", "ends at the batch", "farthest off", "ms")
-    lines += [
+    return [
         f"- {POSES} poses, {LANDMARKS} landmarks seen up to {REACH:g} m, one measurement an update, tol {TOL:g}",
         "- *ends at the batch*: chi2 is within tol of the lowest batch solution of the right measurements, started at "
         "the smoother's end and at the truth; wrong ones are removed before",
@@ -176,8 +168,8 @@ def main() -> None:
         "",
         *markdown((*heads, *more), rows),
     ]
-    write_page(lines, options.out / "updates.md")
 
 
 if __name__ == "__main__":
-    main()
+    counts = {"clean": (200, "worlds without wrong names"), "wrong": (50, "worlds with wrong names")}
+    make_page(__doc__, "updates.md", "Updates, one by one", page, **counts, processes=(2, "at once"))

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from script import ONE_THREAD, arguments, at_least_one, markdown, page_head, write_page
+from script import ONE_THREAD, make_page, markdown
 
 import nls
 import sim
@@ -208,37 +208,30 @@ def consistency(count: int, gtsam: str | None) -> list[list[str]]:
     return rows
 
 
-def main() -> None:
-    parser = arguments(__doc__, "window.md")
-    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="of the headings (default 20)")
-    parser.add_argument("--runs", type=at_least_one, default=100, metavar="N", help="of the NEES (default 100)")
-    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
-    options = parser.parse_args()
-    lines = [
-        *page_head("A window of poses"),
-        "",
-        f"## Heading, seeds 0 to {options.seeds - 1}",
+def page(seeds: int, runs: int, gtsam: str | None) -> list[str]:
+    """The page without its head."""
+    titles = ["world", "lag", "sigma, batch", "off, window", "sigma, window", "off, GTSAM", "sigma, GTSAM"]
+    return [
+        f"## Heading, seeds 0 to {seeds - 1}",
         "",
         "Only the prior of the first pose tells the heading: 0.1 rad. Yaw of the last of "
         f"{POSES + 1} poses, rad: the largest difference from the batch, and the smallest and largest sigma.",
         "",
-        *markdown(
-            ["world", "lag", "sigma, batch", "off, window", "sigma, window", "off, GTSAM", "sigma, GTSAM"],
-            headings(options.seeds, options.gtsam),
-        ),
+        *markdown(titles, headings(seeds, gtsam)),
         "",
-        f"## Consistency, seeds 0 to {options.runs - 1}",
+        f"## Consistency, seeds 0 to {runs - 1}",
         "",
         "Mean NEES of the last pose. That of a consistent estimator is within the bounds in 95 % of all cases.",
         "",
-        *markdown(["world", "lag", "bounds", "batch", "window", "GTSAM"], consistency(options.runs, options.gtsam)),
+        *markdown(["world", "lag", "bounds", "batch", "window", "GTSAM"], consistency(runs, gtsam)),
         "",
         "- GTSAM: `IncrementalFixedLagSmoother`, relinearized from 0.001 on, three updates a step. Variables of its "
         "prior keep their linearization point.",
         "- Its wheel has neither sonar contacts nor depth with tilt.",
     ]
-    write_page(lines, options.out / "window.md")
 
 
 if __name__ == "__main__":
-    main()
+    wheel = {"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"}
+    counts = {"seeds": (20, "of the headings"), "runs": (100, "of the NEES")}
+    make_page(__doc__, "window.md", "A window of poses", page, **counts, gtsam=wheel)

@@ -18,7 +18,7 @@ from functools import partial
 from time import process_time
 
 import numpy as np
-from script import arguments, at_least_one, page_head, write_page
+from script import make_page
 
 import nls
 import sim
@@ -123,7 +123,7 @@ def share(part: int, whole: int) -> str:
     return f"{part / whole:.3f}" if whole else "-"
 
 
-def report(seeds: int, jobs: int) -> list[str]:
+def page(seeds: int, jobs: int) -> list[str]:
     """The tables of both scenes."""
     lines = []
     with ProcessPoolExecutor(jobs) as pool:
@@ -144,14 +144,6 @@ def report(seeds: int, jobs: int) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = arguments(__doc__, "wrong_contacts.md")
-    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="(default 20)")
-    parser.add_argument("--jobs", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
-    options = parser.parse_args()
-    lines = [*page_head("Wrong contacts of a sonar"), "", *report(options.seeds, options.jobs)]
-    write_page(lines, options.out / "wrong_contacts.md")
-
-
 if __name__ == "__main__":
-    main()
+    counts = {"seeds": (20, "missions of every row"), "jobs": (2, "processes")}
+    make_page(__doc__, "wrong_contacts.md", "Wrong contacts of a sonar", page, **counts)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors.keys import Keys, Kind
+from factors.keys import Kind
 from nls import FactorGraph, GraphFileError, GraphWarning
 from tests.combinations import for_all
 
@@ -34,13 +34,12 @@ def test_valid_files_are_no_fault(fuzz: Any, tmp_path: Path) -> None:
     for k, seed in enumerate(seeds):
         folder = tmp_path / str(k)
         folder.mkdir()
-        for number in (10 * k, 2):
-            assert fuzz.tried(seed, known[seed.reader, seed.name], seed.files, number, fuzz.written(folder, seed.files))
+        assert fuzz.tried(seed, known[seed.reader, seed.name], seed.files, 10 * k, fuzz.written(folder, seed.files))
 
 
 def test_mutants_are_refused_or_read(fuzz: Any) -> None:
     """A few of every reader, in a process of its own; the same ones by the same seed."""
-    seeds, tasks = fuzz.seeds(), [(reader, k) for reader in fuzz.READERS for k in (3, 4, 5)]
+    seeds, tasks = fuzz.seeds(), [(reader, k) for reader in fuzz.READERS for k in (3, 4)]
     ends = {end[:2]: end for end in fuzz.ends(seeds, tasks, 7, 1)}
     assert ends.keys() == set(tasks)
     assert {end.end for end in ends.values()} >= {"refused", "read"}
@@ -61,15 +60,6 @@ def moved(graph: FactorGraph, values: Any, report: Any) -> Any:
     return graph, values, report
 
 
-def held(graph: FactorGraph, values: Any, report: Any) -> Any:
-    graph.fix(Keys("x", [1]))
-    return graph, values, report
-
-
-def at_random(graph: FactorGraph, values: Any, report: Any) -> Any:
-    return graph, values, replace(report, notes=[str(time.perf_counter_ns())])
-
-
 def warned(graph: FactorGraph, values: Any, report: Any) -> Any:
     warnings.warn("overflow", RuntimeWarning, stacklevel=1)
     return graph, values, report
@@ -82,10 +72,6 @@ def raw(graph: FactorGraph, values: Any, report: Any) -> Any:
     return graph, values, report
 
 
-def failed(graph: FactorGraph, values: Any, report: Any) -> Any:
-    raise ZeroDivisionError
-
-
 def unnamed(graph: FactorGraph, values: Any, report: Any) -> Any:
     raise GraphFileError("is wrong", "another file")
 
@@ -93,11 +79,8 @@ def unnamed(graph: FactorGraph, values: Any, report: Any) -> Any:
 BROKEN = [
     (lost, "other answer: 16 lines of edges, 15 measurements"),
     (moved, "other answer: (0, 0) lines of vertices differ, (2, 2) variables"),
-    (held, "other answer: FIX names [0], ['x0', 'x1'] are held"),
-    (at_random, "other answer: read twice"),
     (warned, "other exception: RuntimeWarning"),
     (raw, "raw character: '\\x1b'"),
-    (failed, "other exception: ZeroDivisionError() at"),
     (unnamed, "other exception: names no file"),
 ]
 
@@ -114,40 +97,6 @@ def test_a_broken_reader_is_found_out(
         with pytest.raises(fuzz.Fault) as caught:
             fuzz.tried(seed, given, seed.files, 9, folder)
     assert f"{caught.value.end}: {caught.value}".startswith(case[1])
-
-
-def test_other_answers_of_other_forms(fuzz: Any, tmp_path: Path) -> None:
-    """What a mutant says, and a reading that is still that of the seed."""
-    judged = fuzz.judged
-    seeds = {(seed.reader, seed.name): seed for seed in fuzz.seeds()}
-    known = fuzz.readings(list(seeds.values()))
-
-    def answer(reader: str, name: str, old: bytes, new: bytes, file: str = "") -> str:
-        seed = seeds[reader, name]
-        files = {n: data.replace(old, new, 1) if n.endswith(file) else data for n, data in seed.files.items()}
-        assert files != seed.files
-        return str(judged(seed, known[reader, name], files, known[reader, name]))
-
-    assert answer("toro", "toro, plane", b"1.1 0.1", b"1.2 0.1").startswith("(1, 1) lines of vertices differ")
-    assert answer("isam", "isam, space", b"POINT3 2", b"POINT9 2").startswith(
-        "nothing is said about a line of b'POINT9'"
-    )
-    assert answer("isam", "isam, space", b"POINT3 2", b"# POINT3 2").startswith("4 lines of edges, 5")
-    assert answer("g2o", TAGGED, b"FIX 0", b"FIX 0 1").startswith("FIX names [0, 1], ['x0'] are held")
-    assert answer("pyfg", "pyfg", b"7.1 0.04", b"7.2 0.04").startswith("(1, 1) lines of edges differ")
-    assert answer("pyfg", "pyfg", b"VERTEX_XY", b"# no\nVERTEX_XY") == ""
-    assert answer("bal", "bal", b"10.5", b"10.6").startswith("1 observations differ")
-    assert answer("bal", "bal", b"\n-5", b"\n-6").startswith("1 variables differ")
-    assert answer("json", "pyfg", b'"numbers": [0]', b'"numbers": [0], "numbers": [0]').endswith("is there twice")
-    assert answer("json", "pyfg", b'"times"', b'"tines"').startswith(".values.A.tines is only in what was given")
-    assert "given 7.5, read 7.1" in answer("json", "pyfg", b"[7.1]", b"[7.5]")
-    assert answer("poses, tum", "tum", b"2.5 2", b"2.5 2.0") == ""
-    assert "written" in answer("poses, tum", "tum", b"2.5 2", b"2.5 3")
-    assert "written" in answer("poses, kitti", "kitti", b"1.5", b"1.25")
-    assert answer("poses, csv", "csv", b"1,1.5,1,", b"1,1.5,2,").startswith("x_m is")
-    assert answer("mission", "odometry and sonar", b"5.0332", b"5.033200", "zpr.csv") == ""
-    assert "nothing that was read does" in answer("mission", "odometry and sonar", b"5.0332", b"5.04", "zpr.csv")
-    assert answer("import", "fixes", b"54.1031", b"54.1041", "log.csv").startswith("log.csv: ['lat'] differ")
 
 
 def test_a_process_that_dies_or_hangs(fuzz: Any, monkeypatch: pytest.MonkeyPatch) -> None:

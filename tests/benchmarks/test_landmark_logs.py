@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.errors import GraphFileError
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
 
@@ -65,16 +64,6 @@ def test_a_victoria_park_log(tmp_path: Path, logs: Any) -> None:
     np.testing.assert_array_equal(log.gps, [[2, 1], [4, 3]])  # east and north
 
 
-@for_all(ends=[[b"\r"], [b"\r\n"], [b"\r", b"\r\n", b"\n"]])
-def test_a_log_with_any_line_ends(ends: list[bytes], tmp_path: Path, logs: Any) -> None:
-    for name, text in PARK.items():
-        lines = text.encode().splitlines()
-        (tmp_path / name).write_bytes(b"".join(line + ends[k % len(ends)] for k, line in enumerate(lines)))
-    log = logs.read_victoria_park(tmp_path)
-    assert log.scan.tolist() == [0, 0, 2]
-    assert (log.z[:, 1].tolist(), log.gps[:, 0].tolist()) == ([20.5, 12.5, 7.5], [2, 4])
-
-
 MISTAKES = cases("""
 Robot7_Odometry.dat | # only\\n | 1 | has no row; expected lines of 3 numbers: time
 Robot7_Odometry.dat | 1 2 3\\n1 2\\n | 2 | 2 numbers, expected 3
@@ -105,10 +94,3 @@ def test_every_mistake_has_its_line(case: list[str], tmp_path: Path, logs: Any) 
     (place / name).write_text(text)
     reader = partial(logs.read_mrclam, robot=7) if name in MRCLAM else logs.read_victoria_park
     assert assert_refused(int(line), words, reader, place).path.endswith(name)
-
-
-def test_a_log_that_is_not_there(tmp_path: Path, logs: Any) -> None:
-    with pytest.raises(GraphFileError, match=r"Robot1_Odometry\.dat: cannot be read: No such file"):
-        logs.read_mrclam(tmp_path, 1)
-    with pytest.raises(GraphFileError, match=r"DRS\.txt: cannot be read: No such file"):
-        logs.read_victoria_park(tmp_path)

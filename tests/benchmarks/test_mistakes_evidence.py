@@ -35,13 +35,6 @@ def test_tables_are_edited(cures: Any, tmp_path: Path, sentence: str, rows: list
     assert (head, found) == ("z_m,time_s" if "names" in sentence else "time_s,z_m", rows)
 
 
-def test_an_exchange_is_made_in_origin_csv_as_well(cures: Any, tmp_path: Path) -> None:
-    for name in ("fixes", "origin"):
-        (tmp_path / f"{name}.csv").write_text("lat_deg,lon_deg\n-10.3,54.2\n")
-    cures.cures_of("fixes.csv: exchange the names of lat_deg, lon_deg, in origin.csv as well")[0].edit(tmp_path)
-    assert {(tmp_path / f"{name}.csv").read_text() for name in ("fixes", "origin")} == {"lon_deg,lat_deg\n-10.3,54.2\n"}
-
-
 def test_a_line_of_calibration_csv_replaces_one_of_its_name(cures: Any, tmp_path: Path) -> None:
     for value in ("0.1", "-0.2274"):
         (cure,) = cures.cures_of(f"write `declination_rad,{value},9e-4` in calibration.csv, which leaves chi2 at 21")
@@ -91,42 +84,6 @@ def test_what_cannot_be_followed_is_said(cures: Any, tmp_path: Path) -> None:
         cures.cures_of("write `missing = 0` in [depth] of the mapping")[0].map({}, "")
     assert cures.cures_of("use a kernel: --robust Position=cauchy:1")[0].words == ("Position=cauchy:1",)
     assert cures.cures_of("check units, signs, axes and times of depth.csv") == []
-
-
-@pytest.mark.parametrize("mission", ["dive", "usbl"])
-def test_right_logs_are_as_right_as_they_state(script: Callable[[str], Any], tmp_path: Path, mission: str) -> None:
-    evidence = script("mistakes")
-    run = evidence.solved(evidence.MISSIONS[mission](3), tmp_path / "run")
-    assert (run.answer.status, run.answer.alarm) == (0, False), run.answer.lines
-    assert 0.3 * run.sigma < run.error < 2 * run.sigma < 1.0
-
-
-def test_a_mistake_spoils_its_own_table_alone(script: Callable[[str], Any]) -> None:
-    evidence = script("mistakes")
-    for mission, make in evidence.MISSIONS.items():
-        right = make(0)
-        for mistake in (m for m in evidence.MISTAKES if m.tables and set(m.tables) <= set(right.logs)):
-            wrong = make(0)
-            mistake.spoil(wrong)
-            changed = [name for name in right.logs if text(right, name) != text(wrong, name)]
-            other = right.mapping != wrong.mapping
-            assert changed or other, f"{mission}: {mistake.name} changes nothing"
-            assert set(changed) <= set(mistake.tables) or "midnight" in mistake.name, f"{mission}: {mistake.name}"
-
-
-def text(survey: Any, name: str) -> str:
-    return survey.lines.get(name, "") + repr({key: list(column) for key, column in survey.logs[name].items()})
-
-
-def test_what_the_program_calls_unchecked_is_read(script: Callable[[str], Any]) -> None:
-    table = "the depth of depth.csv; the place, the clock (below 4 s), the arm of fixes.csv: no other measurement"
-    evidence = script("mistakes")
-    answer = evidence.Answer(0, [f"unchecked   {table}"])
-    anything = dict.fromkeys(["depth of depth.csv", "place of fixes.csv", "arm of fixes.csv"], float("inf"))
-    assert answer.unchecked == anything | {"clock of fixes.csv": 4.0}
-    mistakes = {mistake.name: mistake for mistake in evidence.MISTAKES}
-    missed = {name: answer.misses(mistakes[name]) for name in ("fixes: 3 s late", "fixes: 18 s late", "dvl: 1 s late")}
-    assert missed == {"fixes: 3 s late": True, "fixes: 18 s late": False, "dvl: 1 s late": False}
 
 
 def test_of_causes_that_nothing_tells_apart_the_one_that_was_made_is_followed(script: Callable[[str], Any]) -> None:

@@ -65,14 +65,3 @@ def test_a_program_that_cannot_be_made_says_why(part: Callable[[str], Any], tmp_
     ):
         with pytest.raises(programs.NotCompiledError, match=r"echo\.cpp does not compile: .*" + why):
             programs.compiled(source(tmp_path, text), libraries, tmp_path)
-
-
-def test_without_a_compiler_the_programs_are_left_out(
-    part: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    runners, notes = part("posegraphs").installed({}, tmp_path)
-    for name in part("peers").PROGRAMS:
-        assert name not in runners
-        assert any(note.startswith(f"{name}: not run; g++ is not installed") for note in notes)
-    assert "leadline" in runners

@@ -8,36 +8,10 @@ from typing import Any
 
 import pytest
 
-DRAFT = """
-[ahrs]
-time_s = "t"
-yaw_rad = { column = "yaw", unit = "deg" }
-
-[truth]
-time_s = "t"
-x_m = "x"
-"""
-
 
 @pytest.fixture
 def evidence(script: Callable[[str], Any]) -> Any:
     return script("public_logs")
-
-
-@pytest.mark.parametrize(
-    ("kept", "edits"),
-    [
-        (DRAFT, 0),
-        (DRAFT.replace('"deg"', '"cdeg"'), 1),
-        (DRAFT.replace('x_m = "x"', "y_m = 0"), 2),
-        (DRAFT.partition("[truth]")[0], 1),
-        (f"skip = 3\n{DRAFT}", 1),
-        ("[motion]\nsigma_walk_m_sqrt_s = 1", 3),
-    ],
-    ids=["none", "a unit", "one for another", "a section less", "an option", "another mission"],
-)
-def test_edits_of_a_draft(evidence: Any, kept: str, edits: int) -> None:
-    assert evidence.edits(DRAFT, kept) == edits
 
 
 def test_every_log_has_its_mapping_and_its_origin(evidence: Any) -> None:

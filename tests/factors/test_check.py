@@ -44,23 +44,6 @@ def test_check_jacobians_names_a_transposed_rotation(noise: Noise) -> None:
     refused(lambda: check_jacobians(wrong, values), JacobianError, f"of l[01]: analytic .*; likely: {cause}$")
 
 
-def test_check_jacobians_names_a_rotation_among_other_blocks() -> None:
-    """Of the columns of a translation in the plane."""
-
-    def jacobians(X: Array, transposed: bool) -> list[Array]:
-        H = np.zeros((len(X), 3, 3))
-        G = SE2.rotation(X)
-        H[:, :2, :2], H[:, 2, 2] = G.mT if transposed else G, 1.0
-        return [H]
-
-    right, wrong = (
-        Factor.from_function(np.array, x[0:3], 3, Diagonal([0.1, 0.3, 0.02]), partial(jacobians, transposed=transposed))
-        for transposed in (False, True)
-    )
-    assert check_jacobians(right, PLANE) < 1e-6
-    refused(lambda: check_jacobians(wrong, PLANE), JacobianError, "; likely.*: a rotation in it is transposed$")
-
-
 def test_check_jacobians_of_a_graph_names_the_worst_factor() -> None:
     def scaled(by: float) -> Factor:
         def jacobians(X: Array) -> list[Array]:

@@ -12,16 +12,13 @@ import pytest
 
 import factors
 from factors import Between, Factor, Information, Isotropic, Prior, SqrtInformation, check_jacobians
-from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import SE2, SE3, SO2, SO3, LieGroup, R
-from models.algebra import wrap
+from models import SE2, SE3, SO3, LieGroup, R
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import error, linearized, same
 from tests.factors.samples import (
     CASES,
-    GROUPS,
     Sample,
     derivative,
     full_noise,
@@ -114,28 +111,6 @@ def test_check_jacobians_accepts_every_factor() -> None:
         assert check_jacobians(sample.factor(z, full_noise(3, sample.dim, 1)), sample.values(X)) < 1e-6, sample
 
 
-@for_all(convention=CONVENTIONS, sign=[1.0, -1.0], alpha=[0.3, -0.3, 2.5, -3.0])
-def test_chi2_of_a_turn_by_formula(convention: str, sign: float, alpha: float) -> None:
-    """A rotation error of alpha about one axis: alpha^2 for log, else sin^2(alpha/2), whatever sign q has."""
-    z = sign * np.array([0.0, 0.0, np.sin(alpha / 2), np.cos(alpha / 2)])
-    e = alpha if convention in ("log", "gtsam") else np.sin(alpha / 2)
-    assert chi2(SO3, [0, 0, 0, 1.0], [0, 0, 0, 1.0], z, 9 * np.eye(3), convention) == pytest.approx(9 * e**2, rel=1e-12)
-
-
-def test_angular_innovations_are_wrapped() -> None:
-    e = float(wrap(0.2 - (2 * np.pi - 6.0))) ** 2
-    for convention in CONVENTIONS:
-        for z in (0.2, 0.2 + 2 * np.pi, 0.2 - 4 * np.pi):
-            assert chi2(SO2, [3.0], [-3.0], [z], np.eye(1), convention) == pytest.approx(e, abs=1e-12)
-            assert chi2(SE2, [0, 0, 3.0], [0, 0, -3.0], [0, 0, z], np.eye(3), convention) == pytest.approx(e, abs=1e-12)
-
-
-def chi2(group: LieGroup, X_i: object, X_j: object, z: object, Omega: Array, convention: str) -> float:
-    (x,) = kinds("x")
-    factor = Between(x[0], x[1], np.asarray(z, dtype=float), Information(Omega), convention)
-    return float(factor.chi2(Values({x: (group, np.array([X_i, X_j]))}))[0])
-
-
 @for_all(group=[SE2, SO3, SE3])
 def test_log_equals_g2o_to_first_order_with_converted_information(group: LieGroup) -> None:
     """Rotation block / 4 and mixed blocks / 2 in space; verbatim in the plane."""
@@ -160,26 +135,6 @@ def test_log_equals_g2o_to_first_order_with_converted_information(group: LieGrou
     assert max(off[2]) < 1e-3
 
 
-@for_all(group=GROUPS, convention=CONVENTIONS)
-def test_one_step_reaches_a_measurement_close_by(group: LieGroup, convention: str) -> None:
-    """Whatever the convention, solving A dx = b moves the variable to the measurement."""
-    rng = np.random.default_rng(7)
-    X = states(group, 5, "truth", rng)
-    z = group.retract(X, turned(group, 5, 1e-4, 1e-4, rng))
-    factor = Prior(Keys("x", np.arange(5)), z, full_noise(5, group.dim, 7), convention=convention)
-    (A,), b = linearized(factor, Values({"x": (group, X)}))
-    dx = np.linalg.solve(A, b[..., None])[..., 0]
-    assert np.abs(group.local(group.retract(X, dx), z)).max() < 1e-7
-
-
-def test_one_variable_serves_all_measurements() -> None:
-    (x,) = kinds("x")
-    rng = np.random.default_rng(8)
-    values, z = Values({x: (SE2, states(SE2, 4, "truth", rng))}), rng.normal(size=(3, 3))
-    spelled = Between(x[[0, 0, 0]], x[1:4], z, Isotropic(0.1))
-    np.testing.assert_array_equal(error(Between(x[0], x[1:4], z, Isotropic(0.1)), values), error(spelled, values))
-
-
 def test_a_factor_binds_again_when_its_spaces_change() -> None:
     (x,) = kinds("x")
     factor = Prior(x[0], [1.0, 2.0, 0.5], Isotropic(1.0))
@@ -188,10 +143,3 @@ def test_a_factor_binds_again_when_its_spaces_change() -> None:
     second, Y = Values({x: (R(3), [0, 0, 0])}).gather(factor)
     assert second.space is R(3)
     assert np.abs(first.error(*X) - second.error(*Y)).max() > 0.1
-
-
-def test_prior_in_space_measures_the_named_components() -> None:
-    (x,) = kinds("x")
-    z = [1.0, 2.0, 3.0, 0.0, 0.0, np.sin(0.2), np.cos(0.2)]
-    prior = Prior(x[0], z, Isotropic(0.5), ("yaw", "depth", "x"), "graphslam")  # in the order asked for
-    same(error(prior, Values({x: (SE3, SE3.identity(1))})), [[2 * np.sin(0.2), 6.0, 2.0]])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -80,14 +78,6 @@ def test_an_undeclared_array_is_refused_at_the_first_cut(act: str) -> None:
     ACTS[act](drift(Declared, TIMES))
 
 
-def test_parts_of_a_declared_one_are_its_measurements() -> None:
-    whole = drift(Declared, TIMES)
-    chi2 = whole.chi2(VALUES)
-    for index in (slice(None, None, -1), [2, 2, 0], slice(3), np.array([*range(N), 0])):
-        np.testing.assert_allclose(whole[index].chi2(VALUES), chi2[index])
-    assert check_jacobians(whole, VALUES) < 1e-6
-
-
 @dataclass
 class Clock:
     """Times within an object."""
@@ -158,35 +148,6 @@ def test_declarations_that_cannot_be_followed_are_refused() -> None:
         type("Word", (Drift,), {"per_measurement": "times"})
 
 
-class Slotted(Declared):
-    """Held in a slot instead of the dictionary of the object."""
-
-    __slots__ = ("gain",)
-
-
-def test_slots_are_attributes_as_well() -> None:
-    one = drift(Slotted, TIMES)
-    one.gain = np.ones(N)  # type: ignore[attr-defined]
-    refused(lambda: one[:2], GraphError, "its attribute gain is a ndarray")
-    one.gain = 2.0  # type: ignore[attr-defined]
-    for other in (one[:2], copy.copy(one), pickle.loads(pickle.dumps(one))):
-        assert other.gain == 2.0
-
-
-def test_a_factor_in_a_slot_is_cut_and_joined_with_its_batch() -> None:
-    one = drift(Slotted, TIMES)
-    one.gain = drift(Declared, TIMES)  # type: ignore[attr-defined]
-    parts = [one[:2], one[[4]]]
-    assert [part.gain.times.tolist() for part in parts] == [TIMES[:2].tolist(), [TIMES[4]]]  # type: ignore[attr-defined]
-    (whole,) = joined([VALUES.gather(part)[0] for part in parts])
-    assert whole.gain.times.tolist() == TIMES[[0, 1, 4]].tolist()  # type: ignore[attr-defined]
-    smoother = Incremental()
-    smoother.update([Prior(b[0], [0.5], Isotropic(1.0)), one[:2]], VALUES)
-    smoother.update(one[[4]])
-    (kept,) = (factor for factor in smoother.graph.factors if isinstance(factor, Slotted))
-    assert kept.gain.times.tolist() == TIMES[[0, 1, 4]].tolist()  # type: ignore[attr-defined]
-
-
 def test_the_check_finds_what_the_attributes_do_not_show() -> None:
     """Data in a closure: no attribute, and no part of the batch is right."""
 
@@ -201,29 +162,6 @@ def test_the_check_finds_what_the_attributes_do_not_show() -> None:
     refused(lambda: check_jacobians(drift(hidden(TIMES), None), VALUES), GraphError, named)
     named = r"^Hidden\(x.*: a batch of the first 3 of its measurements raised ValueError: .*broadcast"
     refused(lambda: check_jacobians(drift(hidden(np.full(N, 2.0)), None), VALUES), GraphError, named)
-
-
-def test_batches_of_one_with_own_numbers_are_joined_by_their_arrays_alone() -> None:
-    """A number, or one in no dimension, is no row: such batches stay apart."""
-    values = Values({x: (R(1), np.zeros((N, 1))), b: (R(1), [0.5])})
-
-    class Held(Declared):
-        def t(self) -> Array:
-            return np.atleast_1d(self.times["t"] if isinstance(self.times, dict) else self.times)
-
-    makes: list[Callable[[float], Any]] = [float, np.asarray, np.atleast_1d, lambda t: {"t": np.atleast_1d(t)}]
-    for make in makes:
-        ones = [Held(x[k], b[0], [0.3 * k], Isotropic(0.1), make(t)) for k, t in enumerate(TIMES)]
-        chi2 = sum(float(one.chi2(values)[0]) for one in ones)
-        together = joined([one.bind(R(1), R(1)) for one in ones])
-        assert FactorGraph(together).chi2(values) == pytest.approx(chi2)
-        growing = Incremental()
-        growing.update([Prior(x[:N], np.zeros((N, 1)), Isotropic(1.0)), Prior(b[0], [0.5], Isotropic(1.0))], values)
-        for one in ones:
-            growing.update([one])
-        batch = FactorGraph([Prior(x[:N], np.zeros((N, 1)), Isotropic(1.0)), Prior(b[0], [0.5], Isotropic(1.0)), *ones])
-        expected = batch.optimize(values).values
-        np.testing.assert_allclose(growing[b[0]], expected[b[0]], atol=1e-6)
 
 
 @for_all(n=[2, 3, 4, 6, 7])

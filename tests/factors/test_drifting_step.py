@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Diagonal, DriftingStep, Factor, Isotropic, Prior, check_jacobians
+from factors import Diagonal, DriftingStep, Isotropic, Prior
 from factors.joined import joined
 from models import SE2, SE3, R
 from models.errors import GraphError
-from nls import FactorGraph, Incremental, Values, kinds
+from nls import FactorGraph, Values, kinds
 from tests.factors.evaluated import Array, refused, same
 
 x, d = kinds("x", "d")
@@ -39,11 +39,6 @@ def steps(rows: list[int]) -> DriftingStep:
     return DriftingStep(x[k], x[k + 1], d[STRETCH[k]], z[k], NOISE, length[k])
 
 
-def test_jacobians_turned_over_pi_and_away_from_the_optimum() -> None:
-    values = Values({x: (SE2, way()[0] + [0, 0, 40.0]), d: (R(2), DRIFT)})
-    assert check_jacobians(steps(list(range(10))), values) < 1e-7
-
-
 def test_two_ends_of_a_stretch_determine_its_drift() -> None:
     """Five steps each: fixes of x5 and x10 leave nothing but the drift to explain the steps."""
     truth = way()[0]
@@ -60,17 +55,6 @@ def test_the_length_of_the_reckoned_way_unless_given() -> None:
     same(DriftingStep(x[[0, 1]], x[[1, 2]], d[0], z[0], NOISE).length, [5.0, 5.0])  # one step for all
 
 
-def test_parts_of_a_batch_keep_their_lengths_and_drifts() -> None:
-    values = start()
-    whole = steps(list(range(10)))
-    chi2 = whole.chi2(values)
-    for rows in ([3], [9, 0, 4]):
-        part = whole[rows]
-        same(part.length, whole.length[rows])
-        same(part.chi2(values), chi2[rows], rtol=1e-12)
-    assert not whole.length.flags.writeable
-
-
 def test_joined_steps_are_the_batch() -> None:
     values = start()
     pieces = [steps([0, 1, 2]), steps([3]), steps([4, 5]), steps([6, 7, 8, 9])]
@@ -78,30 +62,6 @@ def test_joined_steps_are_the_batch() -> None:
     whole, again = (FactorGraph([factor]).linearize(values) for factor in (steps(list(range(10))), batch))
     same(again.A.toarray(), whole.A.toarray(), atol=1e-12)
     same(again.b, whole.b, atol=1e-12)
-
-
-def test_step_by_step_the_drift_moves_as_in_the_batch() -> None:
-    """A stretch begins with its first step; a fix at its end turns back to its drift."""
-    truth, z, _ = way()
-    first = Prior(x[0], truth[0], Isotropic(1e-3))
-    smoother, reckoned = Incremental(), truth[:1]
-    batch: list[Factor] = [first]
-    smoother.update(first, Values({x: (SE2, truth[:1])}))
-    for k in range(10):
-        reckoned = SE2.compose(reckoned, z[[k]])
-        new: list[Factor] = [steps([k])]
-        values = Values({x: (SE2, reckoned, [k + 1])})
-        if k % 5 == 0:
-            values.add(d, R(2), np.zeros((1, 2)), [k // 5])
-            new.append(Prior(d[k // 5], [0.0, 0.0], Isotropic(0.5)))
-        if k % 5 == 4:
-            new.append(Prior(x[k + 1], truth[k + 1], Isotropic(0.01)))
-        smoother.update(new, values)
-        batch += new
-    whole = FactorGraph(batch).optimize(start()).values
-    same(smoother.values[d], whole[d], atol=1e-4)
-    same(SE2.local(whole[x], smoother.values[x]), 0.0, atol=1e-3)
-    assert np.abs(whole[d] - DRIFT).max() < 0.03
 
 
 def test_what_does_not_fit() -> None:

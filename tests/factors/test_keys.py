@@ -22,14 +22,6 @@ def test_one_variable_and_a_batch() -> None:
     assert repr(x[0:1000]).replace(" ", "") == "x[0,1,...,998,999]"
 
 
-def test_slices() -> None:
-    assert x[0:4].numbers.tolist() == [0, 1, 2, 3]
-    assert x[:3].numbers.tolist() == [0, 1, 2]
-    assert x[2:9:3].numbers.tolist() == [2, 5, 8]
-    for start, stop in ((5, None), (None, -1), (-3, 2), (5, 2)):
-        refused(lambda start=start, stop=stop: x[start:stop], GraphError, r"x\[.*:.*\]: .*x\[0:10\]")
-
-
 def test_any_whole_number_of_64_bits_is_a_name() -> None:
     low, high = np.iinfo(np.int64).min, np.iinfo(np.int64).max
     assert x[[low, -1, high]].numbers.tolist() == [low, -1, high]
@@ -57,13 +49,6 @@ def test_equality_and_hash() -> None:
     assert {x[3]: "a", l[3]: "b"}[Keys("x", 3)] == "a"
     assert hash(x[[1, 2]]) == hash(x[np.array([1, 2], dtype=np.int32)])
     assert (x == Kind("x"), x == l, x == "x", len({x, Kind("x"), l})) == (True, False, False, 2)
-
-
-def test_iteration_and_selection() -> None:
-    assert list(x[[5, 7]]) == [x[5], x[7]]
-    assert all(key.single for key in x[[5, 7]])
-    assert x[[5, 6, 7]][[2, 0]] == x[[7, 5]]
-    assert x[[5, 6, 7]][np.array([True, False, True])] == x[[5, 7]]
 
 
 def test_a_batch_does_not_follow_its_array() -> None:

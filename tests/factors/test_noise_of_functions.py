@@ -8,17 +8,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import Between, Factor, Isotropic, Landmark, check_jacobians
+from factors import Between, Factor, Isotropic, check_jacobians
 from factors.conventions import innovation
-from models import SE2, SE3, LieGroup, Manifold, R
+from models import SE2, SE3, Manifold, R
 from models.algebra import Array
 from models.errors import EvaluationError, JacobianError
-from nls import FactorGraph, Marginals, Values, kinds
+from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused
 
 p, q = kinds("p", "q")
-VALUES = [0.0, 3e-16, 1e-15, 1e-9, 1.0, 1e6]
+VALUES = [0.0, 3e-16, 1.0, 1e6]
 INNER = [1.0, 1e4, 1e8]
 RESIDUALS = [0.0, 1e-12, 1e3]
 BEACONS = np.array([[1, 0, 0.2], [-0.3, 0.9, 0.1], [0.2, -0.8, -0.5], [0.6, 0.6, 0.52]])
@@ -64,57 +64,31 @@ def line(value: float, inner: float, residual: float) -> Problem:
     )
 
 
-def pose(group: LieGroup, value: float) -> Array:
-    X: Array = SE2.stack([0, 0, 0.3])[0] if group is SE2 else SE3.exp(np.array([[0, 0, 0, 0.2, 0.3, -0.5]]))[0]
-    X[: group.point_dim] = value * np.array([1, -0.7, 0.4])[: group.point_dim]
-    return X
-
-
-def landmark(group: LieGroup, value: float, inner: float, residual: float) -> Problem:
-    """A point seen from a pose, the library's factor as a function."""
-    d = group.point_dim
-    X, point = pose(group, value), R(d)
-    P = (X[:d] + inner * BEACONS[0, :d])[None]
-    seen = Landmark(p[0], q[0], np.zeros(d), Isotropic(1.0))
-    z = seen.predict((group, point), X[None], P)[0]
-
-    def at(X: Array) -> tuple[Array, Array]:
-        h, H = seen.predict((group, point), X, np.tile(P, (len(X), 1)))
-        assert H is not None
-        return h, np.asarray(H[0])
-
-    return group, X, lambda X: at(X)[0] - z + residual, lambda X: at(X)[1]
-
-
-def step(group: LieGroup, value: float, inner: float, residual: float) -> Problem:
+def step(value: float, inner: float, residual: float) -> Problem:
     """A relative pose."""
-    X, d = pose(group, value), group.dim
-    Y = group.retract(
-        X[None], np.concatenate([inner * BEACONS[0, : group.point_dim], np.full(d - group.point_dim, 0.2)])
-    )
-    z = group.between(X[None], Y)
+    X = SE3.exp(np.array([[0, 0, 0, 0.2, 0.3, -0.5]]))[0]
+    X[:3] = value * np.array([1, -0.7, 0.4])
+    Y = SE3.retract(X[None], np.concatenate([inner * BEACONS[0], np.full(3, 0.2)]))
+    z = SE3.between(X[None], Y)
 
     def function(X: Array) -> Array:
-        return innovation(group, group.between(X, np.tile(Y, (len(X), 1))), z, "g2o", False)[0] + residual
+        return innovation(SE3, SE3.between(X, np.tile(Y, (len(X), 1))), z, "g2o", False)[0] + residual
 
     def jacobian(X: Array) -> Array:
-        h, H = Between(p[0], p[1], z[0], Isotropic(1.0)).predict((group, group), X, Y)
-        J = innovation(group, h, z, "g2o", True)[1]
+        h, H = Between(p[0], p[1], z[0], Isotropic(1.0)).predict((SE3, SE3), X, Y)
+        J = innovation(SE3, h, z, "g2o", True)[1]
         assert H is not None
         assert J is not None
         return -J @ np.asarray(H[0])
 
-    return group, X, function, jacobian
+    return SE3, X, function, jacobian
 
 
 PROBLEMS: dict[str, Callable[[float, float, float], Problem]] = {
     "line": line,
     "ranges": ranges,
     "wave": wave,
-    "landmark SE2": lambda *n: landmark(SE2, *n),
-    "landmark SE3": lambda *n: landmark(SE3, *n),
-    "step SE2": lambda *n: step(SE2, *n),
-    "step SE3": lambda *n: step(SE3, *n),
+    "step SE3": step,
 }
 
 
@@ -148,20 +122,6 @@ def test_the_check_passes_the_right_and_refuses_the_wrong(
         for wrong in (0.0, 2.0, 1.01):
             with pytest.raises(JacobianError):
                 check_jacobians(factor(wrong), values)
-
-
-@for_all(start=[[41, 36, 1], [30, 30, 5], [45, 30, -3]])
-def test_sigmas_at_an_exact_optimum(start: list[float]) -> None:
-    """Ranges to five beacons, of which z of the truth is 0: residuals are rounding at the end."""
-    B = np.array([[0.0, 0, 20], [100, 0, 25], [0, 100, 22], [100, 100, 30], [50, 50, 60]])
-    d = np.linalg.norm(B - [40, 35, 0], axis=1)
-    heard = Factor.from_function(
-        lambda X: d[:, None] - np.linalg.norm(B - X, axis=1)[:, None], p[np.zeros(5, int)], 1, Isotropic(1.0)
-    )
-    graph = FactorGraph([heard])
-    result = graph.optimize(Values({p: (R(3), [start])}))
-    sigmas = np.sqrt(np.diag(Marginals(graph, result.values).covariance(p[0])))
-    assert sigmas == pytest.approx([0.74530503, 0.75696235, 0.89168623], rel=1e-5)
 
 
 def test_a_component_that_f_does_not_depend_on_is_0_in_spite_of_noise() -> None:
@@ -207,20 +167,6 @@ def outcome(residual: Function, slope: float, x: float) -> str:
         except JacobianError:
             return "refused"
     return "doubted" if doubts else "passed"
-
-
-def test_flat_measurements_have_no_part_in_each_other() -> None:
-    """The search of one ends before that of another, in which steps go down to 1e-42."""
-    added = np.array([[0.0], [5.0], [500.0], [5e4]])
-    (A,), _ = linearized(Factor.from_function(lambda X: X**3 + added, p[0:4], 1), Values({p: (R(1), np.zeros((4, 1)))}))
-    assert (A == 0).all()
-
-
-@for_all(slope=[1e-12, 1e-6, 1e-3], x=[0.0, 1e-15], power=[3, 5])
-def test_a_small_slope_under_a_power_is_found(slope: float, x: float, power: int) -> None:
-    factor = Factor.from_function(lambda X: X**power + slope * X, p[0], 1)
-    (A,), _ = linearized(factor, Values({p: (R(1), [[x]])}))
-    assert A[0, 0, 0] == pytest.approx(slope, rel=1e-6)
 
 
 def test_kinks_have_a_difference_and_plateaus_none() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from factors import Diagonal, Factor, Isotropic, Projection, RangeAzimuth, check_jacobians
+from factors import Diagonal, Factor, Isotropic, Projection
 from models import SE2, SE3, R
 from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError
 from models.sensors import Camera
@@ -20,43 +20,6 @@ x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
 CAMERA = Camera((600.0, 500.0), (640.0, 480.0), (-0.2, 0.05, 0.001, -0.002))
 HERE = SE3.identity()[0]
-
-
-def scene(n: int, seed: int = 1) -> tuple[Values, Array]:
-    """n poses near the origin, a camera somewhere on the vehicle, and a point 4 to 9 m in front of each camera."""
-    rng = np.random.default_rng(seed)
-    X, O = SE3.exp(rng.normal(scale=0.4, size=(n, 6))), SE3.exp(rng.normal(scale=0.8, size=(1, 6)))
-    p = rng.uniform([-1, -1, 4], [1, 1, 9], size=(n, 3))
-    L = SE3.act(SE3.compose(X, O), p)
-    return Values({x: (SE3, X), l: (R(3), L), o: (SE3, O)}), CAMERA.project(p)[0]
-
-
-def test_pixels_by_hand() -> None:
-    """The camera 1 m to starboard of a vehicle at (0, 0, 5) that looks ahead: its right is the vehicle's y."""
-    offset = np.array([0.0, 1.0, 0.0, 0.5, 0.5, 0.5, 0.5])  # axes x right, y down, z forward in x ahead, y starboard
-    values = Values({x: (SE3, [0, 0, 5, 0, 0, 0, 1]), l: (R(3), [[4.0, 2.0, 5.5]])})
-    factor = Projection(x[0], l[0], [0, 0], UNIT, Camera((600.0, 500.0), (640.0, 480.0)), offset)
-    same(-error(factor, values), [[640 + 600 / 4, 480 + 500 * 0.5 / 4]])
-    same(-error(Projection(x[0], l[0], [0, 0], UNIT, offset=offset), values), [[1 / 4, 1 / 8]])
-
-
-def test_offset_none_fixed_and_variable_are_one() -> None:
-    """The same pixels, and derivatives that agree with central differences far from the measurement."""
-    n = 5
-    values, h = scene(n)
-    cameras = values.replaced({x: SE3.compose(values[x], values[o])})
-    z = h + np.random.default_rng(2).normal(scale=40, size=h.shape)
-    for offset in (None, values[o][0], np.repeat(values[o], n, axis=0), o[0]):
-        factor, here = Projection(x[0:n], l[0:n], z, UNIT, CAMERA, offset), cameras if offset is None else values
-        A, b = linearized(factor, here)
-        same(b, z - h, atol=1e-9)
-        assert check_jacobians(factor, here) < 1e-7 * max(np.abs(A_k).max() for A_k in A)
-        assert factor.relative
-        part = factor[[3, 1]]
-        assert part.camera is CAMERA
-        same(error(part, here), (z - h)[[3, 1]], atol=1e-9)
-    noise = Diagonal(v=4.0, u=1.5)
-    same(error(Projection(x[0:n], l[0:n], h + np.array([3.0, 8.0]), noise, CAMERA), cameras), [[2.0, 2.0]] * n)
 
 
 def test_a_point_behind_is_named_and_not_mirrored() -> None:
@@ -129,21 +92,3 @@ def test_what_does_not_fit(case: tuple[Callable[[], Factor], type[Exception], st
     make, kind, named = case
     values = Values({x: (SE3, HERE), l: (R(3), [[0, 0, 5.0], [1, 0, 5]]), o: (SE2, [0.0, 0, 0])})
     refused(lambda: values.gather(make()), kind, named)
-
-
-def test_a_camera_alone_has_no_scale_and_a_sonar_gives_it() -> None:
-    """Two cameras and twelve points: seven directions free without ranges, six (the gauge) with them."""
-    rng = np.random.default_rng(5)
-    X = SE3.exp(np.array([[0.0] * 6, [1.0, 0.2, 0.3, 0.1, -0.2, 0.3]]))
-    L = rng.uniform([-2, -2, 5], [2, 2, 9], size=(12, 3))
-    values = Values({x: (SE3, X), l: (R(3), L)})
-    i, k = np.divmod(np.arange(24), 12)
-    p = SE3.act(SE3.inverse(X)[i], L[k])
-    images = Projection(x[i], l[k], CAMERA.project(p)[0], UNIT, CAMERA)
-    sonar = np.array([0.0, 0.3, 0.0, -0.5, -0.5, -0.5, 0.5])
-    q = SE3.act(SE3.inverse(sonar), p)
-    contacts = RangeAzimuth(x[i], l[k], np.column_stack([np.linalg.norm(q, axis=1), np.arctan2(q[:, 1], q[:, 0])]),
-                            Diagonal(range=0.01, azimuth=0.01), sonar)  # fmt: skip
-    for factors, free in (([images], 7), ([images, contacts], 6)):
-        S = np.linalg.svd(FactorGraph(factors).linearize(values).A.toarray(), compute_uv=False)
-        assert int((S < 1e-9 * S[0]).sum()) == free

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import nls
 from factors import (
     Bearing,
     Between,
-    BetweenSensors,
     Covariance,
     Diagonal,
     Factor,
@@ -28,10 +25,9 @@ from factors import (
     Robust,
     SqrtInformation,
 )
-from factors.keys import Keys
-from models import SE2, SE3, R
+from models import SE2, R
 from models.errors import GraphError
-from nls import FactorGraph, Values, kinds
+from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused, same
 from tests.factors.samples import SAMPLES as POSE_SAMPLES
@@ -97,43 +93,6 @@ def test_a_function_has_no_parts() -> None:
             refused(lambda factor=factor, index=index: factor[index], GraphError, "function cannot be sliced")
 
 
-def walk(n: int = 4) -> Values:
-    rng = np.random.default_rng(3)
-    space = SE3.exp(rng.normal(size=(n + 1, 6)))
-    return Values(
-        {
-            x: (SE3, space),
-            l: (R(3), rng.normal(size=(n, 3)) + 9),
-            o: (SE3, SE3.exp(rng.normal(size=(n, 6)))),
-        }
-    )
-
-
-@for_all(shared=[False, True])
-def test_offsets_go_with_their_measurements(shared: bool) -> None:
-    n, values, rng = 4, walk(), np.random.default_rng(4)
-    O, P = (SE3.exp(rng.normal(size=(1 if shared else n, 6))) for _ in range(2))
-    z, i = SE3.exp(rng.normal(size=(n, 6))), np.arange(n)
-    factors = [
-        Landmark(x[i], l[i], rng.normal(size=(n, 3)), Isotropic(0.1), offset=O),
-        Prior(x[i], z, Isotropic(0.1), ("z", "yaw"), "g2o", offset=O),
-        Position(x[i], rng.normal(size=(n, 2)), Isotropic(0.1), ("z", "x"), offset=O[:, :3]),
-        BetweenSensors(x[i], x[i + 1], z, Isotropic(0.1), (O, P), "g2o"),
-        BetweenSensors(x[i], x[i + 1], z, Isotropic(0.1), (O, P[0]), "g2o"),
-    ]
-    for factor in factors:
-        part = factor[[2, 0]]
-        same_rows(part, factor, [2, 0], values)
-        one = part.offset[0] if isinstance(part, BetweenSensors) else part.offset
-        assert len(one) == (1 if shared else 2)
-        assert not one.flags.writeable
-        assert part.convention == factor.convention
-    each = Landmark(x[i], l[i], z[:, :3], Isotropic(0.1), offset=o[i])
-    same_rows(each[[2, 0]], each, [2, 0], values)
-    assert each[[2, 0]].offset == o[[2, 0]]
-    assert each[[2, 0]].unmoved == (2,)
-
-
 DIAGONALS = np.arange(1, 4)[:, None, None] * np.eye(3)
 
 
@@ -192,31 +151,6 @@ def test_plain_lists_of_numbers() -> None:
     assert flat[[2, 2, 0]].chi2(Values({x: (R(1), np.zeros((3, 1)))})).tolist() == [9.0, 9.0, 1.0]
 
 
-def test_what_a_mask_leaves_out_is_out() -> None:
-    """The line users write: keep the inliers."""
-    truth = SE2.exp(np.random.default_rng(1).normal(size=(6, 3)))
-    i, j = np.arange(5), np.arange(1, 6)
-    z = SE2.between(truth[i], truth[j])
-    z[2] += [30, 0, 0]
-    values = Values({x: (SE2, truth)})
-    edges = Between(x[i], x[j], z, Robust(Isotropic(0.1), Huber(1.0)))
-    graph = FactorGraph()
-    kept = graph.add(edges[edges.weights(values) > 0.5])
-    assert kept.keys[0] == x[[0, 1, 3, 4]]
-    assert graph.chi2(values) == pytest.approx(0.0, abs=1e-20)
-    none = edges[edges.weights(values) > 2]
-    assert len(none) == 0
-    assert FactorGraph([kept, none]).chi2(values) == graph.chi2(values)
-    assert none.chi2(values).shape == (0,)
-    assert none[:].chi2(values).shape == (0,)
-
-
-def test_iteration_ends() -> None:
-    ranges = Range(x[[3, 4, 5]], l[0], [1.0, 2.0, 3.0], Isotropic([1, 2, 3]))
-    assert [repr(one) for one in ranges] == ["Range(x3, l0)", "Range(x4, l0)", "Range(x5, l0)"]
-    assert [one.z.tolist() for one in ranges] == [[1.0], [2.0], [3.0]]
-
-
 @for_all(
     case=[
         (5, "no measurement 5; the batch has 5"),
@@ -236,28 +170,3 @@ def test_iteration_ends() -> None:
 def test_wrong_indices_are_refused(case: tuple[Any, str]) -> None:
     edges = Between(x[np.arange(5)], x[np.arange(1, 6)], np.zeros((5, 3)), Isotropic(1))
     refused(lambda: edges[case[0]], GraphError, case[1])
-
-
-@pytest.mark.filterwarnings("ignore:.*files hold measurements only")
-def test_lines_of_a_file_go_along(tmp_path: Path) -> None:
-    """The numbers of the lines a factor was read from, which writing gives back digit by digit."""
-    edges = [f"EDGE3 {k} {k + 1} 1 0.{k + 1} 0 0.1 0.2 0.{k + 3}" + 21 * " 3" for k in range(4)]
-    points = [f"EDGE_SE3_TRACKXYZ {k} 9 7 {k}.5 1 1 {k + 2} 0 0 3 0 4" for k in range(4)]
-    poses = [f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1" for k in range(4)]
-    offset = ["PARAMS_SE3OFFSET 7 1 2 3 0 0 0 1", "VERTEX_TRACKXYZ 9 4 5 6"]
-    for dialect, text in (("g2o", [*offset, *poses, *points]), ("isam", edges)):
-        lines_go_along(dialect, "\n".join(text) + "\n", text[-1].split()[0], tmp_path)
-
-
-def lines_go_along(dialect: str, text: str, tag: str, tmp_path: Path) -> None:
-    (tmp_path / "whole.txt").write_text(text)
-    graph, values, _ = nls.load(tmp_path / "whole.txt", dialect=dialect)
-    (factor,) = graph.factors
-    nls.save(tmp_path / "all.txt", graph, values, dialect=dialect)
-    nls.save(tmp_path / "part.txt", FactorGraph([factor[[3, 1]]]), values, dialect=dialect)
-    written = [line for line in (tmp_path / "all.txt").read_text().splitlines() if line.split()[0] == tag]
-    part = [line for line in (tmp_path / "part.txt").read_text().splitlines() if line.split()[0] == tag]
-    assert len(written) == 4
-    assert part == [written[3], written[1]]
-    one = Keys("x", [int(part[0].split()[1])])
-    assert factor[3].keys[0] == one

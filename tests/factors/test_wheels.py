@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi
-
 import numpy as np
 import pytest
 
@@ -45,23 +43,6 @@ def test_slip_across_is_measured_as_zero_unless_given() -> None:
         assert model.space is Measured("right", "left", "lateral")
         same(model.error(*X), [[0.0, 0.0, e]], atol=1e-14)
         same(Wheels(x[0], x[1], factor.z, Isotropic(1.0), BASE).chi2(slid), e * e, atol=1e-14)
-
-
-def test_turns_are_the_shorter_way_round_and_travel_may_be_shared() -> None:
-    turn, over_pi = 2 * pi - 6.2, Values({x: (SE2, [[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]])})
-    same(Wheels(x[0], x[1], [turn * BASE / 2, -turn * BASE / 2], NOISE, BASE).chi2(over_pi), 0.0, atol=1e-20)
-    values = Values({x: (SE2, np.random.default_rng(1).normal(size=(4, 3)))})
-    z = np.array([[1.0, 0.9], [0.5, 0.6], [0.2, 0.2]])
-    factor = Wheels(x[0:3], x[1:4], z, Diagonal(travel_sigmas(z, 0.01, 0.02, 0.001)), BASE)
-    assert factor.z.shape == (3, 3)
-    assert not factor.z.flags.writeable
-    for k in range(3):
-        assert factor[k].chi2(values) == pytest.approx(factor.chi2(values)[[k]], rel=1e-12)
-        assert factor[k].base == BASE
-    same(
-        Wheels(x[0:3], x[1:4], [1.0, 0.9], NOISE, BASE).chi2(values)[0],
-        Wheels(x[0], x[1], z[0], NOISE, BASE).chi2(values)[0],
-    )
 
 
 def test_without_a_slip_that_is_measured_the_heading_does_not_hold_the_way() -> None:

@@ -64,23 +64,6 @@ def test_legs_are_products_of_steps_wherever_they_are_cut() -> None:
     np.testing.assert_allclose(J @ two.Sigma[0] @ J.T + two.Sigma[1], one.Sigma[0], rtol=1e-9)
 
 
-def test_covariances_are_those_of_the_noise() -> None:
-    """White noise added to every sample by its density, 4,000 drives: each entry within 6 % of its two sigmas."""
-    rng, n, drives = np.random.default_rng(3), 40, 4000
-    t, twist, _ = samples(rng, n)
-    S = np.broadcast_to([[0.1, 0.0], [0.03, 0.02], [0.0, 0.3]], (n, 3, 2)) * rng.uniform(0.2, 1.0, size=(n, 1, 1))
-    dt = np.diff(t, append=t[-1] + 1.0)
-    legs = integrate_plane(t, twist, S, boundaries=t[[0, -1]])
-    noise = np.matvec(S, rng.normal(size=(drives, n, 2))) / np.sqrt(dt)[:, None]
-    again = np.arange(drives)[:, None] * (t[-1] - t[0] + 1.0) + t  # one drive after the other, a second between
-    ends, rows = again[:, [0, -1]].ravel(), np.tile(S, (drives, 1, 1))
-    many = integrate_plane(again.ravel(), (twist + noise).reshape(-1, 3), rows, boundaries=ends)
-    e = SE2.local(np.tile(legs.z, (drives, 1)), many.z[::2])
-    sigma = np.sqrt(np.diagonal(legs.Sigma[0]))
-    scale = np.outer(sigma, sigma)
-    np.testing.assert_allclose(e.T @ e / drives / scale, legs.Sigma[0] / scale, atol=0.06)
-
-
 def test_an_error_held_over_one_long_step() -> None:
     """A step that turns by 1.4 rad: Sigma dt is G G', G the derivative of its end by the sources of the error."""
     S, twist = np.diag([0.1, 0.03, 0.3]), np.array([1.0, 0.2, 0.7])

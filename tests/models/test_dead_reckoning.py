@@ -84,68 +84,6 @@ def test_chained_is_the_product_of_all_before() -> None:
         X = SE3.compose(X, steps[k : k + 1]) if k < 37 else X
 
 
-RUNS, PERIOD = 120, 12.1  # one run after the other, in one call
-BIAS, BRIDGE = np.array([2e-3, 1e-3, 3e-3]), 0.05
-
-
-def bridged_truth(t: Array, v: Array, valid: npt.NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Velocities that wander between the valid ones as the bridge says they may."""
-    v = v.copy()
-    for part in np.split(np.flatnonzero(~valid), np.flatnonzero(np.diff(np.flatnonzero(~valid)) > 1) + 1):
-        a, b = part[0] - 1, part[-1] + 1
-        share = ((t[a : b + 1] - t[a]) / (t[b] - t[a]))[:, None]
-        walk = np.cumsum(rng.normal(size=(b - a, 3)) * BRIDGE * np.sqrt(np.diff(t[a : b + 1]))[:, None], axis=0)
-        walk = np.concatenate([np.zeros((1, 3)), walk])
-        v[a : b + 1] = (1 - share) * v[a] + share * v[b] + walk - share * walk[-1]
-    return v
-
-
-@for_all(sensor=["gyro", "attitude"], gaps=[False, True])
-def test_errors_obey_their_covariances(sensor: str, gaps: bool) -> None:
-    """NEES of legs between boundaries on and off the samples, over seeds, every noise on: mean and each component."""
-    rng = np.random.default_rng(11)
-    t, tw, b = np.linspace(0, 12, 121), np.linspace(0, 12, 151), np.array([0.03, 4.0, 4.5, 12.0])
-    w = wave(tw)[1]
-    v_d, _ = dvl_velocity(*wave(t), MOUNT[None])
-    valid = np.ones(len(t), dtype=bool)
-    if gaps:
-        valid[20:47], valid[90:97] = False, False  # over a boundary, and inside of a leg
-    q = integrate(tw, np.zeros_like(w), w, boundaries=tw, sigma_v=1.0, sigma_w=1.0).track([0, 0, 0, *TILTED])[:, 3:]
-    t_all, t_w, boundaries = ((PERIOD * np.arange(RUNS)[:, None] + times).ravel() for times in (t, tw, b))
-    settings: dict[str, Any] = {"mount": MOUNT, "t_w": t_w, "longest": 9.0}
-    settings |= {"sigma_v": 0.03, "scale": 0.01, "sigma_bias": BIAS}
-
-    def run(v: Array, w: Array, q: Array, **more: Any) -> Legs:
-        v, w, q = (np.broadcast_to(a, (RUNS, *a.shape[-2:])).reshape(-1, a.shape[-1]) for a in (v, w, q))
-        turns = {"w": w, "sigma_w": 2e-3} if sensor == "gyro" else {"attitude": q, "sigma_attitude": 0.01}
-        return integrate(t_all, v, boundaries=boundaries, **turns, **settings, **more)
-
-    def normal(*size: int) -> Array:
-        return rng.normal(size=(RUNS, *size))
-
-    v_true = np.array([bridged_truth(t, v_d, valid, rng) for _ in range(RUNS)]) if gaps else v_d
-    v_m = v_true * (1 + 0.01 * normal(1, 1)) + 0.03 * normal(*v_d.shape)
-    v_m[:, ~valid] = np.nan
-    bias = BIAS * normal(1, 3)
-    w_m = w + bias + 2e-3 / np.sqrt(tw[1]) * normal(*w.shape)
-    q_m = SO3.compose(q, SO3.exp(bias + 0.01 * normal(*w.shape)))
-    mine = np.arange(4 * RUNS).reshape(RUNS, 4)[:, :3]  # the fourth leg is from one run to the next
-    legs = run(v_m, w_m, q_m, valid=np.tile(valid, RUNS), sigma_bridge=BRIDGE)
-    errors = SE3.local(legs.z[mine], run(v_true, w, q).z[mine])
-    Sigma = legs.Sigma[mine]
-    nees = np.vecdot(errors, np.linalg.solve(Sigma, errors[..., None])[..., 0])
-    bound = 0.95  # three sigma; of a leg of five samples too much is said by 5 %
-    alone = [2] if gaps else [0, 1, 2]  # legs that share no drop-out with another
-    np.testing.assert_allclose(nees.mean(axis=0)[alone], 6, atol=bound)
-    runs = nees[:, alone].mean(axis=1)  # the legs of one run share their scale and bias
-    assert abs(runs.mean() - 6) < 1.96 * runs.std() / np.sqrt(RUNS)
-    spread = errors.std(axis=0) / np.sqrt(np.diagonal(Sigma, axis1=-2, axis2=-1)[0])
-    np.testing.assert_allclose(spread[alone], 1, atol=0.22)
-    assert (nees.mean(axis=0) < 6 + bound).all()
-    assert (spread[:2, 3:] > 0.78).all()
-    np.testing.assert_allclose(legs.bridged[mine[0]], [2.1, 0.5, 1.0] if gaps else [0.0, 0.0, 0.0], atol=1e-9)
-
-
 @for_all(sensor=["gyro", "attitude"], leg=[0, 1])
 def test_the_covariance_is_that_of_differences(sensor: str, leg: int) -> None:
     """Every sample moved a little, scale and bias too, at turns of half a radian a step: Sigma is what follows."""
@@ -183,23 +121,6 @@ def test_the_covariance_is_that_of_differences(sensor: str, leg: int) -> None:
             want += squared(none, (0.01, 0.02, 0.03)[c] / np.sqrt(spacing[k]) * one)
     legs = run(v, none, scale=0.05, sigma_bias=bias)
     np.testing.assert_allclose(legs.Sigma, want, rtol=0, atol=1e-6 * np.abs(want).max())
-
-
-def test_the_covariance_is_what_one_can_add_up() -> None:
-    """Straight ahead at rest of turn: white velocity noise, scale, and a yaw rate that swings the end of the way."""
-    t, v, w = np.linspace(0, 10, 1001), np.tile([2.0, 0.0, 0.0], (1001, 1)), np.zeros((1001, 3))
-    sigmas = {"sigma_v": 0.01, "sigma_w": [1e-9, 1e-9, 0.001], "scale": 0.002, "sigma_bias": [0.0, 0.0, 0.0003]}
-    legs = integrate(t, v, w, boundaries=[0.0, 10.0], **sigmas)
-    S = legs.Sigma[0]
-    white = 0.01**2 * 0.01 * 10  # sigma^2 dt T
-    assert S[0, 0] == pytest.approx(white + (0.002 * 20) ** 2, rel=2e-3)
-    assert S[2, 2] == pytest.approx(white, rel=2e-3)
-    assert S[5, 5] == pytest.approx(0.001**2 * 10 + (0.0003 * 10) ** 2, rel=2e-3)
-    # the yaw error psi moves the end sideways by the integral of 2 m/s psi
-    assert S[1, 1] == pytest.approx(white + 2.0**2 * (0.001**2 * 10**3 / 3 + 0.0003**2 * 10**4 / 4), rel=2e-3)
-    assert S[1, 5] == pytest.approx(2.0 * (0.001**2 * 10**2 / 2 + 0.0003**2 * 10**3 / 2), rel=2e-3)
-    np.testing.assert_allclose(S, S.T, rtol=0, atol=0)
-    assert np.linalg.eigvalsh(S).min() > 0
 
 
 def straight(valid: npt.NDArray[np.bool_], **more: Any) -> Legs:

@@ -63,30 +63,6 @@ def test_no_combination_of_legs_is_better_known_than_the_bridge_allows() -> None
     assert (np.diagonal(D) > np.diagonal(C)).all()
 
 
-@for_all(rate=[0.0, 0.3])
-def test_errors_at_the_end_of_a_drop_out(rate: float) -> None:
-    """Monte Carlo: 400 bridges, 10 legs; the spread of the end is the stated one, and not above it in a turn."""
-    runs, rng = 400, np.random.default_rng(5)
-    lost = np.flatnonzero(~VALID)
-    inside = slice(lost[0] - 1, lost[-1] + 2)
-    share = ((T[inside] - 5.0) / 10.0)[:, None]
-    stated = legs_of(np.linspace(5.0, 15.0, 11), rate)
-    end = stated.track([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])[-1:]
-    walk = np.zeros((runs, len(share), 3))
-    walk[:, 1:] = np.cumsum(BETA * np.sqrt(T[1]) * rng.normal(size=(runs, len(lost) + 1, 3)), axis=1)
-    v = np.tile(AHEAD, (runs, len(T), 1))
-    v[:, inside] += walk - share * walk[:, -1:]
-    t = 20.2 * np.arange(runs)[:, None]  # one run after the other, in one call
-    w = np.tile([0.0, 0.0, rate], (runs * len(T), 1))
-    ends = (t + np.array([5.0, 15.0])).ravel()
-    true = integrate((t + T).ravel(), v.reshape(-1, 3), w, boundaries=ends, sigma_v=1e-6, sigma_w=1e-9).z[::2]
-    errors = SE3.local(np.tile(end, (runs, 1)), true)[:, :3]
-    nees = np.vecdot(errors @ np.linalg.inv(summed(stated)[:3, :3]), errors).mean()
-    bound = 3 * np.sqrt(2 * 3 / runs)
-    assert nees < 3 + bound
-    assert nees > (3 - bound if rate == 0 else 1.0)
-
-
 def walked(sigma: float, boundaries: list[float], **more: Any) -> Legs:
     """Attitudes at 10 Hz with none between 5 and 15 s, 1 m/s ahead."""
     t_w = np.linspace(0.0, 20.0, 201)

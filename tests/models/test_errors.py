@@ -55,24 +55,6 @@ def test_file_error_has_path_and_line_and_80_characters_of_it() -> None:
     assert (option.option, option.value, option.allowed) == ("gauge", "frist", "one of first, prior")
 
 
-def test_attributes() -> None:
-    graph = errors.GraphError("m", ["x0", "x1"], "Between")
-    assert (graph.keys, graph.factor) == (("x0", "x1"), "Between")
-    noise = errors.NoiseModelError("m", "information", 3, -0.5)
-    assert (noise.matrix, noise.index, noise.value, noise.keys) == ("information", 3, -0.5, ())
-    evaluation = errors.EvaluationError("m", "Prior", ["x2"], 4, "residual")
-    assert (evaluation.factor, evaluation.keys, evaluation.iteration) == ("Prior", ("x2",), 4)
-    assert evaluation.where == "residual"
-    jacobian = errors.JacobianError("m", "Prior", (0, 1, 2, 3), 1.0, -1.0)
-    assert (jacobian.factor, jacobian.entry, jacobian.analytic, jacobian.numeric) == ("Prior", (0, 1, 2, 3), 1.0, -1.0)
-    free = errors.UnderconstrainedError("m", ["x3"], 1, ["x3: yaw"], {"x": 1})
-    assert (free.keys, free.nullity, free.components, free.values) == (("x3",), 1, ("x3: yaw",), {"x": 1})
-    limit = errors.ResourceLimitError("m", 2e9, 1e9, "A")
-    assert (limit.needed, limit.limit, limit.subject) == (2e9, 1e9, "A")
-    singular = errors.SingularGeometryError("m", "Range", ["l1"])
-    assert (singular.factor, singular.keys) == ("Range", ("l1",))
-
-
 def test_advice_is_python_unless_the_shell_asks() -> None:
     cures = [Advice("qr"), Advice("gauge")]
     python = ["keep twice the digits: linear_solver=nls.QR()", "hold one pose of every part: gauge='first'"]

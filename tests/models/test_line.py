@@ -106,10 +106,3 @@ def test_jacobians_are_the_central_differences() -> None:
         _, (H_X, H_l) = line_in_frame(X, l)
         same(H_X, on_group(SE2, lambda X, l=l: line_in_frame(X, l)[0], X, minus=minus), atol=1e-7)
         same(H_l, on_group(LINE, lambda l, X=X: line_in_frame(X, l)[0], l, minus=minus), atol=1e-7)
-
-
-def test_nothing_jumps_where_the_vehicle_crosses_the_line() -> None:
-    y = np.linspace(-0.01, 0.01, 41)
-    X = np.column_stack([np.full(41, 25.0), y, np.full(41, 0.4)])
-    h, _ = line_in_frame(X, np.tile([pi / 2, 0.0], (41, 1)))
-    same(h, np.column_stack([np.full(41, pi / 2 - 0.4), -y]), atol=1e-14)

@@ -58,33 +58,6 @@ def test_derivatives_by_the_euler_formula() -> None:
     same(H, tangent_of_euler(a)[:, [5, 1, 0]], atol=1e-9)
 
 
-def test_the_two_forms_agree_without_tilt_and_differ_with_it() -> None:
-    """A level step of 1 m of a pitched vehicle loses 1 - cos(tilt); a step straight down gains sin(tilt) of it."""
-    a, b = states(100, 6), states(100, 7)
-    a[:, :2] = b[:, :2] = 0.0
-    (level, H), (tilted, G) = (f(euler.to_se3(a), euler.to_se3(b)) for f in (levelled, relative_xyh))
-    same(level, tilted, atol=1e-12)
-    same(H[1][:, 2], G[1][:, 2], atol=1e-12)
-    for tilt in (radians(5.0), radians(20.0)):
-        steps = [[0.0, tilt, 0.0, *way] for way in ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])]
-        still, ahead, down = (euler.to_se3([step]) for step in steps)
-        off = levelled(still, ahead)[0][0, 0] - relative_xyh(still, ahead)[0][0, 0]
-        assert off == pytest.approx(1 - np.cos(tilt))
-        same(levelled(still, down)[0], 0.0, atol=1e-15)
-        assert abs(relative_xyh(still, down)[0][0, 0]) == pytest.approx(np.sin(tilt))
-
-
-def test_levelled_steps_know_no_north_but_know_down() -> None:
-    """Turned about the vertical, everything is the same; tilted, it is not. The relative form is the same then, too."""
-    a, b = (euler.to_se3(states(20, seed) * [0.3, 0.3, 1, 1, 1, 1]) for seed in (8, 9))
-    turn, tilt = euler.to_se3([[0.0, 0.0, 2.0, 7.0, 8.0, 9.0]]), euler.to_se3([[0.0, 0.1, 0.0, 0.0, 0.0, 0.0]])
-    for motion in (turn, tilt):
-        moved = [SE3.compose(motion, X) for X in (a, b)]
-        same(relative_xyh(*moved)[0], relative_xyh(a, b)[0], atol=1e-11)
-        level = np.abs(levelled(*moved)[0] - levelled(a, b)[0])[:, :2].max()
-        assert level < 1e-11 if motion is turn else level > 0.05
-
-
 def test_gimbal_lock() -> None:
     good = euler.to_se3(states(3, 10))
     for pitch in (pi / 2, -pi / 2):

@@ -8,7 +8,6 @@ import pytest
 from models.algebra import Array
 from models.errors import GraphError, SingularGeometryError
 from models.ray_range import ray_range
-from models.sensors import Camera
 from tests.models.differences import difference
 
 AHEAD = np.array([0.0, 0.0, 1.0])
@@ -83,39 +82,6 @@ def test_derivatives_against_central_differences() -> None:
             across = e - b * b[:, [k]]  # a bearing moves across itself
             moved = (at(b + h * across, s, r) - at(b - h * across, s, r)) / (2 * h)
             assert np.matvec(p_b, across) == pytest.approx(moved, abs=1e-6)
-
-
-def test_a_mask_takes_the_near_root_here_and_there() -> None:
-    found = ray_range([AHEAD, AHEAD], [0, 3, 8], [5.0, 5.0])
-    roots = (found.jacobians(mask) for mask in (np.array([False, True]), False, True))
-    for mixed, far, close in zip(*roots, strict=True):
-        assert np.array_equal(mixed, np.stack([far[0], close[1]]))
-        assert not np.allclose(far[0], close[1])
-
-
-@pytest.mark.parametrize(
-    ("z", "s", "r", "near", "moved"),
-    [
-        ([100.0, -50.0], [0.1, 0.3, 0.15], 7.0, False, True),
-        ([-400.0, 300.0], [-0.5, 0.2, 0.0], 5.0, False, False),
-        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, False, True),
-        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, True, True),
-    ],
-)
-def test_covariance_is_that_of_drawn_noise(z: list[float], s: list[float], r: float, near: bool, moved: bool) -> None:
-    camera, rng, n = Camera(focal=(600.0, 550.0), distortion=(-0.1,)), np.random.default_rng(3), 20_000
-    Sigma_z, sigma_r = np.array([[1.0, 0.3], [0.3, 0.5]]), 0.004
-    Sigma_s = 1e-5 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.2], [0.0, 0.2, 0.5]])
-    b, J_b = camera.ray([z])
-    one = ray_range(b, s, [r])
-    Sigma = one.covariance(J_b, Sigma_z, sigma_r, Sigma_s if moved else None, near)[0]
-    origin = rng.multivariate_normal(s, Sigma_s, n) if moved else np.array(s)
-    pixels = rng.multivariate_normal(z, Sigma_z, n)
-    many = ray_range(camera.ray(pixels)[0], origin, r + sigma_r * rng.normal(size=n))
-    seen = np.cov(many.points[int(near)].T)
-    L = np.linalg.inv(np.linalg.cholesky(Sigma))
-    assert L @ seen @ L.T == pytest.approx(np.eye(3), abs=0.04)  # 1 / sqrt(n) is 0.007
-    assert many.points[int(near)].mean(axis=0) == pytest.approx(one.points[int(near), 0], abs=2e-3)
 
 
 def test_no_derivative_where_there_is_no_point_or_the_ray_touches() -> None:

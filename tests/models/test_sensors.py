@@ -102,16 +102,6 @@ def test_a_point_on_the_body_by_hand() -> None:
     same(H, [[[0, -1, 0, 1, 0, -3], [1, 0, 0, 0, 1, 0], [0, 0, 1, 0, -3, 0]]], atol=1e-15)
 
 
-def test_heading_by_hand() -> None:
-    """Rolled by 90 deg, a turn about the body's y axis is a turn about the vertical."""
-    yaw, H = heading(SE3, euler.to_se3(np.array([[pi / 2, 0.0, 0.4, 1, 2, 3], [0.0, pi / 3, -3.0, 0, 0, 0]])))
-    same(yaw, [[0.4], [-3.0]], atol=1e-14)
-    same(H, [[[0, 0, 0, 0, 1, 0]], [[0, 0, 0, 0, 0, 2]]], atol=1e-12)
-    yaw, H = heading(SE2, np.array([[1.0, 2.0, 4.0]]))
-    same(yaw, [[4.0 - 2 * pi]])
-    same(H, [[[0, 0, 1]]])
-
-
 def test_derivatives_for_poses() -> None:
     rng = np.random.default_rng(5)
     for group in (SE2, SE3):
@@ -129,18 +119,6 @@ def test_derivatives_for_poses() -> None:
         with pytest.raises(SingularAt, match="gimbal lock") as caught:
             heading(SE3, euler.to_se3(np.array([[0.0, 0.1, 0.4, 1, 2, 3], [0.0, pitch, 0.4, 1, 2, 3]])))
         assert caught.value.index == 1
-
-
-def test_an_image_by_hand() -> None:
-    """Turned by 90 deg about y the point is ahead, at P = (0, 1, -2); h = 100 (1 + 0.1 / 4 + 0.2 / 16) (0, 1/2)."""
-    camera = np.array([[0.0, pi / 2, 0.0, 0.0, 0.0, -1.0]])
-    h, (H_c, H_f, H_X) = project(camera, np.array([[100.0, 0.1, 0.2]]), np.array([[1.0, 1.0, 0.0]]))
-    same(h, [[0.0, 51.875]], atol=1e-13)
-    same(H_f, [[[0, 0, 0], [0.51875, 12.5, 3.125]]], atol=1e-14)
-    r, g = 1.0375, 100 * (2 * 0.1 + 4 * 0.2 / 4)
-    along = (100 * r + g / 4) / 2
-    same(H_c[0, :, 3:], [[100 * r / 2, 0, 0], [0, along, along / 2]], atol=1e-12)
-    same(H_X[0], [[0, 0, 100 * r / 2], [-along / 2, along, 0]], atol=1e-12)
 
 
 def test_derivatives_of_an_image() -> None:

@@ -8,17 +8,11 @@ from math import atan, cos, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from models import SE3, euler
 from models.algebra import Array
 from models.errors import OptionError
 from models.sensors import (
-    ARIS_3000,
-    BLUEVIEW_M900,
     DIDSON_HIGH,
     DIDSON_LOW,
-    OCULUS_M750D,
-    ImagingSonar,
-    SingularAt,
     cartesian,
     elevation,
     plane_projection,
@@ -28,7 +22,6 @@ from models.sensors import (
 from tests.models.differences import difference
 
 same = np.testing.assert_allclose
-PRESETS = [DIDSON_HIGH, DIDSON_LOW, ARIS_3000, OCULUS_M750D, BLUEVIEW_M900]
 
 
 def points(n: int = 200, seed: int = 0) -> Array:
@@ -62,17 +55,6 @@ def test_derivatives() -> None:
     same(np.linalg.det(dq), h[:, 0] ** 2 * np.cos(h[:, 2]), rtol=1e-9)
 
 
-def test_one_view_says_nothing_along_the_arc() -> None:
-    """The tangent of the arc is in the null space of the measurement, and of nothing less: two numbers are measured."""
-    p = points(seed=2)
-    h, _ = spherical(p)
-    along = cartesian(h)[1][:, :, 2]
-    _, J = range_azimuth(p)
-    same((J @ along[..., None])[..., 0], 0.0, atol=1e-12)
-    same(np.linalg.norm(along, axis=1), h[:, 0], rtol=1e-9)
-    assert (np.linalg.matrix_rank(J) == 2).all()
-
-
 def test_the_fan_image() -> None:
     """r (cos az, sin az): longer than (x, y) by 1 / cos el; the whole arc is one pixel, up to its ends."""
     p = points(seed=3)
@@ -87,14 +69,6 @@ def test_the_fan_image() -> None:
     assert 5.0 - np.hypot(p[0], p[1]) == pytest.approx(0.0373, abs=1e-4)  # how much shorter the planar reading is
 
 
-def test_no_azimuth_on_the_axis() -> None:
-    for sense in (spherical, range_azimuth, elevation, plane_projection):
-        for bad in ([0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [1e-12, 0.0, -3.0]):
-            with pytest.raises(SingularAt) as caught:
-                sense(np.array([[1.0, 2.0, 3.0], bad, bad]))
-            assert caught.value.index == 1
-
-
 def test_the_noise_of_a_didson() -> None:
     """0.3 deg / sqrt(12) = 1.51 mrad; 5 m / 512 / sqrt(12) = 2.8 mm; cells of 8 cm and 0.24 cm for 40 and 1.25 m."""
     didson = replace(DIDSON_HIGH, window=(1.0, 6.0))
@@ -106,31 +80,6 @@ def test_the_noise_of_a_didson() -> None:
     assert replace(DIDSON_LOW, window=(1.0, 41.0)).sigma_range * sqrt(12) == pytest.approx(0.08, abs=2e-3)
     assert replace(DIDSON_HIGH, window=(1.0, 2.25)).sigma_range * sqrt(12) == pytest.approx(0.0024, abs=1e-4)
     assert DIDSON_LOW.fan / DIDSON_LOW.beams == pytest.approx(radians(0.6))
-
-
-@pytest.mark.parametrize("sonar", PRESETS, ids=lambda s: s.name)
-def test_presets_see_what_is_in_their_frustum_and_have_its_cells(sonar: ImagingSonar) -> None:
-    (near, far), half = sonar.window, sonar.fan / 2
-    r, az, el = (near + far) / 2, half, sonar.aperture / 2
-    inside = np.array([[r, 0, 0], [near + 1e-9, 0, 0], [far - 1e-9, 0, 0], [r, az - 1e-9, 0], [r, 1e-9 - az, 0]])
-    inside = np.concatenate([inside, [[r, 0, el - 1e-9], [r, 0, 1e-9 - el], [r, az - 1e-9, el - 1e-9]]])
-    outside = np.array([[near - 1e-6, 0, 0], [far + 1e-6, 0, 0], [r, az + 1e-6, 0], [r, -az - 1e-6, 0]])
-    outside = np.concatenate([outside, [[r, 0, el + 1e-6], [r, 0, -el - 1e-6], [r, pi - 1e-9, 0]]])
-    assert sonar.sees(cartesian(inside)[0]).all()
-    assert not sonar.sees(cartesian(outside)[0]).any()
-    assert not sonar.sees(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, r]])).any()  # no azimuth, and no error either
-    z = np.random.default_rng(5).uniform([near, -half], [far, half], (40_000, 2))
-    assert set(sonar.beam(z[:, 1])) == set(range(sonar.beams))
-    assert set(sonar.bin(z[:, 0])) == set(range(sonar.bins))
-    q = sonar.quantized(z)
-    off = np.abs(q - z).max(axis=0) / [(far - near) / sonar.bins, sonar.fan / sonar.beams]
-    assert (off <= 0.5 + 1e-9).all()
-    assert (off > 0.499).all()
-    same(np.std(q - z, axis=0), sonar.noise_sigmas, rtol=0.02)
-    same(sonar.quantized(q), q, rtol=1e-12)
-    beams = sonar.beam([-half * 1.001, 1e-9 - half, half - 1e-9, half * 1.001])
-    assert beams.tolist() == [-1, 0, sonar.beams - 1, sonar.beams]
-    assert sonar.bin([near - 1e-6, far + 1e-6]).tolist() == [-1, sonar.bins]
 
 
 def test_edges_are_inside() -> None:
@@ -175,12 +124,3 @@ def test_no_such_sonar(name: str) -> None:
         with pytest.raises(OptionError, match=f"DIDSON, high frequency: {name}: ") as caught:
             replace(DIDSON_HIGH, **{name: value})  # type: ignore[arg-type]
         assert caught.value.value is value
-
-
-def test_the_side_of_a_positive_elevation_is_below() -> None:
-    """A level vehicle, z down, sonar as it is: what is deeper than the sonar has a positive elevation."""
-    X = euler.to_se3(np.array([[0.0, 0.0, 1.0, 7.0, 8.0, 10.0]]))
-    below = SE3.position(X) + np.array([[np.cos(1.0), np.sin(1.0), 0.1]])
-    h, _ = spherical(SE3.act(SE3.inverse(X), below))
-    assert h[0, 2] > 0
-    same(h[0, :2], [np.sqrt(1.01), 0.0], atol=1e-12)

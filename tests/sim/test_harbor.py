@@ -11,11 +11,11 @@ import pytest
 import sim
 from models import SE2
 from models.algebra import wrap
-from models.errors import GraphError, OptionError
+from models.errors import GraphError
 from nls.missions.folder.table import csv_text
 from nls.missions.scans import close, dead_reckoning
 from nls.missions.scans.scans import in_world
-from sim.harbor_files import harbor_files
+from sim.files import harbor_files
 
 Array = npt.NDArray[np.float64]
 GEOMETRIES = ("marina", "quay", "rocks")
@@ -51,15 +51,6 @@ def test_false_alarms_have_their_rate() -> None:
     assert 0.9 * expected < false.sum() < expected  # a few lie on the quay, a few in one square
 
 
-def test_images_give_what_is_drawn() -> None:
-    options = {"keyframes": 40, "laps": 1}
-    drawn, imaged = (made("marina", images=images, **options) for images in (False, True))
-    assert np.array_equal(drawn.truth, imaged.truth)
-    assert len(imaged.scans.points) == pytest.approx(len(drawn.scans.points), rel=0.3)
-    away = distances(imaged.scene, in_world(imaged.truth, imaged.scans))
-    assert np.mean(away < 0.7) > 0.9
-
-
 def test_dead_reckoning_errs_as_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     scans = made("quay").scans  # which dead reckoning does not need
     monkeypatch.setattr(import_module("sim.worlds.harbor"), "drawn", lambda *_: scans)
@@ -78,28 +69,6 @@ def test_dead_reckoning_errs_as_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.std(shares) == pytest.approx(expected, rel=0.2)
     assert np.std(turns) == pytest.approx(drift.yaw, rel=0.05)
     assert np.std(headings) == pytest.approx(drift.heading, rel=0.3)
-
-
-def test_no_drift_is_the_truth() -> None:
-    world = made("rocks", drift=0.0)
-    assert np.allclose(world.poses, world.truth, atol=1e-9)
-    assert world.errors(np.array([3]), np.array([40]), SE2.between(world.truth[[3]], world.truth[[40]])) == (
-        pytest.approx(np.zeros((1, 3)), abs=1e-12)
-    )
-
-
-def test_laps_of_any_length() -> None:
-    for lap in (40, 60, 75, 100):
-        for geometry in ("marina", "quay", "rocks"):
-            assert len(sim.harbor(np.random.default_rng(lap), geometry, keyframes=lap, laps=1).poses) == lap
-
-
-def test_seeds_are_reproducible() -> None:
-    one, same, other = made(seed=1), made(seed=1), made(seed=2)
-    assert np.array_equal(one.scans.points, same.scans.points)
-    assert np.array_equal(one.poses, same.poses)
-    assert not np.array_equal(one.poses, other.poses)
-    assert one.seed == 1
 
 
 def test_files_have_azimuths_to_port_and_yaw_counterclockwise() -> None:
@@ -125,32 +94,6 @@ def test_a_small_harbor_closes() -> None:
     assert m.kept.sum() > 20
     assert (np.hypot(e[:, 0], e[:, 1]) < 3.0).all()
     assert world.ate(closing.rounds[-1].poses) < 0.7 < 2.0 < world.ate(world.poses)
-
-
-def test_nothing_is_accepted_along_a_straight_quay() -> None:
-    world = made("quay", keyframes=100)
-    closing = close(*dead_reckoning(world.poses), world.scans, rounds=2)
-    assert not closing.matches.accepted.any()
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("geometry", "beach"),
-        ("keyframes", 39),
-        ("laps", 3),
-        ("laps", 0),
-        ("drift", -1.0),
-        ("signal", float("nan")),
-        ("signal", 3100.0),
-        ("false_alarms", 1.0),
-        ("images", 1),
-    ],
-)
-def test_mistakes(option: str, value: object) -> None:
-    options: dict[str, object] = {"keyframes": 100, option: value}
-    with pytest.raises(OptionError, match=option):
-        sim.harbor(np.random.default_rng(0), **options)  # type: ignore[arg-type]
 
 
 def test_a_keyframe_that_is_not_there() -> None:

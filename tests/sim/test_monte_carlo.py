@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -64,31 +63,6 @@ def test_processes_and_threads_give_the_same_bits_in_the_order_of_the_seeds(thre
     assert runs(drawn, seeds) == expected(seeds)
     assert runs(partial(drawn, size=5), seeds, threads) == expected(seeds, size=5)
     assert runs(drawn, []) == []
-
-
-def test_a_record_is_in_the_file_as_soon_as_it_is_there(tmp_path: Path) -> None:
-    file, gate = tmp_path / "runs.jsonl", threading.Event()
-    sizes = []
-
-    class OneAtATime(ThreadPoolExecutor):
-        def submit(self, function: Any, /, *args: Any, **options: Any) -> Future[Any]:
-            if args[-1] == 2:
-                return super().submit(lambda: gate.wait(10) and function(*args, **options))
-            return super().submit(function, *args, **options)
-
-    def look() -> None:
-        while len(file.read_bytes().splitlines() if file.exists() else []) < 3:
-            gate.wait(0.01)
-        sizes.append(len(file.read_bytes().splitlines()))
-        gate.set()
-
-    watcher = threading.Thread(target=look, daemon=True)
-    watcher.start()
-    with OneAtATime(1) as executor:
-        # the last seed waits until the first two are on the disk
-        assert runs(drawn, [0, 1, 2], executor, resume=file) == expected([0, 1, 2])
-    watcher.join(10)
-    assert sizes == [3]
 
 
 def test_what_was_killed_goes_on(tmp_path: Path, threads: ThreadPoolExecutor) -> None:
@@ -155,29 +129,6 @@ def test_a_full_disk_leaves_whole_records(tmp_path: Path) -> None:
         assert runs(drawn, [0, 1], executor, resume=file) == expected([0, 1])
 
 
-def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C between two records: what has not begun is cancelled, the file is whole."""
-    file = tmp_path / "runs.jsonl"
-    submitted: list[Future[Any]] = []
-
-    class Held(ThreadPoolExecutor):
-        def submit(self, function: Any, /, *args: Any, **options: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            if args[-1] == 0:
-                future.set_result(function(*args))
-            if args[-1] == 1:
-                future.set_exception(KeyboardInterrupt())
-            submitted.append(future)
-            return future
-
-    with Held(1) as executor, pytest.raises(KeyboardInterrupt):
-        runs(drawn, [0, 1, 2, 3], executor, resume=file)
-    assert [future.cancelled() for future in submitted[2:]] == [True, True]
-    for line in file.read_bytes().splitlines():
-        json.loads(line)
-    assert file.read_bytes().endswith(b"\n")
-
-
 def test_refusals(tmp_path: Path, threads: ThreadPoolExecutor) -> None:
     file = tmp_path / "runs.jsonl"
     for function, seeds, resume, said in (
@@ -212,12 +163,3 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path, threads: ThreadP
         with pytest.raises(GraphFileError, match=said):
             runs(function, [1, 2], threads, resume=file)
         assert file.read_bytes() == content
-
-
-def test_a_cluster_drops_in() -> None:
-    distributed = pytest.importorskip("dask.distributed", reason="dask.distributed is not installed")
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        assert runs(drawn, [5, 1, 3], client.get_executor()) == expected([5, 1, 3])

@@ -29,12 +29,6 @@ def small(seed: int = 0, **options: object) -> sim.Rig:
     return made(seed, **{"poses": 6, "points": 60, **options})
 
 
-def content(rig: sim.Rig) -> list[bytes]:
-    arrays = [values[kind] for values in (rig.truth, rig.start) for kind in (x, l, s)]
-    arrays += [np.asarray(f.z) for f in rig.graph.factors]
-    return [np.ascontiguousarray(a).tobytes() for a in arrays]
-
-
 def expected_poses(points: Array) -> list[Array]:
     """Camera to world, as 4 x 4 matrices, one after the other, from the definition of the path."""
     out = []
@@ -114,18 +108,6 @@ def test_everything_is_measured_once_and_is_in_the_image(options: dict[str, int]
     same(np.concatenate(sigmas), half / np.sqrt(3))
 
 
-def test_chi2_at_the_truth_over_seeds() -> None:
-    """Uniform noise, whitened by its own standard deviation: mean 1 and variance 0.8 for every number."""
-    rigs = [small(seed) for seed in range(10)]
-    for rig in rigs:
-        assert rig.rows == 4 * 6 * 60
-        assert abs(rig.graph.chi2(rig.truth) - rig.rows) < 4.5 * np.sqrt(0.8 * rig.rows)
-        assert rig.dof == rig.rows - (5 * 6 + 60 * 3 + 6)
-    assert abs(sum(r.graph.chi2(r.truth) - r.rows for r in rigs)) < 4 * np.sqrt(0.8 * sum(r.rows for r in rigs))
-    quiet, loud = (small(2, noise_scale=scale) for scale in (1.0, 2.0))
-    assert loud.graph.chi2(loud.truth) == pytest.approx(4 * quiet.graph.chi2(quiet.truth), rel=1e-9)
-
-
 def test_without_noise_the_truth_is_the_optimum() -> None:
     rig = small(noise_scale=0.0)
     assert rig.graph.chi2(rig.truth) < 1e-15
@@ -134,13 +116,6 @@ def test_without_noise_the_truth_is_the_optimum() -> None:
     errors = rig.errors(result.values)
     assert max(errors.poses, errors.points, errors.extrinsic_m, errors.extrinsic_rad) < 1e-8
     assert rig.errors(rig.start).points > 0.005  # the guess of the sonar's pose is all that is wrong
-
-
-def test_a_seed_gives_the_same_bits() -> None:
-    one, other = small(5), small(6)
-    assert content(one) == content(small(5)) != content(other)
-    assert content(small(5, views=5)) == content(small(5, views=5))
-    assert (one.seed, other.seed) == (5, 6)
 
 
 def test_errors_by_hand() -> None:
@@ -164,45 +139,8 @@ def test_errors_by_hand() -> None:
         rig.errors(small(1, points=61).truth)
 
 
-def test_calibrating_on_the_fly_over_seeds() -> None:
-    """Means over seeds; poses and points after a rigid alignment of both together, the sonar without any."""
-    rigs = [made(seed) for seed in range(3)]
-    results = [rig.graph.optimize(rig.start, GaussNewton()) for rig in rigs]
-    for rig, result in zip(rigs, results, strict=True):
-        assert result.converged
-        assert result.iterations <= 10
-        assert result.dof == rig.dof
-        assert result.chi2_final / rig.dof == pytest.approx(1, abs=0.015)
-
-    def mean(errors: list[sim.RigErrors]) -> Array:
-        return np.mean([[e.poses, e.points, e.extrinsic_m, e.extrinsic_rad] for e in errors], axis=0)
-
-    before = mean([rig.errors(rig.start) for rig in rigs])
-    after = mean([rig.errors(result.values) for rig, result in zip(rigs, results, strict=True)])
-    assert ((before[:2] > [0.025, 0.055]) & (before[:2] < [0.045, 0.070])).all()
-    assert ((after[:2] > [0.005, 0.012]) & (after[:2] < [0.012, 0.016])).all()
-    assert (after[2:] < [0.02, radians(0.9)]).all()
-
-
-def test_contacts_of_any_noise_are_what_a_sonar_gives() -> None:
-    """+-500 deg of azimuth and +-5 m of range are brought back to an angle and a distance."""
-    for seed in range(4):
-        loud, exact = small(seed, noise_scale=100.0), small(seed, noise_scale=0.0)
-        z, h = loud.contacts.z, exact.contacts.z
-        assert ((z[:, 0] >= 0) & (np.abs(z[:, 0] - h[:, 0]) <= 5)).all()
-        assert (np.abs(z[:, 1]) <= np.pi).all()
-
-
-def test_impossible_options_are_refused() -> None:
-    values = {"poses": [1], "points": [3, 60.0], "views": [0, 7], "noise_scale": [-1.0, np.nan, 1e31]}
-    for name, value in ((name, value) for name, some in values.items() for value in some):
-        with pytest.raises(OptionError, match=f"{name}: "):
-            small(**{name: value})
-    with pytest.raises(OptionError, match="points"):
-        small(poses=10**6, points=10**6)
-    with pytest.raises(OptionError, match="rng: 0 is not possible"):
-        sim.rig(0)  # type: ignore[arg-type]
-    with pytest.raises(SingularGeometryError, match=r"x\d+"):  # poses that share too few points
+def test_poses_that_share_too_few_points() -> None:
+    with pytest.raises(SingularGeometryError, match=r"x\d+"):
         small(views=1)
 
 

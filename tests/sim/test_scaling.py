@@ -11,11 +11,9 @@ import pytest
 import sim.scaling
 from models.errors import OptionError
 from nls import kinds
-from nls.plot.filters import power_laws
-from nls.plot.style import SERIES
 from sim.estimators import errors, tracked
 from sim.scaling import AGAIN, Cost, circuit, costs, exponent, scaling_rows
-from tests.sim.commands import refused, table
+from tests.sim.commands import table
 
 x, l = kinds("x", "l")
 
@@ -104,25 +102,6 @@ def test_the_table() -> None:
     assert np.isnan(exponent([100], [1.0]))
 
 
-def test_the_picture() -> None:
-    n, y = [100, 200, 400, 800], [0.1, 0.1, 0.2, 0.4]
-    figure = power_laws({"a step": {"one": (n, y, 1.0), "other": ([100], [0.41], np.nan)}}, 3, "landmarks")
-    (axes,) = figure.axes
-    assert (axes.get_title(), axes.get_xlabel(), axes.get_xscale(), axes.get_yscale()) == (
-        "a step",
-        "landmarks",
-        "log",
-        "log",
-    )
-    np.testing.assert_array_equal(axes.lines[0].get_xydata(), np.transpose([n, y]))
-    np.testing.assert_array_equal(axes.lines[1].get_xydata(), np.transpose([n, y])[1:])  # thick: what is fitted
-    words = {text.get_text(): (text.get_color(), text.get_position()) for text in axes.texts}
-    assert list(words) == ["one, slope 1.00", "other"]
-    assert [color for color, _ in words.values()] == list(SERIES[:2])
-    (_, low), (_, high) = (place for _, place in words.values())
-    assert high > 1.05 * low  # 0.40 and 0.41 would lie on each other
-
-
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     ran = grown(monkeypatch, 1.0)
     monkeypatch.setattr("sim.cli_estimators.costs", lambda *given: costs(*given, sizes=(100, 200, 400)))
@@ -137,14 +116,3 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert report["settings"] == {"particles": 5}
     said = (tmp_path / "README.txt").read_text(encoding="utf-8")
     assert "Made by: nls-sim compare --seed 0 --scaling 50.0 --estimators ekf fastslam1 --particles 5\n" in said
-
-
-def test_one_line_for_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments, named in (
-        *((words, f"{words.split()[0]} does not go with --scaling") for words in ("--runs 2", "--memory", "--laps 0")),
-        ("--world lines", "--world does not go with --scaling"),
-        ("--particles 0", "--particles belongs to fastslam1 or fastslam2"),
-        ("--estimators ekf ekf", "--estimators: 'ekf ekf' is not possible"),
-    ):
-        refused(["compare", "--scaling", "50", *arguments.split()], named, capsys)
-        refused(["compare", *arguments.split(), "--scaling", "0"], "", capsys)

@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 import sim
-from models import SE3
 from models.errors import GraphError, OptionError
 from models.sensors import ARIS_3000, DIDSON_HIGH, DIDSON_LOW, ImagingSonar, cartesian, range_azimuth
-from nls import kinds
 from sim import Scene
 from tests.combinations import for_all
 
-x, l = kinds("x", "l")
 NEAR = replace(DIDSON_HIGH, window=(1.0, 6.0))
 SONARS = [NEAR, DIDSON_LOW, ARIS_3000]
 every_sonar = for_all(sonar=SONARS)
@@ -78,18 +75,6 @@ def test_elevation_leaves_no_trace() -> None:
     assert above.max() < 0.5 < images[0].max()
 
 
-def test_points_at_the_edge_stay_at_the_edge() -> None:
-    h = np.array([[1.001, 0.0, 0.0], [5.999, 0.1, 0.0], [3.0, -radians(14.39), 0.0], [4.0, radians(14.39), 0.0]])
-    image = sim.sonar_image(cartesian(h)[0], NEAR, np.random.default_rng(0), background=0.0)
-    rows, columns = np.nonzero(image > 0.1)
-    assert set(rows) >= {0, 95}
-    assert set(columns) >= {0, 511}
-    found = sim.contacts(image, NEAR, 0.3)
-    assert len(found) == 4  # and none at the opposite edge
-    away = np.abs(found[:, None] - h[None, :, :2]) / cell(NEAR)
-    assert away.max(axis=2).min(axis=0).max() <= 1.0
-
-
 def test_speckle_of_the_background() -> None:
     """Rayleigh: mean sqrt(pi/2) w, mean square 2 w^2, above 4 w once in 2,981 cells."""
     for w in (0.05, 1.0):
@@ -100,15 +85,6 @@ def test_speckle_of_the_background() -> None:
         assert (image**2).mean() == pytest.approx(2 * w**2, rel=4 / np.sqrt(n))
         above = (image > 4 * w).sum()
         assert abs(above - n * np.exp(-8)) < 4 * np.sqrt(n * np.exp(-8))
-
-
-def test_speckle_of_an_echo() -> None:
-    h = np.array([[1.0 + 256.5 * 5 / 512, 0.5 / 96 * radians(28.8), 0.0]])
-    peaks = np.array(
-        [sim.sonar_image(cartesian(h)[0], NEAR, np.random.default_rng(s), background=0.05)[48, 256] for s in range(150)]
-    )
-    assert peaks.std() == pytest.approx(0.05, rel=4 / np.sqrt(300))
-    assert peaks.mean() == pytest.approx(1.0 + 0.05**2 / 2, abs=4 * 0.05 / np.sqrt(150))
 
 
 def test_speckle_of_k_distributed_amplitudes() -> None:
@@ -143,29 +119,6 @@ def test_a_pile_hides_the_wall_and_the_rock_behind_it() -> None:
     assert shade.max() < 0.1  # neither rock nor wall
     assert shade.mean() == pytest.approx(0.3 * open_water, rel=0.05)
     assert image[beam, rock - 1 : rock + 2].max() > 0.7
-
-
-@every_sonar
-def test_a_seed_gives_the_same_bits(sonar: ImagingSonar) -> None:
-    p = spread_points(sonar, 0)
-    images = [sim.sonar_image(p, sonar, np.random.default_rng(s)) for s in (1, 1, 2)]
-    assert images[0].shape == (sonar.beams, sonar.bins)
-    assert images[0].tobytes() == images[1].tobytes() != images[2].tobytes()
-
-
-@for_all(pose=[0, 40, 100])
-def test_contacts_of_a_mission(pose: int) -> None:
-    """What is detected in the image of a pose is what the mission says it saw there, but for points too close."""
-    mission = sim.hauv_floor(np.random.default_rng(0), passes=1, noise_scale=0.0)
-    S = SE3.compose(mission.truth[x[[pose]]], mission.offset[None])
-    image = sim.sonar_image(SE3.act(SE3.inverse(S), mission.truth[l]), mission.sonar, np.random.default_rng(pose))
-    found = sim.contacts(image, mission.sonar, 0.5)
-    seen = mission.contacts.z[mission.contacts.keys[0].numbers == pose]
-    away = (np.abs(found[:, None] - seen[None]) / cell(mission.sonar)).max(axis=2)
-    assert len(seen) > 3
-    assert len(found) >= 0.8 * len(seen)
-    assert np.median(away.min(axis=1)) <= 1.0
-    assert away.min(axis=1).max() <= 3.0  # two echoes that overlap
 
 
 def test_peaks_that_are_equal_are_one() -> None:

@@ -126,15 +126,3 @@ def test_wrong_ones_are_not_made_wrong_twice(mission: sim.Mission) -> None:
         sim.false_contacts(sim.false_contacts(mission, 1.0, np.random.default_rng(1)), 0.5, np.random.default_rng(2))
     with pytest.raises(OptionError, match="no landmark keeps 3 contacts"):
         sim.drop_contacts(mission, 1.0, np.random.default_rng(1))
-
-
-def test_to_order_by_option() -> None:
-    options = {"drop_outs": 0.2, "outliers": 0.05, "wrong_associations": 0.1}
-    clean = sim.hauv_floor(np.random.default_rng(2), legs=2)
-    mission, again = (sim.hauv_floor(np.random.default_rng(2), legs=2, **options) for _ in range(2))
-    m = len(mission.contacts)
-    assert m < 0.81 * len(clean.contacts)
-    assert mission.wrong.sum() == 2 * round(0.05 * m) + round(0.05 * m)
-    assert mission.contacts.z.tobytes() == again.contacts.z.tobytes()
-    np.testing.assert_array_equal(mission.odometry.z, clean.odometry.z)  # what is not spoiled is that of the seed
-    np.testing.assert_array_equal(mission.wrong, again.wrong)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from math import radians
 
 import numpy as np
@@ -12,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import sim
 from models.errors import GraphError, OptionError
-from sim.survey_files import survey_files
+from sim.files import survey_files
 from sim.survey_sensors import ANTENNA, DVL_ARM, TRANSDUCER
-from sim.survey_track import Track, eased
+from sim.survey_track import Track
 from tests.combinations import for_all
 
 Array = npt.NDArray[np.float64]
@@ -137,15 +136,6 @@ def test_the_way_is_a_lawn_mower_between_two_dives() -> None:
     assert 0.02 < np.abs(crab).mean()  # a current is there
 
 
-def test_drop_outs_come_in_bursts_and_are_as_many_as_given() -> None:
-    valid = made(0, legs=8, leg=200.0, drop_outs=0.2).tables["dvl"]["valid"]
-    assert np.mean(valid == 0) == pytest.approx(0.2, abs=0.05)
-    bursts = np.sum(np.diff(valid) == -1)
-    assert 5 < np.sum(valid == 0) / bursts < 20  # pings of a burst
-    assert valid[0] == 1
-    assert made(0, drop_outs=0.0).tables["dvl"]["valid"].all()
-
-
 def test_wrong_usbl_fixes_are_far_off_and_have_a_kernel() -> None:
     log = made(0, usbl_outliers=0.25)
     usbl, t = log.tables["usbl"], log.tables["usbl"]["time_s"]
@@ -193,54 +183,9 @@ def test_raw_is_the_same_log_in_the_units_of_loggers() -> None:
     same(-np.array(height, dtype=float), log.tables["depth"]["z_m"], atol=6e-4)
 
 
-def test_a_seed_makes_the_same_files() -> None:
-    assert survey_files(made(7)) == survey_files(made(7))
-    assert survey_files(made(7))[0]["dvl.csv"] != survey_files(made(8))[0]["dvl.csv"]
-
-
-@for_all(
-    wrong=[
-        *(("legs", 0), ("leg", 0.0), ("leg", 1e12), ("spacing", 1.0), ("depth", 40.0), ("speed", 0.1)),
-        *(("drop_outs", 1.0), ("usbl_outliers", 1.5), ("ahrs_clock", 1.0), ("dvl_yaw", 2.0)),
-        *(("noise_scale", value) for value in (-1.0, 2e5, 1e20)),
-    ]
-)
-def test_impossible_options_are_named(wrong: tuple[str, float]) -> None:
-    option, value = wrong
-    with pytest.raises(OptionError, match=option):
-        made(**{option: value})
-
-
 @for_all(sizes=[{"leg": 1.2e6}, {"legs": 10_000_000}, {"leg": 1.0, "legs": 200, "spacing": 1000.0, "speed": 0.5}])
 def test_a_survey_of_more_than_two_days_is_refused(sizes: dict[str, float]) -> None:
     """Turns count as well: in the last one the legs are 200 m, the turns some 300 km."""
     leg = sizes.get("leg", 60.0)
     with pytest.raises(OptionError, match=rf"leg: {leg} is not possible; .* at most 48 h, not .* h, or fewer legs"):
         made(**sizes)
-
-
-def test_every_turn_undoes_the_one_before() -> None:
-    """Course and depth after many legs: the sum over all turns, those before a way and those that are not yet made."""
-    legs, leg, depth = 13, 30.0, 12.0
-    track = Track(np.random.default_rng(0), legs, leg, 25.0, depth, 1.5)
-    first, s = 45.0 + 8.0 * depth, np.linspace(0.0, 1.5 * track.duration, 2000)
-    turn = 25.0 / np.trapezoid(np.sin(np.pi * eased(np.linspace(0, 1, 2001))), dx=1 / 2000)
-    sign = (-1.0) ** np.arange(legs - 1)
-    turned = eased((s[:, None] - first - leg - (leg + turn) * np.arange(legs - 1)) / turn) @ sign
-    np.testing.assert_allclose(track._course(s), np.pi * turned, atol=1e-12)
-    middle = s < first + legs * leg + (legs - 1) * turn
-    dived = 0.2 + depth * eased((s - 45.0) / (8.0 * depth)) + 2.5 * turned
-    np.testing.assert_allclose(track._down(s)[middle], dived[middle], atol=1e-12)
-
-
-def test_fixes_of_the_loudest_noise_are_on_earth() -> None:
-    fixes = made(1, noise_scale=1e5).tables["fixes"]
-    assert np.ptp(fixes["lat_deg"]) > 2.0  # standard deviation of 150 km
-    assert (np.abs(fixes["lat_deg"] - 54.1) < 9.1).all()
-
-
-def test_a_survey_goes_to_another_process() -> None:
-    log = sim.survey(np.random.default_rng(0), legs=2, leg=50.0)
-    copied = pickle.loads(pickle.dumps(log))
-    assert copied.tables.keys() == log.tables.keys()
-    assert all(np.array_equal(copied.tables["dvl"][name], column) for name, column in log.tables["dvl"].items())
