@@ -37,7 +37,6 @@ from nls.io.native.native import read_native
 from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
 from nls.io.records import KINDS
-from nls.io.report import LoadReport
 from nls.io.unused_lines import not_there
 
 __all__ = ["stream"]
@@ -224,7 +223,7 @@ class _Reader:
         self._refuse_two_things(graph, report)
         yield from self._arriving(graph, values, report)
 
-    def _refuse_two_things(self, graph: nls.FactorGraph, report: LoadReport) -> None:
+    def _refuse_two_things(self, graph: nls.FactorGraph, report: nls.LoadReport) -> None:
         """Refuse a number that is a pose in one block and a point in another: what a line is about, others say."""
         format, tags = FORMATS[report.format], {*self.tags, *report.tags}
         if format.apart or any(record.apart for record in format.records if record.tag.decode() in tags):
@@ -253,7 +252,7 @@ class _Reader:
             )
 
     def _arriving(
-        self, graph: nls.FactorGraph, values: nls.Values, report: LoadReport
+        self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport
     ) -> Iterator[tuple[Arrived, nls.Values]]:
         """The measurements of a graph that was read, step by step."""
         self.tags.update(report.tags)

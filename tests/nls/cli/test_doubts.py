@@ -10,8 +10,9 @@ import pytest
 
 import nls
 from nls.analysis.chi_squared import chi2_interval
-from nls.cli.hint import asking, doubts
+from nls.cli.inputs import GraphFile
 from nls.cli.parser import parser
+from nls.cli.solve_report import doubtful
 from nls.io import read_tum
 from nls.missions.folder.table import csv_text
 from tests.nls.cli.shell import PART, RAY, Shell, row, rows
@@ -86,20 +87,20 @@ def test_the_bound_is_that_of_explain() -> None:
     """Below it nothing is said, above it one line; with a robust kernel only above twice the degrees of freedom."""
     options = parser().parse_args(["solve", "a.g2o"])
     for dof in (1, 12, 40_000):
-        bound, doubtful = (max(chi2_interval(dof)[1], ratio * dof) for ratio in (0, 2))
+        bound, implausible = (max(chi2_interval(dof)[1], ratio * dof) for ratio in (0, 2))
 
         def said(chi2: float, dof: int = dof, robust: bool = False) -> list[str]:
             result = nls.Result(
                 nls.Values({}), nls.Status.CONVERGED, "", [], chi2, chi2, dof, "", "", {}, robust=robust
             )
-            return doubts(result, options)
+            return doubtful(GraphFile(options), result)
 
-        assert said(0.9999 * bound) == said(0.5 * dof) == said(0.9999 * doubtful, robust=True) == []
+        assert said(0.9999 * bound) == said(0.5 * dof) == said(0.9999 * implausible, robust=True) == []
         for robust in (False, True):
-            (sentence,) = said(1.0001 * doubtful, robust=robust)
+            (sentence,) = said(1.0001 * implausible, robust=robust)
             assert sentence.startswith("implausible: chi2 is ")
             assert sentence.endswith(f": {nls.Fit.IMPLAUSIBLE.value}; see: nls explain a.g2o")
-        if bound < doubtful:
+        if bound < implausible:
             (sentence,) = said(1.0001 * bound)
             assert sentence.startswith("chi2 is 1.")
             assert sentence.endswith(" times its expectation: more than noise explains; see: nls explain a.g2o")
@@ -109,22 +110,22 @@ def test_the_command_reads_the_same_graph() -> None:
     how = "--dialect toro --convention log --robust huber:2 --repair-information --hold k --init file"
     how += " --drop-absent --ignore-tags EDGE_X,EDGE_Y"
     given = parser().parse_args(shlex.split(f"solve a.txt {how} --quiet"))
-    words = shlex.split(asking(given))
+    words = shlex.split(GraphFile(given).asking())
     assert words[:3] == ["nls", "explain", "a.txt"]
     asked = parser().parse_args(words[1:])
     same = ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation", "init")
     for name in (*same, "drop_absent", "ignore_tags"):
         assert getattr(asked, name) == getattr(given, name)
     options = parser().parse_args(shlex.split("solve a.g2o --robust gnc-tls -o out.g2o --dialect toro"))
-    assert asking(options, ["out.g2o"]) == "nls explain out.g2o"  # which is no toro file
-    assert asking(options) == "nls explain a.g2o --dialect toro"  # nothing was written
+    assert GraphFile(options).asking(["out.g2o"]) == "nls explain out.g2o"  # which is no toro file
+    assert GraphFile(options).asking() == "nls explain a.g2o --dialect toro"  # nothing was written
     options = parser().parse_args(
         shlex.split("solve a.g2o --robust gnc-tls -o o.g2o --drop-absent --ignore-tags EDGE_X")
     )
-    assert asking(options, ["o.g2o"]) == "nls explain o.g2o --drop-absent --ignore-tags EDGE_X"
+    assert GraphFile(options).asking(["o.g2o"]) == "nls explain o.g2o --drop-absent --ignore-tags EDGE_X"
     options.output = "o.npz"  # has no lines
-    assert asking(options, ["o.npz"]) == "nls explain o.npz"
-    assert asking(parser().parse_args(["solve", "--", "-a  b.g2o"])) == "nls explain './-a  b.g2o'"
+    assert GraphFile(options).asking(["o.npz"]) == "nls explain o.npz"
+    assert GraphFile(parser().parse_args(["solve", "--", "-a  b.g2o"])).asking() == "nls explain './-a  b.g2o'"
 
 
 def test_no_optimum_names_explain_and_the_best_so_far_is_written(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

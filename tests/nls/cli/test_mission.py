@@ -15,8 +15,8 @@ import nls
 from models import SE3, euler
 from nls.io import read_tum
 from nls.missions import elevations
+from nls.missions.files import MAP, TRAJECTORY
 from nls.missions.folder.table import Table
-from nls.missions.results import MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.folder.mission_files import TINY, folder, raw
 

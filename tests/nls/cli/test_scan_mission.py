@@ -15,7 +15,7 @@ import nls
 from factors.keys import kinds
 from models.errors import GraphFileError
 from nls.io import read_tum
-from nls.missions.scans.results import CLOSURES, MAP, TRAJECTORY
+from nls.missions.scans.solution import CLOSURES, MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.scans.room_files import room, write
 from tests.nls.missions.scans.test_folder import FILES
@@ -108,7 +108,7 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
     monkeypatch.setattr("nls.cli.scan_mission.ROUNDS", 1)
     out = shell("solve m")
     assert row(out, "settled").startswith("no: the last round moved the track by 0.7")
-    monkeypatch.setattr("nls.cli.scan_mission.WILD", 0.1)
+    monkeypatch.setattr("nls.missions.scans.solution.WILD", 0.1)
     _, err = shell.both("solve m", status=1)
     assert err.startswith("nls: doubtful: not settled: the last of 1 rounds moved the track by 0.7")
 

@@ -13,7 +13,7 @@ from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, Rang
 from factors.base import Factor
 from factors.robust import Cauchy
 from nls.cli import outliers
-from nls.cli.preparation import prepare
+from nls.cli.inputs import GraphFile
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import INFORMATION_2
 from tests.nls.io.io_files import ALL
@@ -108,7 +108,7 @@ def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
     path.write_text(ALL["every tag of the plane"][1])
     graph, values, report = nls.load(path)
     options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
-    for other in (prepare(graph, values, report, options), graph.robust(Cauchy(1.0))):
+    for other in (GraphFile(options).prepared(graph, values, report), graph.robust(Cauchy(1.0))):
         assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
 
 
