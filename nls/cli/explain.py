@@ -25,7 +25,7 @@ def explain(options: argparse.Namespace) -> int:
     if kind.rejects:
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     kind.check_explainable()
-    as_read, values, report = kind.read()
+    as_read, values, report = kind.read_to_solve()
     options.phase.doing = f"while explaining {options.file}"
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)

@@ -119,6 +119,10 @@ class GraphFile:
         """Graph, start values and report."""
         return formats.read(self.options)
 
+    def read_to_solve(self) -> Read:
+        """What `solve` and `explain` take: as it was read; landmarks of contacts without names are found in here."""
+        return self.read()
+
     def check_format(self, option: str, form: str, report: nls.LoadReport) -> None:
         """Refuse to replace the input by a file of another format; none is written where the format is empty."""
         if form and form != report.format:

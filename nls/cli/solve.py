@@ -90,7 +90,7 @@ def _refuse_sigmas(kind: GraphFile) -> None:
 def _read(kind: GraphFile, run: Run) -> Problem:
     """Graph and values, as they are solved."""
     options = run.options
-    as_read, values, report = kind.read()
+    as_read, values, report = kind.read_to_solve()
     kind.check_format("-o", run.form, report)
     options.phase.doing = f"while searching for a start for {options.file}"
     graph = kind.prepared(as_read, values, report)

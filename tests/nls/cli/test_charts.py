@@ -18,13 +18,8 @@ from tests.nls.missions.folder.mission_files import TINY, folder
 
 x, l = nls.kinds("x", "l")
 ORIGIN = "lat_deg,lon_deg\n{},{}\n"
+pytestmark = pytest.mark.usefixtures("undrawn")
 PLACES = [(54.1, 10.2), (-33.9, 151.2), (-17.0, 179.99999), (78.0, 350.5)]
-
-
-@pytest.fixture(autouse=True)
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: that is most of the time."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
 
 
 def table(shell: Shell, name: str) -> dict[str, Array]:

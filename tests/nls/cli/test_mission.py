@@ -30,12 +30,6 @@ LOST = {  # nothing measures the depth of x2
 }
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: that is most of the time."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
-
-
 def test_both_commands_draw_a_mission_from_above_and_from_the_side(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,8 +47,7 @@ def test_both_commands_draw_a_mission_from_above_and_from_the_side(
 
 def test_the_table_and_the_report(shell: Shell) -> None:
     folder(shell / "m")
-    out = shell("solve m --json r.json")
-    report = json.loads((shell / "r.json").read_text())
+    out, report = shell.told("solve m")
     mission, solution = report["mission"], report["mission"]["solution"]
     assert row(out, "mission") == "4 poses over 1.533 m, 3 landmarks, 11 contacts by the sonar DIDSON, high frequency"
     assert row(out, "drift").startswith("dead reckoning 4.52 % (0.0693 m), solution ")
@@ -101,8 +94,7 @@ def test_where_nothing_checks_dead_reckoning_it_has_a_sigma_and_no_drift(
         ]
         files["ahrs"] = "\n".join(rows_kept)
     folder(shell / "m", files)
-    out = shell("solve m --json r.json")
-    report = json.loads((shell / "r.json").read_text())
+    out, report = shell.told("solve m")
     mission = report["mission"]
     assert (report["dof"] > 0) == (lost[1] > 0)
     assert (mission["checks"], mission["judge"]) == (0, None)

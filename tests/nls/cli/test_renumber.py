@@ -7,9 +7,8 @@ import pytest
 
 import nls
 from nls import kinds
-from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.io.io_files import ISAM_APART_2
-from tests.nls.missions.charts.charted import charted, subsea
+from tests.nls.cli.shell import Shell, rows
+from tests.nls.missions.charts.charted import charted
 
 x, l = kinds("x", "l")
 
@@ -47,15 +46,6 @@ def test_without_the_option_the_refusal_names_it(shell: Shell) -> None:
     assert "nls.save(..., renumber=True)" in str(caught.value)
 
 
-def test_a_factor_without_a_line_is_refused_with_new_numbers_too(shell: Shell) -> None:
-    scene = subsea()
-    nls.save("subsea.npz", scene.graph, scene.start)
-    problem, native = shell.refused("convert subsea.npz subsea.g2o --renumber").splitlines()
-    assert problem.startswith("nls: subsea.g2o: BearingRange(")
-    assert "cannot be written to a g2o file: no line holds a bearing and its range" in problem
-    assert ".npz or .json" in native
-
-
 def test_formats_that_need_no_new_numbers_refuse_the_option(shell: Shell) -> None:
     scene = charted()
     nls.save("subsea.npz", scene.graph, scene.start)
@@ -64,14 +54,3 @@ def test_formats_that_need_no_new_numbers_refuse_the_option(shell: Shell) -> Non
     assert "expected an output in one of the formats g2o, toro, graph" in shell.refused("solve subsea.npz --renumber")
     with pytest.raises(nls.OptionError, match="renumber: 'npz' is not possible"):
         nls.save("a.npz", scene.graph, scene.start, renumber=True)
-
-
-def test_native_files_keep_the_numbers_that_others_cannot(shell: Shell) -> None:
-    graph, values, _ = nls.load(shell.file(ISAM_APART_2, "a.isam"))
-    shell("convert a.isam a.npz")
-    again, same, _ = nls.load("a.npz")
-    assert same.stack(l).numbers.tolist() == values.stack(l).numbers.tolist() == [0, 1]
-    assert again.chi2(same) == graph.chi2(values)
-    assert (
-        row(shell("convert a.npz b.g2o --renumber"), "note") == "2 variables have new numbers: l3 to l4 were l0 to l1"
-    )
