@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import nls
+from models import SO3
+from models.advice import Advice
+from models.algebra import Array, Index
 from nls.cli.outputs import refuse_unwritable, say, write_json
-
-if TYPE_CHECKING:
-    from models.algebra import Array, Index
-    from nls.metrics import TrajectoryError
-    from nls.missions.folder.poses import Poses
+from nls.metrics import TrajectoryError, ate, circles, matched, rpe
+from nls.missions.folder.poses import FILES, TRUE_FILES, Poses, read_poses
 
 SCHEMA = "evaluate 1"
 LEVEL = 1e-9  # rad, below which a pose is one of the plane
@@ -29,9 +29,6 @@ ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, a
 
 def evaluate(options: argparse.Namespace) -> int:
     """Read both, match, align, compare, print; returns the exit status."""
-    from models.advice import Advice
-    from nls.missions.folder.poses import FILES, TRUE_FILES, read_poses
-
     distances = _distances(options.distances)
     refuse_unwritable({"--json": options.json}, options.file, options.truth)
     read = []
@@ -86,8 +83,6 @@ def compared(
     SingularGeometryError
         Positions that do not determine the alignment.
     """
-    from nls.metrics import ate, circles, rpe
-
     how, rows, P, Q = _pairs(estimate, truth, tolerance)
     error = ate(P, Q, align)
     unknown = _no_relative_error(estimate, truth, P, Q)
@@ -135,8 +130,6 @@ def _motion(T: Array) -> dict[str, Any]:
 
 def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict[str, Any], Index, Array, Array]:
     """How poses were matched, the rows of the estimate, and the poses of both in the order of time."""
-    from nls.metrics import matched
-
     out: dict[str, Any] = {"outside": 0, "gaps": 0, "tolerance_s": None}
     if estimate.numbers is not None and truth.numbers is not None:
         numbers, rows, k = np.intersect1d(estimate.numbers, truth.numbers, return_indices=True)
@@ -189,8 +182,6 @@ def headings_opposed(P: Array, Q: Array) -> bool:
     Yaws of one sense have one difference, those of opposite senses one sum, but for errors. The length of the mean of
     exp(i angle) is 1 where all angles are one, and near 0 where they are spread over the circle.
     """
-    from models import SO3
-
     p, q = SO3.log(P[:, 3:]), SO3.log(Q[:, 3:])
     if np.abs(np.concatenate([p[:, :2], q[:, :2]])).max(initial=0.0) > LEVEL:
         return False

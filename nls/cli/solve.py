@@ -12,6 +12,7 @@ from functools import partial
 import nls
 import nls.starts  # counted as an import
 from models.advice import Advice, listed
+from nls.cli import formats
 from nls.cli.inputs import GraphFile, input_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
 from nls.cli.run import Problem, Run, Solved
@@ -38,9 +39,7 @@ def solve(options: argparse.Namespace) -> int:
     if options.certify and not options.improve:
         solved = _certified(solved)
     if options.report:
-        from nls.cli.page import write_page
-
-        attempt(solved, {options.report: lambda path: write_page(kind, solved, solved.result, path)})
+        _page(kind, solved, solved.result)
         run.clock.lap("report")
     _report(kind, solved)
     return _status(kind, solved)
@@ -119,13 +118,11 @@ def _begun(kind: GraphFile, problem: Problem) -> Problem:
 
 def _check_graph(kind: GraphFile, problem: Problem) -> Problem:
     """The projection; refused before the work is what the output cannot hold, or the certificate is not for."""
-    from nls.cli.formats import refuse_unwritable_graph
-
     options, form = problem.options, problem.form
     problem = replace(problem, projection=kind.projection(problem.report))
     if form:
         about = problem.as_read, problem.start, problem.report
-        refuse_unwritable_graph(options.output, form, *about, options.renumber)
+        formats.refuse_unwritable_graph(options.output, form, *about, options.renumber)
     if options.certify or options.improve:
         from nls.certificate.problem import certifiable
 
@@ -192,6 +189,12 @@ def _write(kind: GraphFile, solved: Solved) -> None:
     solved.clock.lap("write")
 
 
+def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError) -> None:
+    from nls.cli.page import write_page
+
+    attempt(problem, {problem.options.report: partial(write_page, kind, problem, result)})
+
+
 def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
     from nls.io.table import write_covariances
 
@@ -214,15 +217,12 @@ def _free_written(kind: GraphFile, problem: Problem) -> Iterator[None]:
     try:
         yield
     except nls.UnderconstrainedError as error:
-        free = error
         if error.silent is not None and len(problem.graph.factors) == len(report.sources):
             error.message = f"{report.place(*error.silent)}: {error.message}"
         if options.report:
-            from nls.cli.page import write_page
-
-            attempt(problem, {options.report: lambda path: write_page(kind, problem, free, path)})
+            _page(kind, problem, error)
         if options.json:
-            attempt(problem, {options.json: lambda path: _write_free(problem, free, path)})
+            attempt(problem, {options.json: partial(_write_free, problem, error)})
         for failure in problem.failed:
             complain(failure)
         names = ", ".join(name for name in written if name != "-")

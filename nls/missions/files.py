@@ -19,16 +19,7 @@ import numpy as np
 from factors.keys import Kind, kinds
 from models import euler
 from models.algebra import Array
-from nls.missions.charts import (
-    Chart,
-    Projection,
-    chart_of,
-    depths_text,
-    extra,
-    geojson_text,
-    kml_text,
-    points_text,
-)
+from nls.missions import charts
 from nls.missions.determination import covariances, or_empty
 from nls.missions.folder.calibration import NAMES
 from nls.missions.folder.columns import COLUMNS, PLACE, POSE, suffixed
@@ -63,7 +54,7 @@ class MissionFiles:
     """
 
     def __init__(
-        self, solution: SolvedMission, projection: Projection | None = None, doubts: Sequence[str] = ()
+        self, solution: SolvedMission, projection: charts.Projection | None = None, doubts: Sequence[str] = ()
     ) -> None:
         self.solution, self.projection, self.doubts = solution, projection, doubts
         self.values, self.report = solution.values, solution.report
@@ -83,10 +74,10 @@ class MissionFiles:
             "map.csv": (self.map, mapped),
             "beacons.csv": (self.beacons, "b" in stacks),
             "calibration.csv": (self.calibration, any(name in NAMES for name in stacks)),
-            "track.geojson": (lambda: geojson_text(self.chart), plane is not None),
-            "track.kml": (lambda: kml_text(self.chart), plane is not None),
-            "map.ply": (lambda: points_text(self.chart, self.projection), mapped or sounded or "b" in stacks),
-            "depth.asc": (lambda: depths_text(self.chart, self.projection), mapped or sounded),
+            "track.geojson": (lambda: charts.geojson_text(self.chart), plane is not None),
+            "track.kml": (lambda: charts.kml_text(self.chart), plane is not None),
+            "map.ply": (lambda: charts.points_text(self.chart, self.projection), mapped or sounded or "b" in stacks),
+            "depth.asc": (lambda: charts.depths_text(self.chart, self.projection), mapped or sounded),
             "track.png": (self.track, True),
             "landmarks.png": (self.landmarks, mapped),
             "sonar.png": (self.fan, mapped),
@@ -94,10 +85,10 @@ class MissionFiles:
         return {name: make for name, (make, there) in files.items() if there}
 
     @cached_property
-    def chart(self) -> Chart:
+    def chart(self) -> charts.Chart:
         """Track and map with their covariances."""
         elevations = self.solution.elevations if self.solution.mapped else None
-        chart = chart_of(self.values, self.solution.marginals, self.report, elevations)
+        chart = charts.chart_of(self.values, self.solution.marginals, self.report, elevations)
         return replace(chart, name=f"{chart.name}, doubtful: {'; '.join(self.doubts)}") if self.doubts else chart
 
     def trajectory(self) -> bytes:
@@ -169,7 +160,7 @@ class MissionFiles:
 
     def _extra(self, p: Array, times: Array | None = None) -> dict[str, Array]:
         """Times and coordinates on the Earth of positions (n, 3), as columns of the tables."""
-        return extra(p, self.report.plane, self.projection, times)
+        return charts.extra(p, self.report.plane, self.projection, times)
 
 
 class DiveFiles(MissionFiles):

@@ -27,13 +27,7 @@ from nls.graph import FactorGraph
 from nls.io.report import LoadReport
 from nls.io.trajectory import trajectory_text
 from nls.metrics import TrajectoryError, ate, circles
-from nls.missions.determination import (
-    Determination,
-    determinations,
-    position_checks,
-    sigma_at_the_end,
-    undetermined,
-)
+from nls.missions import determination
 from nls.missions.folder.dives import SHARED, Dive, DivesReport
 from nls.missions.folder.report import MissionReport
 from nls.missions.landmarks import Elevations, elevations
@@ -130,7 +124,7 @@ class SolvedMission(Solution):
     @cached_property
     def checks(self) -> int:
         """Measured numbers that check the position of dead reckoning."""
-        return position_checks(self.graph, self.values, self.result.dof)
+        return determination.position_checks(self.graph, self.values, self.result.dof)
 
     @cached_property
     def unchecked(self) -> list[dict[str, Any]]:
@@ -143,7 +137,7 @@ class SolvedMission(Solution):
         """Standard deviation of the last position, m; None where it has none."""
         marginals, _ = self.covariances
         try:
-            return None if marginals is None else sigma_at_the_end(marginals, self.report)
+            return None if marginals is None else determination.sigma_at_the_end(marginals, self.report)
         except UnderconstrainedError:
             return None
 
@@ -153,14 +147,16 @@ class SolvedMission(Solution):
         marginals = super().marginals
         if marginals is None:
             return None
-        seen_once = undetermined(marginals, l) if self.report.sonar and l.name in self.values.stacks else l[[]]
+        seen_once = (
+            determination.undetermined(marginals, l) if self.report.sonar and l.name in self.values.stacks else l[[]]
+        )
         if len(seen_once):
             self.report.notes.append(
                 f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
                 "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
             )
         kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
-        if free := [key for kind in kinds_of for key in undetermined(marginals, kind)]:
+        if free := [key for kind in kinds_of for key in determination.undetermined(marginals, kind)]:
             cause = marginals.underconstrained
             reason = "no measurement touches them" if cause is None else str(cause)
             self.report.notes.append(f"no sigmas of {some(free)}, all others are given: {reason}")
@@ -172,10 +168,10 @@ class SolvedMission(Solution):
         return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
 
     @cached_property
-    def calibrations(self) -> list[Determination]:
+    def calibrations(self) -> list[determination.Determination]:
         """The calibrations by the measurements."""
         marginals = self.covariances[0] if self.report.calibrations else None
-        return determinations(self.values, self.report, marginals)
+        return determination.determinations(self.values, self.report, marginals)
 
     @property
     def judge(self) -> str | None:
