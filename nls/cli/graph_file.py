@@ -40,6 +40,13 @@ class GraphFile:
     Parameters
     ----------
     options : of the command.
+
+    Attributes
+    ----------
+    files : all that is read.
+    robust : the kernel of ``--robust``, or the way to reject measurements; None where all are believed.
+    init : the name of the start.
+    output_file : of the output; None where there is none, or a folder.
     """
 
     MEANINGLESS: Meaningless = ((NO_FOLDER, ("crs",)),)
@@ -48,23 +55,11 @@ class GraphFile:
     read_values = "file"  # the name of the start where it was read
 
     def __init__(self, options: argparse.Namespace) -> None:
-        self.options = options
-        self.files: list[str] = [options.file, *getattr(options, "dives", [])]
-
-    @property
-    def robust(self) -> str | None:
-        """The kernel of ``--robust``, or the way to reject measurements; None where all are believed."""
-        return self.options.robust  # type: ignore[no-any-return]
-
-    @property
-    def init(self) -> str:
-        """The name of the start."""
-        return str(self.options.init)
-
-    @property
-    def output_file(self) -> str | None:
-        """The file of the output; None where there is none, or a folder."""
-        return self.options.output  # type: ignore[no-any-return]
+        self.options, given = options, vars(options)
+        self.files: list[str] = [options.file, *given.get("dives", [])]
+        self.robust: str | None = given.get("robust")
+        self.init: str = given.get("init", "auto")
+        self.output_file: str | None = given.get("output")
 
     @property
     def rejects(self) -> bool:

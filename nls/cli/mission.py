@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -38,7 +39,11 @@ class Folder(GraphFile):
 
     MEANINGLESS: Meaningless = (("the solution of a mission is a folder with files of their own", ("to",)),)
     unnumbered = "mission"
-    output_file = None
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
+        self.output_file = None
+
     read_values = "dead reckoning"
 
     def output_format(self) -> str:
@@ -96,10 +101,10 @@ class Folder(GraphFile):
 class Mission(Folder):
     """The folder of a mission."""
 
-    @property
-    def robust(self) -> str | None:
-        """The kernel; none where ``--robust none`` asks to believe all contacts."""
-        return None if self.options.robust == "none" else super().robust
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
+        if self.robust == "none":  # all contacts are believed
+            self.robust = None
 
     def projection(self, report: nls.LoadReport) -> Projection | None:
         """The projection of ``--crs``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shlex
 import warnings
@@ -46,13 +47,11 @@ class ScanMission(Folder):
         *Folder.MEANINGLESS,
     )
     explains = False  # closures between scans have no lines
-    robust = None
-    init = "file"
 
-    @property
-    def select(self) -> str:
-        """How matches are selected, by ``--robust``."""
-        return SELECTIONS[0] if self.options.robust is None else str(self.options.robust)
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
+        self.select = SELECTIONS[0] if self.robust is None else self.robust  # how matches are selected, by ``--robust``
+        self.robust, self.init = None, "file"
 
     def check_options(self) -> None:
         """Refuse several folders, and options that mean nothing here."""

@@ -22,7 +22,6 @@ SHOWN = 12  # free directions in the table
 OF_RESULT = "method linear_solver chi2_initial chi2_final gauge dof ratio doubt iterations converged rule reused"
 OF_CERTIFICATE = "verdict chi2_given chi2_reached reached lower_chi2 cost_given cost proved lowest converged steps"
 OF_KIND = "measurements numbers redundancy scale known"
-FAR = 5.0  # sigmas of a calibration before the measurements
 
 
 def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
@@ -134,7 +133,7 @@ def _doubt(report: dict[str, Any]) -> str:
     doubts += [
         f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
         for c in report.get("mission", {}).get("calibrations", ())
-        if c["sigmas_away"] > FAR
+        if c["sigmas_away"] > 5
     ]
     return f"; but {'; '.join(doubts)}" if doubts else ""
 
