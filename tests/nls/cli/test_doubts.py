@@ -210,7 +210,7 @@ def test_parts_that_nothing_joins_are_a_note_of_solve(shell: Shell) -> None:
         assert sum(note.startswith(two) for note in notes) == sum("joins" in note for note in notes) == count
 
 
-pytestmark = pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+unwarned = pytest.mark.filterwarnings("ignore::nls.GraphWarning")
 ENDS = np.r_[0.5:4:0.5, 16.5:20:0.5]  # s, of fixes at both ends
 ORIGIN = "lat_deg,lon_deg\n54.0,10.0\n"
 
@@ -238,6 +238,7 @@ def mistaken(path: Path, name: str) -> None:
     folder(path, tables | {"origin": ORIGIN, "fixes": fixes(ENDS, turn)})
 
 
+@unwarned
 @pytest.mark.parametrize("name", ["heading", "dvl", "attitude"])
 def test_a_kernel_that_silences_a_sensor_is_loud(name: str, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every output names the table; the fit is the same in Python, and `--allow-doubtful` ends with 0."""
@@ -263,6 +264,7 @@ def test_a_kernel_that_silences_a_sensor_is_loud(name: str, shell: Shell, monkey
     assert robust.optimize(nls.initialize(robust, values)[0]).fit is nls.Fit.IMPLAUSIBLE
 
 
+@unwarned
 def test_a_good_solution_is_not_marked_and_takes_the_mark_away(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     undrawn(monkeypatch)
     mistaken(shell / "m", "heading")
@@ -278,6 +280,7 @@ def test_a_good_solution_is_not_marked_and_takes_the_mark_away(shell: Shell, mon
     assert "doubtful" not in "".join((shell / "out" / f"track.{form}").read_text() for form in ("kml", "geojson"))
 
 
+@unwarned
 def test_findings_of_the_tables_are_doubts_of_every_mission(shell: Shell) -> None:
     """Of one dive, and of several; outliers of a table that has a kernel are what that is for."""
     dive(shell / "m", fixes=fixes(np.arange(0.5, 20.0, 0.5)))
@@ -294,6 +297,7 @@ def test_findings_of_the_tables_are_doubts_of_every_mission(shell: Shell) -> Non
     assert shell.report("solve away --robust XYH=cauchy:1", 1)["doubtful"][0].startswith("implausible: ")
 
 
+@unwarned
 def test_a_kernel_is_judged_by_what_it_believes(shell: Shell) -> None:
     """One wrong closure of seven is for a kernel; the plain optimum is doubtful."""
     shell.file(SPOILED)
