@@ -189,6 +189,22 @@ def test_optional_and_slow_packages_have_one_door() -> None:
     assert {name_of(path): names for path in FILES if (names := strays(path))} == {}
 
 
+def test_only_the_inputs_ask_what_was_read() -> None:
+    """The command line asks nowhere else for the class or the format of a report, or for the kind of a folder."""
+    kinds = {"inputs", "graph_file", "mission", "scan_mission", "formats"}
+
+    def asks(node: ast.AST) -> bool:
+        if isinstance(node, ast.Compare):
+            return any(getattr(side, "attr", "") == "format" for side in (node.left, *node.comparators))
+        words = [getattr(part, "attr", getattr(part, "id", "")) for part in ast.walk(node)]
+        reports = "isinstance" in words and any(word.endswith("Report") for word in words)
+        return isinstance(node, ast.Call) and (reports or "is_scan_mission" in words)
+
+    files = [path for path in (ROOT / "nls" / "cli").glob("*.py") if path.stem not in kinds]
+    asked = [f"{name_of(path)}:{node.lineno}" for path in files for node in ast.walk(tree_of(path)) if asks(node)]  # type: ignore[attr-defined]
+    assert asked == []
+
+
 def test_files_are_short_and_say_what_they_are() -> None:
     files = [*FILES, *(ROOT / "tests").rglob("*.py")]
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in files}

@@ -83,7 +83,7 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
         return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
-    except Exception as error:  # broad: whatever fails, a user gets one line, and the traceback with --debug
+    except Exception as error:  # all: a fault of ours, too, is one line and a status; --debug shows its traceback
         if debug:
             raise
         return _failed(error, phase, options)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+import nls
+from models import SO3
+from models.advice import Advice
+from models.algebra import Array, Index
 from nls.cli.outputs import refuse_unwritable, say, write_json
-
-if TYPE_CHECKING:
-    from models.algebra import Array, Index
-    from nls.metrics import TrajectoryError
-    from nls.missions.folder.poses import Poses
+from nls.metrics import TrajectoryError, ate, circles, matched, rpe
+from nls.missions.folder.poses import FILES, TRUE_FILES, Poses, read_poses
 
 SCHEMA = "evaluate 1"
 LEVEL = 1e-9  # rad, below which a pose is one of the plane
@@ -28,10 +29,6 @@ ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, a
 
 def evaluate(options: argparse.Namespace) -> int:
     """Read both, match, align, compare, print; returns the exit status."""
-    from models.advice import Advice
-    from models.errors import GraphFileError
-    from nls.missions.folder.poses import FILES, TRUE_FILES, read_poses
-
     distances = _distances(options.distances)
     refuse_unwritable({"--json": options.json}, options.file, options.truth)
     read = []
@@ -39,7 +36,7 @@ def evaluate(options: argparse.Namespace) -> int:
         options.phase.doing = f"while reading {file}"
         try:
             read.append(read_poses(file, names))
-        except GraphFileError as error:
+        except nls.GraphFileError as error:
             if error.advice:  # options of the commands that read graphs
                 error.advise(Advice("convert first", (shlex.quote(file),)))
             raise
@@ -57,14 +54,13 @@ def evaluate(options: argparse.Namespace) -> int:
 
 def _distances(text: str) -> list[float]:
     """The distances of ``--distances``."""
-    from models.errors import OptionError
 
     try:
         distances = [float(word) for word in text.split(",")]
     except ValueError:
         distances = [0.0]
     if not all(0 < distance < np.inf for distance in distances):
-        raise OptionError("--distances", text, "meters above 0 with commas between, such as 10,50,100")
+        raise nls.OptionError("--distances", text, "meters above 0 with commas between, such as 10,50,100")
     return distances
 
 
@@ -87,8 +83,6 @@ def compared(
     SingularGeometryError
         Positions that do not determine the alignment.
     """
-    from nls.metrics import ate, rpe
-
     how, rows, P, Q = _pairs(estimate, truth, tolerance)
     error = ate(P, Q, align)
     unknown = _no_relative_error(estimate, truth, P, Q)
@@ -134,18 +128,8 @@ def _motion(T: Array) -> dict[str, Any]:
     return {"translation_m": T[:3].tolist(), "yaw_deg": yaw, "tilt_deg": tilt, "turned_over": tilt > 90}
 
 
-def circles(errors: Array) -> dict[str, float]:
-    """Radii about the truth that hold half and 95 % of the horizontal errors (n, 3), and twice their rms, m."""
-    from nls.metrics import cep, drms2
-
-    return {"cep50_m": cep(errors), "cep95_m": cep(errors, 0.95), "drms2_m": drms2(errors)}
-
-
 def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict[str, Any], Index, Array, Array]:
     """How poses were matched, the rows of the estimate, and the poses of both in the order of time."""
-    from models.errors import GraphError, OptionError
-    from nls.metrics import matched
-
     out: dict[str, Any] = {"outside": 0, "gaps": 0, "tolerance_s": None}
     if estimate.numbers is not None and truth.numbers is not None:
         numbers, rows, k = np.intersect1d(estimate.numbers, truth.numbers, return_indices=True)
@@ -153,7 +137,7 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
         rows, k = rows[order], k[order]
         P, Q, out["matched_by"] = estimate.X[rows], truth.X[k], "number"
         if not len(rows):
-            raise GraphError(f"{estimate.path} and {truth.path} have no number i in common")
+            raise nls.GraphError(f"{estimate.path} and {truth.path} have no number i in common")
     elif estimate.times is not None and truth.times is not None:
         pairs = matched(estimate.times, estimate.X, truth.times, truth.X, tolerance)
         rows, P, Q, out["matched_by"] = pairs.rows, pairs.estimate, pairs.truth, "time"
@@ -165,18 +149,18 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
             for kinds in [[n for n, v in (("times", poses.times), ("numbers", poses.numbers)) if v is not None]]
         ]
         if any(v is not None for poses in (estimate, truth) for v in (poses.times, poses.numbers)):
-            raise GraphError(
+            raise nls.GraphError(
                 f"{'; '.join(names)}. Expected times in both, numbers in both, or rows alone in both: KITTI files; "
                 "nls convert GRAPH OUT.tum takes the numbers of poses without times for times"
             )
         if len(estimate.X) != len(truth.X):
-            raise GraphError(
+            raise nls.GraphError(
                 f"{estimate.path} has {len(estimate.X)} poses, {truth.path} {len(truth.X)}; without times and numbers "
                 "they are matched row by row, which takes the same count"
             )
         rows, P, Q, out["matched_by"] = np.arange(len(truth.X)), estimate.X, truth.X, "row"
     if tolerance is not None and out["matched_by"] != "time":
-        raise OptionError(
+        raise nls.OptionError(
             "--tolerance", tolerance, f"nothing: the poses are matched by {out['matched_by']}, not by time"
         )
     return {**out, "matched": len(rows)}, rows, P, Q
@@ -198,8 +182,6 @@ def headings_opposed(P: Array, Q: Array) -> bool:
     Yaws of one sense have one difference, those of opposite senses one sum, but for errors. The length of the mean of
     exp(i angle) is 1 where all angles are one, and near 0 where they are spread over the circle.
     """
-    from models import SO3
-
     p, q = SO3.log(P[:, 3:]), SO3.log(Q[:, 3:])
     if np.abs(np.concatenate([p[:, :2], q[:, :2]])).max(initial=0.0) > LEVEL:
         return False

@@ -1,151 +1,296 @@
-"""``nls solve DIR``: the folder of its outputs, and what the table says of a mission."""
+"""The folder of a mission, or of several dives, as the input of a command."""
 
 from __future__ import annotations
 
+import argparse
 import os
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from models.errors import OptionError
-from nls.cli.formats import mission_of
+import nls
+from nls.cli.graph_file import NO_FOLDER, GraphFile, Meaningless, Writer
+from nls.cli.outliers import choice_of
+from nls.cli.progress import Progress
+from nls.cli.run import Problem, Solved
+from nls.io.files import new_folder, title_of, write_bytes
 from nls.io.formats import suffixes
+from nls.missions import MissionReport
+from nls.missions.checks.table_errors import table_errors
+from nls.missions.summary import lines, of_tables
+from nls.optimizers.fit import TWICE, shares
+from nls.stages import listened
 
 if TYPE_CHECKING:
-    from nls.io import LoadReport
     from nls.missions.charts import Projection
+    from nls.missions.files import MissionFiles
 
-SIZES = {"heading": "rad", "zero of the depth": "m", "scale": "of it", "place": "m", "clock": "s", "arm": "m"}
+__all__ = ["Dives", "Folder", "Mission"]
 
-
-def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:
-    """Find out before the work that a folder cannot hold the solution of a mission; one that is not there is made.
-
-    Raises
-    ------
-    OptionError
-    """
-    if form is not None:
-        raise OptionError("--to", form, "nothing: the solution of a mission is a folder with files of their own")
-    if folder is None:
-        return
-    if Path(folder).suffix in suffixes() and not os.path.isdir(folder):
-        raise OptionError("-o", folder, "a folder: the solution of a mission is several files")
-    path = Path(folder)
-    existing = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
-    if not folder or folder == "-" or not os.path.isdir(existing):
-        raise OptionError("-o", folder, "a folder, or the name of one to be made: the input is a mission")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise OptionError("-o", folder, "a folder you may write to")
-    if os.path.exists(path) and os.path.samefile(path, mission):
-        raise OptionError("-o", folder, "another folder than that of the mission")
+MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
 
 
-def chosen_projection(name: str, output: str | None, report: LoadReport) -> Projection:
-    """The projection of ``--crs``.
+class Folder(GraphFile):
+    """A folder whose solution is a folder."""
 
-    Raises
-    ------
-    OptionError
-        Where it would have no effect, and as for `nls.missions.charts.projection`.
-    """
-    from nls.missions.charts import projection
+    MEANINGLESS: Meaningless = (("the solution of a mission is a folder with files of their own", ("to",)),)
+    unnumbered = "mission"
 
-    if (mission := mission_of(report)) is None or not output:
-        raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
-    return projection(name, mission.plane)
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
+        self.output_file = None
 
+    read_values = "dead reckoning"
 
-def lines(mission: dict[str, Any]) -> list[str]:
-    """The lines of the table that say what a mission's solution is worth."""
-    out = [
-        f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
-        f"{mission['contacts']} contacts" + (f" by the sonar {mission['sonar']}" if mission["sonar"] else ""),
-    ]
-    out += _unchecked(mission)
-    if mission["judge"] is not None:
-        drift, ate = _drift(mission)
-        out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})"]
-    for dive in mission.get("dives", []):
-        out.append(
-            f"dive        {dive['name']}: {dive['poses']} poses over {dive['distance_m']:.4g} m, from x{dive['first']}"
-        )
-        if dive["judge"] is not None:
-            drift, ate = _drift(dive)
-            out.append(f"drift       {dive['name']}: {drift}; ATE {ate} rmse")
-    if mission.get("landmark_rmse_m") is not None:
-        out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
-    if "elevation_sigma_deg" in mission:
-        s = mission["elevation_sigma_deg"]
-        edge = f"; {mission['at_limit']} landmarks at the edge of the aperture" if mission["at_limit"] else ""
-        out.append(
-            f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma){edge}"
-        )
-    if mission.get("mirrored"):
-        out.append(
-            f"mirrored    {mission['mirrored']} of {mission['landmarks']} landmarks fit as well on the other side of "
-            "the plane of the sonar, see mirrored in map.csv; a view after heave or roll of the sonar tells the side"
-        )
-    out += [f"calibration {_calibrated(c)}" for c in mission.get("calibrations", [])]
-    return out
+    def output_format(self) -> str:
+        """Empty, once it is known that the folder of the output can hold the solution; one that is not there is made.
 
+        Raises
+        ------
+        OptionError
+        """
+        if (folder := self.options.output) is None:
+            return ""
+        path = Path(folder)
+        if path.suffix in suffixes() and not os.path.isdir(folder):
+            raise nls.OptionError("-o", folder, "a folder: the solution of a mission is several files")
+        existing = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
+        if not folder or folder == "-" or not os.path.isdir(existing):
+            raise nls.OptionError("-o", folder, "a folder, or the name of one to be made: the input is a mission")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise nls.OptionError("-o", folder, "a folder you may write to")
+        if os.path.exists(path) and any(os.path.samefile(path, mission) for mission in self.files):
+            raise nls.OptionError("-o", folder, "another folder than that of the mission")
+        return ""
 
-def _calibrated(calibration: dict[str, Any]) -> str:
-    """The words of an estimated calibration."""
-    c = calibration
-    if c["sigma"] is None:
-        return f"{c['name']} {c['value']:.4g}, its sigma is not known"
-    verdict = f"{100 * c['share']:.3g} % of its sigma before" if c["determined"] else "not determined by these data"
-    return f"{c['name']} {c['value']:.4g}, sigma {c['sigma']:.2g} ({verdict})"
+    def room(self) -> AbstractContextManager[None]:
+        """The folder of the output."""
+        return new_folder(self.options.output) if self.options.output else nullcontext()
 
+    def outputs(self, solved: Solved) -> dict[str, Writer]:
+        """What writes the files of the folder, and its mark where the solution is doubtful, by their paths."""
+        if not (folder := self.options.output):
+            return {}
+        files, doubts = self.contents(solved), self.marks(solved)
+        if doubts:
+            files[MARK] = lambda: "".join(f"{reason}\n" for reason in doubts).encode()
+        else:
+            Path(folder, MARK).unlink(missing_ok=True)  # of another solution
 
-def _held(anchor: str) -> str:
-    """What holds the track in the world: poses, or files."""
-    return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
+        def write(make: Callable[[], Any], path: str) -> None:
+            content = make()
+            Path(path).parent.mkdir(exist_ok=True)
+            if isinstance(content, bytes):
+                write_bytes(path, content)
+            else:
+                from nls.plot.picture import write_picture
 
+                write_picture(path, content, self.marks(solved))
 
-def of_tables(errors: list[dict[str, Any]]) -> str:
-    """Which errors of whole tables are hidden, in words; empty where none is."""
-    by_file: dict[str, list[str]] = {}
-    for error in errors:
-        size = "" if error["below"] is None else f" (below {error['below']:.2g} {SIZES[error['quantity']]})"
-        by_file.setdefault(error["file"], []).append(f"the {error['quantity']}{size}")
-    tables = [f"{', '.join(names)} of {file}" for file, names in by_file.items()]
-    return f"{'; '.join(tables)}: no other measurement would show an error" if tables else ""
+        return {str(Path(folder, name)): partial(write, make) for name, make in files.items()}
+
+    def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
+        """What makes the files of the folder, by name: each gives bytes, or a figure of matplotlib."""
+        raise NotImplementedError
 
 
-def _unchecked(mission: dict[str, Any]) -> list[str]:
-    """Lines of what nothing checks: dead reckoning, else single tables."""
-    if mission["checks"]:
-        tables = of_tables(mission["unchecked"])
-        return [f"unchecked   {tables}"] if tables else []
-    known = mission["end_sigma_m"] is not None
-    sigma = f"{_short(mission['end_sigma_m'])} m" if known else "not known"
-    if mission["end_sigma_percent"] is not None:
-        sigma += f" ({_percent(mission['end_sigma_percent'])} of the distance)"
-    return [
-        "unchecked   nothing checks dead reckoning: no fix, range, closure or contact; the solution is dead reckoning",
-        f"end         1 sigma of the position at the end: {sigma}, by the stated noise alone",
-    ]
+class Mission(Folder):
+    """The folder of a mission."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
+        if self.robust == "none":  # all contacts are believed
+            self.robust = None
+
+    def projection(self, report: nls.LoadReport) -> Projection | None:
+        """The projection of ``--crs``.
+
+        Raises
+        ------
+        OptionError
+            Where it would have no effect, and as for `nls.missions.charts.projection`.
+        """
+        if (name := self.options.crs) is None:
+            return None
+        from nls.missions.charts import projection
+
+        if not self.options.output:
+            raise nls.OptionError("--crs", name, f"nothing: {NO_FOLDER}")
+        return projection(name, self.mission(report).plane)
+
+    def mission(self, report: nls.LoadReport) -> MissionReport:
+        """The report as that of a mission, which a folder has."""
+        assert isinstance(report, MissionReport)
+        return report
+
+    def optimum(self, problem: Problem) -> Solved:
+        """The optimum; under a kernel it says what is ignored by the file of every table."""
+        solved = super().optimum(problem)
+        if solved.result.shares:
+            factors, tables = solved.graph.factors, self.mission(solved.report).tables
+            names = [f"{factor.name} ({table})" for factor, table in zip(factors, tables, strict=True)]
+            solved.result.shares = shares(factors, solved.result.values, names)
+        return solved
+
+    def solved(self, problem: Problem) -> Solved:
+        """The optimum, without wrong contacts where that of all says that some are wrong, and what explains its chi2.
+
+        Contacts without names are given theirs while the mission is read.
+        """
+        solved = self.optimum(problem)
+        if (choice := self.choice(solved.graph, solved.values, solved.result, solved.report)) is not None:
+            solved = self.optimum(problem.without(choice, "gnc-tls"))
+        problem.clock.lap("optimize")
+        as_read = solved.choice is None and solved.sigmas is None
+        report = self.with_findings(solved.report, solved.graph, solved.result, as_read)
+        problem.clock.lap("report")
+        return replace(solved, report=report)
+
+    def finished(self, solved: Solved) -> Solved:
+        """With the solution at the last optimum."""
+        from nls.missions.solution import SolvedMission
+
+        return replace(solved, solution=SolvedMission(*solved.optimized))
+
+    def choice(
+        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
+    ) -> nls.Robustified | None:
+        """The contacts to believe where some do not fit; None where all are believed, or the user says which."""
+        if self.options.robust is not None or getattr(self.options, "sigmas", "stated") != "stated":
+            return None
+        return choice_of(graph, values, result, report)
+
+    def with_findings(
+        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
+    ) -> nls.LoadReport:
+        """The report with errors of whole tables, and what explains an implausible chi2.
+
+        Nothing is tried of a graph that is not as read, and where special values or units of its tables are wrong:
+        those come first.
+        """
+        mission, (chi2, dof) = self.mission(report), result.believed
+        errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged and dof > 0 else []
+        if not as_read:
+            return replace(mission, errors=[replace(error, evident=False) for error in errors])
+        mission = replace(mission, errors=errors)
+        implausible = bool(result.doubt) and result.chi2_final > TWICE * result.dof
+        if not (implausible or any(error.evident for error in errors)):
+            return mission
+        from nls.missions.checks.trials import explained, worth_trying
+        from nls.missions.folder.folder import read_tables
+
+        if not worth_trying(mission.findings):
+            return mission
+        elevation = self.options.elevation or "hinge"
+        with Progress("explain", quiet=getattr(self.options, "quiet", False)) as progress, listened(progress.say):
+            tables = read_tables(mission.path)[0]
+            explanation = explained(tables, result.chi2_final, result.dof, errors, elevation)
+        tried = explanation.trials or "contacts.csv" not in mission.tags  # the mounting of a sonar is not tried
+        return replace(mission, explained=explanation) if tried else mission
+
+    def _parts(self, report: nls.LoadReport) -> list[str] | None:
+        return self.mission(report).dive_of or None
+
+    def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
+        """With what is implausible in the tables first, no kernel for all, no sigmas of what is unmeasured."""
+
+        mission = self.mission(report)
+        first = [*mission.findings, *([mission.explained] if mission.explained else ())]
+        findings = [nls.Finding(nls.FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
+        rest = [
+            replace(finding, advice=tuple(a for a in finding.advice if a.action != "robust"))
+            for finding in explanation.findings
+        ]
+        weakest = tuple(w for w in explanation.weakest if w.key.kind != "x" or w.component not in mission.unmeasured)
+        return replace(explanation, findings=(*findings, *rest), weakest=weakest)
+
+    def doubts(self, solved: Solved) -> list[str]:
+        """The findings on the tables first, by name; fixes that jump are what a kernel on their table is for."""
+        mission = self.mission(solved.report)
+        factors = zip(mission.tables, solved.graph.factors, strict=True)
+        robust = {table for table, factor in factors if factor.kernel is not None}
+        left = [
+            f"{finding.check} ({finding.file})"
+            for finding in mission.findings
+            if finding.file not in robust or finding.check != "jumps"
+        ]
+        if not (left or solved.result.doubt):
+            errors = sorted((error for error in mission.errors if error.evident), key=lambda error: -error.fall)
+            left = [f"{error.quantity} ({error.file})" for error in errors[:1]]
+        return [f"implausible: {', '.join(dict.fromkeys(left))}"] * bool(left) + super().doubts(solved)
+
+    def findings(self, report: nls.LoadReport) -> dict[str, Any]:
+        """What is implausible in the tables, in the report for programs."""
+        mission = self.mission(report)
+        explained = mission.explained and mission.explained.record()
+        return {"findings": [finding.record() for finding in mission.findings], "explained": explained}
+
+    def record(self, solved: Solved) -> dict[str, Any]:
+        """The mission in the report for programs."""
+        return {"mission": solved.solution.record()}
+
+    def lines(self, record: dict[str, Any]) -> list[str]:
+        """The lines of the table that say what the solution is worth, from the report for programs."""
+        return lines(record["mission"])
+
+    def unmeasured(self, report: nls.LoadReport) -> Sequence[str]:
+        """Components of a pose that nothing measures."""
+        return self.mission(report).unmeasured
+
+    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+        """The mission from above and from the side."""
+        from nls.missions.pictures.mission import plan
+
+        return plan(graph, values)
+
+    def picture(self, solved: Solved) -> Any:
+        """Before and after, from above and from the side."""
+        from nls.missions.pictures.mission import plan_before_after
+
+        title = title_of(solved.report.path)
+        return plan_before_after(solved.graph, solved.before, solved.result, title=title)
+
+    def made(self, solved: Solved) -> MissionFiles:
+        """The files of the solution."""
+        from nls.missions.files import MissionFiles
+
+        return MissionFiles(solved.solution, solved.projection, self.marks(solved))
+
+    def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
+        """What makes the files of the folder, by name."""
+        return self.made(solved)()
+
+    def page(self, solved: Solved) -> dict[str, Any]:
+        """Covariances and pictures of the page, as `nls.plot.report.report` takes them."""
+        made = self.made(solved)
+        pictures = {"The track": made.track()} | ({"The landmarks": made.landmarks()} if made.solution.mapped else {})
+        return {"marginals": solved.solution.marginals, "pictures": pictures}
+
+    def facts(self, solved: Solved) -> dict[str, str]:
+        """Facts for the page: the errors of whole tables that nothing shows."""
+        return {"unchecked": of_tables(solved.solution.unchecked)}
 
 
-def _drift(mission: dict[str, Any]) -> tuple[str, str]:
-    """Errors at the end and on average of dead reckoning, and of the solution where there is a truth, in words."""
-    judge = "the truth" if mission["judge"] == "truth" else "the solution (there is no truth.csv)"
-    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
-    drift = ", ".join(
-        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
-    )
-    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
-    return f"{drift} of the distance at the end, against {judge}", ate
+class Dives(Mission):
+    """The folders of several dives, solved as one."""
 
+    def with_findings(
+        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = False
+    ) -> nls.LoadReport:
+        """The report with errors of whole tables; nothing is tried of several dives."""
+        return super().with_findings(report, graph, result, as_read=False)
 
-def _percent(number: float) -> str:
-    """Percent of the distance; a dash where there is none."""
-    return "-" if np.isnan(number) else f"{_short(number)} %"
+    def finished(self, solved: Solved) -> Solved:
+        """With the solution of all dives at the last optimum."""
+        from nls.missions.solution import SolvedDives
 
+        return replace(solved, solution=SolvedDives(*solved.optimized))
 
-def _short(number: float) -> str:
-    """Three digits; what is below a millionth is rounding."""
-    return f"{round(number, 6):.3g}"
+    def made(self, solved: Solved) -> MissionFiles:
+        """The files of the solution, and of each dive."""
+        from nls.missions.files import DiveFiles
+
+        return DiveFiles(solved.solution, solved.projection, self.marks(solved))

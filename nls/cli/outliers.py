@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import nls
 from factors import RangeAzimuth
-from nls.cli.formats import mission_of
+from models.options import did_you_mean
+from nls.cli.choices import GNC, PROBABILITIES
 
 if TYPE_CHECKING:
     from factors.base import Factor
-    from nls.graph import FactorGraph
-    from nls.io import LoadReport
     from nls.io.report import Source
-    from nls.optimizers import Result
-    from nls.robust import Robustified
     from nls.robust.graduated import Rejected
-    from nls.values import Values
 
 __all__ = ["choice_of", "record", "without_rejected"]
 
 PREFIX = "gnc-"
-NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 OF_CHOICE = ("doubted", "probability", "expected_by_chance", "sigma0", "strain")
 OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that nothing verifies
 
 
-def is_gnc(robust: str | None) -> bool:
-    """Whether the option asks for graduated non-convexity, not for a kernel."""
-    return bool(robust and robust.rpartition("=")[2].startswith(NAME))
-
-
-def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robustified:
+def chosen(robust: str, init: str, graph: nls.FactorGraph, values: nls.Values) -> nls.Robustified:
     """The measurements to believe, by ``gnc-LOSS[:PROBABILITY]``: loop closures, and contacts where there are some.
 
     Raises
@@ -43,9 +33,6 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     OptionError
         No such loss, no probability, or a start that would not be used.
     """
-    import nls
-    from models.options import did_you_mean
-    from nls.cli.choices import GNC, PROBABILITIES
     from nls.posegraph import closures
     from nls.robust.kernels import LOSSES
 
@@ -65,12 +52,14 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     return nls.gnc(graph, values, loss, probability, [*contacts, *(factor for factor, mask in masks if mask.all())])
 
 
-def contacts_of(graph: FactorGraph) -> list[Factor]:
+def contacts_of(graph: nls.FactorGraph) -> list[Factor]:
     """The contacts of a mission."""
     return [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
 
 
-def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
+def choice_of(
+    graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
+) -> nls.Robustified | None:
     """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
 
     All are believed where `nls.robust.contacts.misfit` is False. They are believed with a note where a calibration
@@ -81,16 +70,12 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     graph, values, report : of the mission, its start by dead reckoning.
     result : with all contacts, without robust kernels.
     """
-    contacts = contacts_of(graph)
-    if report.format != "mission" or not contacts:
-        return None
-    import nls
-    from models.errors import UnderconstrainedError
     from nls.analysis.calibrations import calibrations
     from nls.explanation.causes import calibrated
     from nls.robust.contacts import misfit
 
-    if not misfit(result, contacts):
+    contacts = contacts_of(graph)
+    if not contacts or not misfit(result, contacts):
         return None
     kept = "all contacts are kept, though some do not fit"
     if result.converged and (wrong := calibrated(calibrations(graph, result.values))):
@@ -98,7 +83,7 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
         return None
     try:
         choice = nls.gnc(graph, values, doubted=contacts)
-    except UnderconstrainedError as error:
+    except nls.UnderconstrainedError as error:
         report.notes.append(f"{kept}: without contacts, which are judged along dead reckoning, {error.message}")
         return None
     if choice.doubts:
@@ -107,7 +92,7 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     return choice
 
 
-def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
+def record(choice: nls.Robustified, sources: Sequence[Source]) -> dict[str, Any]:
     """For programs; with the file and the line of what was rejected, where the factors as read have some."""
 
     def rejected(r: Rejected) -> dict[str, Any]:
@@ -127,7 +112,7 @@ def record(choice: Robustified, sources: Sequence[Source]) -> dict[str, Any]:
     }
 
 
-def rows(choice: Robustified, asked: bool) -> list[str]:
+def rows(choice: nls.Robustified, asked: bool) -> list[str]:
     """For the table: all that is known where the choice was asked for, else one line of contacts."""
     if not asked:
         return [f"rejected    {sentence(choice)}"]
@@ -135,14 +120,16 @@ def rows(choice: Robustified, asked: bool) -> list[str]:
     return [f"rejected    {first}", *(f"          {line}" for line in lines)]
 
 
-def sentence(choice: Robustified) -> str:
+def sentence(choice: nls.Robustified) -> str:
     """How many contacts were rejected, and which landmarks left."""
     from nls.explanation.doubts import of_choice
 
     return "; ".join(finding.says for finding in of_choice(choice, contacts=True))
 
 
-def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:
+def without_rejected(
+    as_read: nls.FactorGraph, choice: nls.Robustified, report: nls.LoadReport
+) -> tuple[nls.FactorGraph, nls.LoadReport]:
     """The graph as read without the rejected measurements, and its report: the times and lines of the rest.
 
     The given report stays that of the whole graph; both have one list of notes.
@@ -150,17 +137,13 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
     masks = [weight > 0 for weight in choice.weights]
     graph, left = as_read.only(masks), [k for k, mask in enumerate(masks) if mask.any()]
     parts = [(k, masks[k], new) for k, new in zip(left, graph.factors, strict=True)]
-    if (mission := mission_of(report)) and mission.dive_of:
-        report = replace(mission, dive_of=[mission.dive_of[k] for k in left])
     return graph, report.of_parts(as_read.factors, parts)
 
 
-def without_left(values: Values, kept: Values) -> Values:
+def without_left(values: nls.Values, kept: nls.Values) -> nls.Values:
     """The values of the variables that were kept."""
-    from nls.values import Values
-
     stacks = []
     for stack in values.stacks.values():
         there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
         stacks.append(stack if there.all() else stack.only(there))
-    return Values.of(stacks)
+    return nls.Values.of(stacks)

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import nls
+
 __all__ = ["json_text", "say"]
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -30,9 +32,8 @@ def say(text: object, error: bool = False) -> None:
 
 def complain(problem: object) -> None:
     """What is wrong in one line on standard error; what helps, with the options of the command line, one a line."""
-    from models.errors import LeadlineError
 
-    message, *advice = problem.lines(shell=True) if isinstance(problem, LeadlineError) else [str(problem)]
+    message, *advice = problem.lines(shell=True) if isinstance(problem, nls.LeadlineError) else [str(problem)]
     say("\n".join([f"nls: {' '.join(message.split())}", *advice]), error=True)
 
 
@@ -49,7 +50,6 @@ def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
     ------
     OptionError
     """
-    from models.errors import OptionError
     from nls.io.files import descriptor, names_folder
 
     identities: set[object] = set()
@@ -60,27 +60,27 @@ def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
         if name is None or (option == "--json" and name == "-"):
             continue
         if name == "-":
-            raise OptionError(option, name, "a file; only --json writes to standard output")
+            raise nls.OptionError(option, name, "a file; only --json writes to standard output")
         if not name:
-            raise OptionError(option, name, "the name of a file")
+            raise nls.OptionError(option, name, "the name of a file")
         if os.path.isdir(name) or names_folder(name):
-            raise OptionError(option, name, f"a file, and this {'is' if os.path.isdir(name) else 'names'} a folder")
+            raise nls.OptionError(option, name, f"a file, and this {'is' if os.path.isdir(name) else 'names'} a folder")
         number = descriptor(name)
         folder = os.path.dirname(os.path.realpath(name)) if number is None else "/"
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
-            raise OptionError(option, name, "a file in a folder that exists, and that you may look into")
+            raise nls.OptionError(option, name, "a file in a folder that exists, and that you may look into")
         if _identity(name) in identities:
             same = "this is the input" if _identity(name) in inputs else "another output has this one"
-            raise OptionError(option, name, f"another name: {same}")
+            raise nls.OptionError(option, name, f"another name: {same}")
         special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
         if number is not None:
             if not _writable(number):
-                raise OptionError(option, name, "a number that is open for writing")
+                raise nls.OptionError(option, name, "a number that is open for writing")
         elif os.path.exists(name) and not os.access(name, os.W_OK):  # special files are written to, others replaced
             allowed = "a file that is not write-protected; --overwrite does not help: allow it with chmod, or give "
-            raise OptionError(option, name, allowed + "another name")
+            raise nls.OptionError(option, name, allowed + "another name")
         elif not special and not os.access(folder, os.W_OK | os.X_OK):
-            raise OptionError(option, name, "a file in a folder you may write to")
+            raise nls.OptionError(option, name, "a file in a folder you may write to")
         if not special:
             identities.add(_identity(name))
 
@@ -108,11 +108,10 @@ def refuse_loss(option: str, options: argparse.Namespace, why: str) -> None:
     ------
     OptionError
     """
-    from models.errors import OptionError
 
     if options.output and not options.overwrite and _identity(options.output) in _inputs(options.file):
         allowed = f"another file than the input, or --overwrite, which replaces the input: {why}"
-        raise OptionError(option, options.output, allowed)
+        raise nls.OptionError(option, options.output, allowed)
 
 
 def _identity(name: str) -> object:
@@ -142,10 +141,9 @@ def refuse_name(option: str, name: str | None, suffixes: Sequence[str]) -> None:
     ------
     OptionError
     """
-    from models.errors import OptionError
 
     if name and not (Path(name).suffix and name.lower().endswith(tuple(suffixes))):
-        raise OptionError(option, name, "a file name ending in " + ", ".join(suffixes))
+        raise nls.OptionError(option, name, "a file name ending in " + ", ".join(suffixes))
 
 
 def write_json(report: dict[str, Any], where: str | None) -> None:

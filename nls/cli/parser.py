@@ -8,17 +8,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any, NoReturn
 
-from nls.cli.choices import (
-    ALIGNMENTS,
-    CONVENTIONS,
-    GAUGES,
-    KERNELS,
-    OPTIMIZERS,
-    SIGMAS,
-    SOLVERS,
-    STARTS,
-    TREATMENTS,
-)
+from nls.cli import choices
 from nls.cli.outputs import say
 from nls.io.formats import dialects, outputs
 
@@ -31,6 +21,22 @@ FILE = (
 OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
 RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
+COORDINATES = (
+    "coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
+    "origin.csv and pyproj, and add columns to the tables"
+)
+GRADUATED = (
+    "; gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: find wrong loop closures and, in a mission, wrong "
+    "contacts, solve without them, list them; of a scan mission gnc (default), cauchy or none: how matches are selected"
+)
+SCALES = (
+    "estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
+    ":units: one for lengths and one for angles of a kind; :components: one for every component"
+)
+TOLERANCE = (
+    "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
+    "the gap that is printed is absolute"
+)
 ALONE = "turns off thresholds that are not given"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
@@ -133,183 +139,137 @@ def parser() -> Parser:
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(name: str, summary: str, module: str = "", reads_graph: bool = True) -> argparse.ArgumentParser:
+    def command(
+        name: str, summary: str, module: str = "", function: str = "", reads_graph: bool = True
+    ) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
-        added.set_defaults(run=partial(_run, module or name), default_of=added.get_default)
+        added.set_defaults(run=partial(_run, module or name, function or name), default_of=added.get_default)
         if reads_graph:
             _input(added)
             if name != "stream":  # which makes a variable where the first edge names it
-                added.add_argument(
-                    "--drop-absent", action="store_true", help="leave out edges to vertices without a line"
-                )
+                _flag(added, "--drop-absent", "leave out edges to vertices without a line")
         else:
-            added.add_argument("--debug", action="store_true", help="show the traceback of an error")
+            _flag(added, "--debug", "show the traceback of an error")
         return added
 
     solve = command("solve", "find the optimum")
     _dives(solve)
-    solve.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT.g2o",
-        help="write the optimum: a file whose suffix says the format, or the folder of a solved mission",
-    )
-    solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
-    solve.add_argument("--renumber", action="store_true", help=RENUMBER)
-    solve.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
-    solve.add_argument(
-        "--crs",
-        metavar="CRS",
-        help="coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
-        "origin.csv and pyproj, and add columns to the tables",
-    )
-    solve.add_argument("--to", choices=outputs(), help="format of OUT.g2o (default: by its suffix)")
-    solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
-    solve.add_argument(
-        "--linear-solver",
-        default="auto",
-        choices=["auto", *SOLVERS],
-        help="linear solver (default: the best one installed)",
-    )
-    _problem(
-        solve,
-        "; gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: find wrong loop closures and, in a mission, wrong "
-        "contacts, solve without them, list them; of a scan mission gnc (default), cauchy or none: how matches are "
-        "selected",
-    )
-    solve.add_argument(
-        "--sigmas",
-        default="stated",
-        choices=SIGMAS,
-        help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
-        ":units: one for lengths and one for angles of a kind; :components: one for every component",
-    )
-    solve.add_argument("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
-    solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
-    solve.add_argument(
-        "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
-    )
-    solve.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
-    solve.add_argument("--allow-unconverged", action="store_true", help="exit with 0 at an iteration limit, too")
-    solve.add_argument("--allow-doubtful", action="store_true", help="exit with 0 for a doubtful result, too")
-    solve.add_argument(
-        "--certify",
-        action="store_true",
-        help="prove that a pose graph is at its global optimum; exit with 1 if a better one is found",
-    )
-    solve.add_argument(
-        "--improve",
-        action="store_true",
-        help="--certify before anything is written; while a better optimum is found, go on from there and say so",
-    )
+    add = solve.add_argument
+    output = "write the optimum: a file whose suffix says the format, or the folder of a solved mission"
+    add("-o", "--output", metavar="OUT.g2o", help=output)
+    _overwriting(solve)
+    add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
+    add("--crs", metavar="CRS", help=COORDINATES)
+    add("--to", choices=outputs(), help="format of OUT.g2o (default: by its suffix)")
+    _init(solve)
+    add("--method", default="auto", choices=["auto", *choices.OPTIMIZERS], help="optimizer (default: auto)")
+    solvers = ["auto", *choices.SOLVERS]
+    add("--linear-solver", default="auto", choices=solvers, help="linear solver (default: the best one installed)")
+    _problem(solve, GRADUATED)
+    add("--sigmas", default="stated", choices=choices.SIGMAS, help=SCALES)
+    add("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
+    add("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
+    decrease = f"converged when the relative decrease of chi2 is below X; {ALONE}"
+    add("--chi2-rtol", type=float, metavar="X", help=decrease)
+    add("--gauge", default="first", choices=choices.GAUGES, help="how the free directions are held")
+    _flag(solve, "--allow-unconverged", "exit with 0 at an iteration limit, too")
+    _flag(solve, "--allow-doubtful", "exit with 0 for a doubtful result, too")
+    proof = "prove that a pose graph is at its global optimum; exit with 1 if a better one is found"
+    _flag(solve, "--certify", proof)
+    better = "--certify before anything is written; while a better optimum is found, go on from there and say so"
+    _flag(solve, "--improve", better)
     _json(solve)
-    solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
-    solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
-    solve.add_argument("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
+    add("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
+    add("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    add("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
     how = solve.add_mutually_exclusive_group()
-    how.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
+    _flag(how, "--quiet", "print nothing but errors")
+    _flag(how, "--verbose", "print every iteration and where the time went")
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps")
     _dives(explain)
-    explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    explain.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)
+    _init(explain)
+    explain.add_argument("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
     _problem(explain)
     _json(explain)
 
-    _json(command("info", "what is in a file"))
+    _json(command("info", "what is in a file", "graphs"))
 
-    convert = command("convert", "write a graph in another format")
+    convert = command("convert", "write a graph in another format", "graphs")
     convert.add_argument("output", metavar="OUT", help="the file to write")
     convert.add_argument("--to", choices=outputs(), help="format of OUT (default: by its suffix)")
-    convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
-    convert.add_argument("--renumber", action="store_true", help=RENUMBER)
+    _overwriting(convert)
 
     stream = command("stream", "the optimum at every step, while lines arrive")
-    stream.add_argument(
-        "--tol",
-        type=float,
-        default=1e-3,
-        metavar="X",
-        help="accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
-        "the gap that is printed is absolute",
-    )
-    stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
-    stream.add_argument(
-        "--landmarks",
-        choices=("leave", "stay"),
-        default="leave",
-        help="with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)",
-    )
-    stream.add_argument(
-        "--robust", action=Once, metavar="KERNEL:SIGMAS", help=f"robust kernel on every factor: {', '.join(KERNELS)}"
-    )
-    stream.add_argument(
-        "--checkpoint",
-        metavar="STATE",
-        help="file of the state, written every 100 steps; the next run goes on from it, equal to the bit",
-    )
+    add = stream.add_argument
+    add("--tol", type=float, default=1e-3, metavar="X", help=TOLERANCE)
+    add("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
+    landmarks = "with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)"
+    add("--landmarks", choices=("leave", "stay"), default="leave", help=landmarks)
+    kernel = f"robust kernel on every factor: {', '.join(choices.KERNELS)}"
+    add("--robust", action=Once, metavar="KERNEL:SIGMAS", help=kernel)
+    state = "file of the state, written every 100 steps; the next run goes on from it, equal to the bit"
+    add("--checkpoint", metavar="STATE", help=state)
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)
-    evaluate.add_argument(
-        "file",
-        metavar="ESTIMATE",
-        help="a trajectory: tum, kitti, csv as trajectory.csv, a graph, or the folder of a solution",
-    )
-    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: as ESTIMATE, or the folder of a mission")
-    evaluate.add_argument(
-        "--align",
-        default="none",
-        choices=ALIGNMENTS,
-        help="move the estimate onto the truth first (default: none); similarity also scales",
-    )
-    evaluate.add_argument(
-        "--distances",
-        default="10,50,100",
-        metavar="M,M,...",
-        help="distances of the relative errors, m (default: 10,50,100)",
-    )
-    evaluate.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="S",
-        help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
-    )
+    add = evaluate.add_argument
+    estimate = "a trajectory: tum, kitti, csv as trajectory.csv, a graph, or the folder of a solution"
+    add("file", metavar="ESTIMATE", help=estimate)
+    add("truth", metavar="TRUTH", help="the true one: as ESTIMATE, or the folder of a mission")
+    move = "move the estimate onto the truth first (default: none); similarity also scales"
+    add("--align", default="none", choices=choices.ALIGNMENTS, help=move)
+    distances = "distances of the relative errors, m (default: 10,50,100)"
+    add("--distances", default="10,50,100", metavar="M,M,...", help=distances)
+    gap = "longest gap of the truth to interpolate over, s (default: twice the median time between its rows)"
+    add("--tolerance", type=float, metavar="S", help=gap)
     _json(evaluate)
 
-    plot = command("plot", "draw the graph as it was read")
+    plot = command("plot", "draw the graph as it was read", "graphs")
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
 
-    imports = command("import", "make a mission folder of logs", "import_logs", reads_graph=False)
-    imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
-    imports.add_argument(
-        "--map", action=Once, metavar="MAPPING.toml", help="meaning of the columns; without it a draft is printed"
-    )
-    imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
+    imports = command("import", "make a mission folder of logs", "logs", "import_logs", reads_graph=False)
+    add = imports.add_argument
+    add("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
+    meaning = "meaning of the columns; without it a draft is printed"
+    add("--map", action=Once, metavar="MAPPING.toml", help=meaning)
+    add("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
 
-    new = command("new", "write templates of a mission", reads_graph=False)
+    new = command("new", "write templates of a mission", "logs", reads_graph=False)
     new.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
-    new.add_argument("--map", action="store_true", help="write mapping.toml alone")
+    _flag(new, "--map", "write mapping.toml alone")
     return top
 
 
 def _input(command: argparse.ArgumentParser) -> None:
     """The file every command reads, and how it is read."""
-    command.add_argument("file", metavar="FILE", help=FILE)
-    command.add_argument(
-        "--dialect", default="auto", choices=dialects(), help="format of FILE (default: auto, by its content)"
-    )
-    command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
+    add = command.add_argument
+    add("file", metavar="FILE", help=FILE)
+    add("--dialect", default="auto", choices=dialects(), help="format of FILE (default: auto, by its content)")
+    _flag(command, "--repair-information", "make negative information semi-definite")
     ignored = "unknown tags of edges that are left out; others are refused"
-    command.add_argument("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
-    command.add_argument(
-        "--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements (default: g2o)"
-    )
-    command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    add("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
+    residual = "residual of pose measurements (default: g2o)"
+    add("--convention", default="g2o", choices=choices.CONVENTIONS, help=residual)
+    _flag(command, "--debug", "show the traceback of an error")
+
+
+def _flag(command: argparse._ActionsContainer, name: str, words: str) -> None:
+    """An option without a value."""
+    command.add_argument(name, action="store_true", help=words)
+
+
+def _overwriting(command: argparse.ArgumentParser) -> None:
+    """Options of what is written in the place of the input, or in another format."""
+    _flag(command, "--overwrite", OVERWRITE)
+    _flag(command, "--renumber", RENUMBER)
+
+
+def _init(command: argparse.ArgumentParser) -> None:
+    starts = ["auto", *choices.STARTS]
+    command.add_argument("--init", default="auto", choices=starts, help="start values (default: auto)")
 
 
 def _dives(command: argparse.ArgumentParser) -> None:
@@ -319,15 +279,12 @@ def _dives(command: argparse.ArgumentParser) -> None:
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
     """What is done to the graph before it is solved; ``more``: that can be asked for besides kernels."""
-    command.add_argument(
-        "--robust",
-        action=Once,
-        metavar="[TYPE=]KERNEL:SIGMAS",
-        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
-        f"one of {', '.join(KERNELS)}; of a mission none: believe all contacts (default: without wrong ones where chi2 "
-        "and residuals say that there are some)" + more,
+    kernels = (
+        "robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
+        f"one of {', '.join(choices.KERNELS)}; of a mission none: believe all contacts (default: without wrong ones "
+        f"where chi2 and residuals say that there are some){more}"
     )
-    command.set_defaults(all_contacts=False)  # see `nls.cli.preparation.believes_all`
+    command.add_argument("--robust", action=Once, metavar="[TYPE=]KERNEL:SIGMAS", help=kernels)
     command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
 
 
@@ -335,6 +292,6 @@ def _json(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="REPORT.json", help="write the report for programs ('-': standard output)")
 
 
-def _run(name: str, options: argparse.Namespace) -> int:
+def _run(module: str, function: str, options: argparse.Namespace) -> int:
     """Run a command, which is imported only now: none pays for the others at start-up."""
-    return int(getattr(import_module(f"nls.cli.{name}"), name)(options))
+    return int(getattr(import_module(f"nls.cli.{module}"), function)(options))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import nls
 from models.visible import visible
-
-if TYPE_CHECKING:
-    from nls.optimizers import Iteration
 
 
 class Progress:
@@ -39,7 +37,7 @@ class Progress:
 
             self.bar = tqdm(total=self.most, desc=self.title, unit="it", leave=False)
 
-    def show(self, iteration: Iteration) -> None:
+    def show(self, iteration: nls.Iteration) -> None:
         """One more iteration."""
         if self.bar is not None:
             self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")

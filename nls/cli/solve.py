@@ -1,350 +1,285 @@
-"""``nls solve``: read, start, optimize, write, report. One stage a function; all pass one `Job`."""
+"""``nls solve``: read, start, optimize, write, report. One stage a function; an output that fails loses no other."""
 
 from __future__ import annotations
 
 import argparse
 import os
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 
-from nls.cli.formats import mission_of
+import nls
+import nls.starts  # counted as an import
+from models.advice import Advice, listed
+from nls.cli import formats
+from nls.cli.inputs import GraphFile, input_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
-
-if TYPE_CHECKING:
-    from nls.cli.job import Job
-    from nls.cli.progress import Progress
-    from nls.optimizers import Optimizer
-    from nls.robust import Robustified
+from nls.cli.run import Problem, Run, Solved
+from nls.cli.solve_report import SCHEMA, advice, record_of, summary, table
+from nls.cli.timing import Clock
+from nls.io.files import refuse_absent
+from nls.linear import SOLVERS
+from nls.stages import collected
 
 
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
-    job = _checked(options)
-    _read(job)
-    _check_graph(job)
-    if job.select is None:
-        _optimize(job)
-    else:
-        from nls.cli.scan_mission import close_loops
-
-        close_loops(job)
-    if options.improve:
-        _improve(job)
-    _write(job)
+    kind = input_of(options)
+    run = _checked(kind)
+    with collected() as stages:
+        problem = _begun(kind, _read(kind, run))
+    problem = _check_graph(kind, replace(problem, stages=stages))
+    with _free_written(kind, problem):
+        solved = kind.solved(problem)
+        if options.improve:
+            solved = _improved(kind, solved)
+    solved = kind.finished(solved)
+    _write(kind, solved)
     if options.certify and not options.improve:
-        _certify(job)
-    _draw(job)
-    _report(job)
-    return _status(job)
+        solved = _certified(solved)
+    if options.report:
+        _page(kind, solved, solved.result)
+        run.clock.lap("report")
+    _report(kind, solved)
+    return _status(kind, solved)
 
 
-def _checked(options: argparse.Namespace) -> Job:
-    """The job, once all outputs can be written."""
-    import nls
-    from nls.cli.formats import output_format
-    from nls.cli.job import Job
-    from nls.cli.sigmas import refuse
-    from nls.cli.timing import Clock
-    from nls.io.files import refuse_absent
-    from nls.linear import SOLVERS
-
-    refuse_absent(file for file in (options.file, *options.dives) if file != "-")
+def _checked(kind: GraphFile) -> Run:
+    """The run, once all outputs can be written."""
+    options = kind.options
+    refuse_absent(file for file in kind.files if file != "-")
     clock = Clock(options.began, options.startup)
     solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
-    job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
-    output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}
-    output_files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
-    refuse_unwritable(output_files, options.file, *options.dives)
-    if mission:
-        from nls.cli.scan_mission import selection_of
-
-        if (select := selection_of(options)) is not None:
-            job.select, options.robust, options.init = select, None, "file"
-    refuse(options.sigmas, options.robust, options.improve)
+    files = {"-o": kind.output_file, "--covariance": options.covariance}
+    files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
+    refuse_unwritable(files, *kind.files)
+    kind.check_options()
+    if options.sigmas != "stated":
+        _refuse_sigmas(kind)
     if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
         refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
-    if mission:
-        from nls.cli.mission import refuse_unwritable_folder
-
-        for folder in (options.file, *options.dives):
-            refuse_unwritable_folder(options.output, folder, options.to)
-    elif options.output:
-        job.form = output_format("-o", options.output, options.to)
-        _refuse_output(job)
-    if options.renumber:
-        from nls.io.formats import check_renumber
-
-        check_renumber(job.form or ("mission" if mission else "no output"))
-    from nls.starts import initialize  # noqa: F401 - counted as an import
-
+    form = kind.output_format()
+    kind.check_renumber(form)
     clock.lap("imports")
-    return job
+    return Run(options=options, clock=clock, solver=solver, stop=stop, form=form)
 
 
-def _refuse_output(job: Job) -> None:
-    """Refuse to write an optimum to a format without values, or less than was read over the input."""
-    from models.errors import OptionError
-    from nls.cli import outliers
-    from nls.cli.outputs import refuse_loss
-    from nls.io.formats import FORMATS
+def _refuse_sigmas(kind: GraphFile) -> None:
+    """Refuse scales from measurements that were chosen by the stated sigmas, or from an optimum that may be left.
 
-    options, form = job.options, job.form
-    if form and not FORMATS[form].values:
-        allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
-        raise OptionError("-o", options.output, allowed)
-    if options.sigmas != "stated":
-        refuse_loss("-o", options, f"--sigmas {options.sigmas} replaces the stated sigmas")
-    if outliers.is_gnc(options.robust):
-        refuse_loss("-o", options, f"{options.robust} leaves out the measurements it rejects")
-
-
-def _read(job: Job) -> None:
-    """Graph, values and start."""
-    from nls.cli import formats
-    from nls.cli.outputs import refuse_loss
-    from nls.cli.preparation import believes_all, prepare
-    from nls.stages import collected
-
-    options = job.options
-    with collected() as job.stages:
-        job.as_read, job.values, job.report = formats.read(options)
-        believes_all(options, job.report)
-        if job.form and job.form != job.report.format:
-            refuse_loss("-o", options, f"{job.form} files do not hold all that {job.report.format} files do")
-        options.phase.doing = f"while searching for a start for {options.file}"
-        job.graph = prepare(job.as_read, job.values, job.report, options)
-        job.clock.lap("read")
-        _start(job)
-        job.chi2_read = _chi2_read(job)
-        job.clock.lap("init")
+    Raises
+    ------
+    OptionError
+    """
+    options, allowed = kind.options, ""
+    if kind.rejects:
+        allowed = (
+            f"with --robust {kind.robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
+        )
+    elif options.improve:
+        allowed = "with --improve: scales hold for the optimum they were estimated at; --certify goes with it"
+    if allowed:
+        raise nls.OptionError("--sigmas", options.sigmas, f"stated {allowed}")
 
 
-def _start(job: Job) -> None:
+def _read(kind: GraphFile, run: Run) -> Problem:
+    """Graph and values, as they are solved."""
+    options = run.options
+    as_read, values, report = kind.read_to_solve()
+    kind.check_format("-o", run.form, report)
+    options.phase.doing = f"while searching for a start for {options.file}"
+    graph = kind.prepared(as_read, values, report)
+    run.clock.lap("read")
+    return Problem(**vars(run), as_read=as_read, values=values, report=report, graph=graph, start=values)
+
+
+def _begun(kind: GraphFile, problem: Problem) -> Problem:
     """The start values; with graduated non-convexity also the measurements to believe."""
-    import nls
-    from models.errors import UnderconstrainedError
-    from nls.cli import outliers
-    from nls.cli.solve_outputs import write_free
+    if kind.rejects:
+        from nls.cli.outliers import chosen
 
-    options = job.options
-    if not outliers.is_gnc(options.robust):
-        job.start, job.init, job.starts = nls.initialize(job.graph, job.values, options.init)
-        return
-    try:
-        choice = outliers.chosen(options.robust, options.init, job.graph, job.values)
-    except UnderconstrainedError as error:
-        job.start = job.values
-        write_free(job, error)
-        raise
-    _take(job, choice, options.robust)
-
-
-def _take(job: Job, choice: Robustified, name: str) -> None:
-    """The graph without what was rejected, to begin with at its optimum."""
-    from nls.cli import outliers
-
-    job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
-    job.sources = job.report.sources
-    job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
-    job.values = outliers.without_left(job.values, choice.result.values)
-    if job.form and (count := len(choice.rejected)):
-        job.report.notes.append(f"{job.options.output} holds the graph without the {count} rejected measurements")
-    job.starts = {job.init: choice.result.chi2_final}
+        with _free_written(kind, problem):
+            choice = chosen(str(kind.robust), kind.init, problem.graph, problem.values)
+        problem = problem.without(choice, str(kind.robust))
+    else:
+        start, init, starts = nls.initialize(problem.graph, problem.values, kind.init)
+        problem = replace(problem, start=start, init=init, starts=starts)
+    try:  # it may not exist there, as for a bearing to the place of the sensor
+        chi2 = problem.starts["file"] if "file" in problem.starts else problem.graph.chi2(problem.values)
+    except (nls.EvaluationError, nls.SingularGeometryError):
+        chi2 = None
+    problem.clock.lap("init")
+    return replace(problem, chi2_read=chi2)
 
 
-def _chi2_read(job: Job) -> float | None:
-    """chi2 of the values as read; None where it does not exist there, as for a bearing to the place of the sensor."""
-    from models.errors import EvaluationError, SingularGeometryError
-
-    try:
-        return job.starts["file"] if "file" in job.starts else job.graph.chi2(job.values)
-    except (EvaluationError, SingularGeometryError):
-        return None
-
-
-def _check_graph(job: Job) -> None:
-    """Refuse before the work what the output cannot hold, or the certificate is not for."""
-    from nls.cli.formats import refuse_unwritable_graph
-
-    if job.options.crs is not None:
-        from nls.cli.mission import chosen_projection
-
-        job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
-    if job.form:
-        refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
-    if job.options.certify or job.options.improve:
+def _check_graph(kind: GraphFile, problem: Problem) -> Problem:
+    """The projection; refused before the work is what the output cannot hold, or the certificate is not for."""
+    options, form = problem.options, problem.form
+    problem = replace(problem, projection=kind.projection(problem.report))
+    if form:
+        about = problem.as_read, problem.start, problem.report
+        formats.refuse_unwritable_graph(options.output, form, *about, options.renumber)
+    if options.certify or options.improve:
         from nls.certificate.problem import certifiable
 
-        certifiable(job.graph, job.start)
-    job.clock.lap("check")
+        certifiable(problem.graph, problem.start)
+    problem.clock.lap("check")
+    return problem
 
 
-def _optimize(job: Job) -> None:
-    """The optimum, of a mission without wrong contacts where that of all says that some are wrong."""
-    from nls.cli.hint import explain_misfit
-    from nls.cli.outliers import choice_of
-
-    _find_optimum(job)
-    options = job.options
-    judges = not options.all_contacts and options.robust is None and options.sigmas == "stated"
-    if judges and (choice := choice_of(job.graph, job.values, job.result, job.report)) is not None:
-        _take(job, choice, "gnc-tls")
-        _find_optimum(job)
-    job.clock.lap("optimize")
-    if job.report.format == "mission":
-        explain_misfit(job.report, job.graph, job.result, job.options, job.choice is None and job.sigmas is None)
-        job.clock.lap("report")
-
-
-def _find_optimum(job: Job) -> None:
-    """The optimum; where something is free, the outputs that can tell so, and the error."""
-    from models.errors import UnderconstrainedError
-    from nls.cli.progress import Progress
-    from nls.cli.solve_outputs import write_free
-
-    options = job.options
-    options.phase.now(f"while solving {options.file}")
-    with Progress("solve", options.max_iterations, options.quiet) as progress:
-        try:
-            if options.sigmas != "stated":
-                _estimate(job, _optimizer(job, progress))
-            else:
-                job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
-            _name_tables(job)
-        except UnderconstrainedError as error:
-            write_free(job, error)
-            raise
-
-
-def _name_tables(job: Job) -> None:
-    """Of a mission under a kernel, say what is ignored by the file of every table."""
-    from nls.optimizers.fit import shares
-
-    if job.result.shares and (mission := mission_of(job.report)):
-        factors = job.graph.factors
-        names = [f"{factor.name} ({table})" for factor, table in zip(factors, mission.tables, strict=True)]
-        job.result.shares = shares(factors, job.result.values, names)
-
-
-def _estimate(job: Job, optimizer: Optimizer) -> None:
-    """The scales of the sigmas, the graphs with rescaled noise, and the optimum."""
-    from nls.analysis.variance_components import variance_components
-    from nls.cli.sigmas import rescaled_report
-
-    _, _, groups = job.options.sigmas.partition(":")
-    job.sigmas = variance_components(job.graph, job.start, groups or "kinds", optimizer, job.solver, job.options.gauge)
-    as_read = job.sigmas.rescaled(job.as_read)
-    job.report = rescaled_report(job.report, job.as_read, as_read)
-    job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
-    if job.form:
-        job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
-
-
-def _optimizer(job: Job, progress: Progress) -> Optimizer:
-    """The optimizer by name; auto leaves it to the library."""
-    from nls.optimizers import OPTIMIZERS, default_optimizer
-
-    name = job.options.method
-    if name == "auto":
-        return default_optimizer(job.graph.factors, job.stop, progress.show)
-    return OPTIMIZERS[name](job.stop, progress.show)
-
-
-def _improve(job: Job) -> None:
+def _improved(kind: GraphFile, solved: Solved) -> Solved:
     """From a solution that is refuted, or stopped too early, on to the optimum of lower chi2, until there is none."""
-    _certify(job)
-    while job.certificate is not None and job.certificate.better is not None:
-        job.refuted.append(job.result.chi2_final)
-        job.start, job.init = job.certificate.better, "better poses"
-        job.starts["better poses"] = job.graph.chi2(job.start)
-        _find_optimum(job)
-        job.clock.lap("optimize")
-        _certify(job)
+    solved = _certified(solved)
+    while solved.certificate is not None and (better := solved.certificate.better) is not None:
+        starts = {**solved.starts, "better poses": solved.graph.chi2(better)}
+        refuted = (*solved.refuted, solved.result.chi2_final)
+        solved = kind.optimum(replace(solved, start=better, init="better poses", starts=starts, refuted=refuted))
+        solved.clock.lap("optimize")
+        solved = _certified(solved)
+    return solved
 
 
-def _write(job: Job) -> None:
-    """Every output but the reports."""
-    from nls.cli.solve_outputs import write_outputs
-
-    if job.report.format == "mission":
-        from nls.cli.dives import SolvedDives
-        from nls.cli.solved_mission import SolvedMission
-
-        job.solved = (SolvedDives if job.options.dives else SolvedMission)(job)
-    write_outputs(job)
-    job.clock.lap("write")
-
-
-def _certify(job: Job) -> None:
+def _certified(solved: Solved) -> Solved:
     """The certificate; without ``--improve`` last of the work, as it can take longer than the solution."""
-    import nls
-    from models.errors import LeadlineError
-
-    job.options.phase.now("while certifying the optimum")
+    solved.options.phase.now("while certifying the optimum")
+    certificate = None
     try:
-        job.certificate = nls.certify(job.graph, job.result.values, job.stop)
-    except LeadlineError as error:
-        job.certificate = None
-        job.failed.append(error)
-    job.clock.lap("certify")
+        certificate = nls.certify(solved.graph, solved.result.values, solved.stop)
+    except nls.LeadlineError as error:
+        solved.failed.append(error)
+    solved.clock.lap("certify")
+    return replace(solved, certificate=certificate)
 
 
-def _draw(job: Job) -> None:
-    """The page to look at."""
-    if job.options.report:
-        from nls.cli.report import write_report
-        from nls.cli.solve_outputs import attempt
-
-        attempt(job, [(lambda path: write_report(job, job.result, path), job.options.report)])
-        job.clock.lap("report")
+# --- outputs ----------------------------------------------------------------------------------------------------------
 
 
-def _report(job: Job) -> None:
+def attempt(run: Run, outputs: Mapping[str, Callable[[str], None]]) -> None:
+    """Write files by their paths, whether or not another can be; names of those written and errors are added."""
+    for path, write in outputs.items():
+        try:
+            run.options.phase.now(f"while writing {path}")
+            write(path)
+            run.options.phase.written.append(path)
+        except nls.GraphFileError as error:  # names the file itself
+            run.failed.append(error)
+        except (nls.LeadlineError, OSError, MemoryError) as error:
+            message, cures = (error.message, error.advice) if isinstance(error, nls.LeadlineError) else (str(error), ())
+            run.failed.append(nls.LeadlineError(f"{path} was not written: {message}", cures))
+
+
+def _write(kind: GraphFile, solved: Solved) -> None:
+    """Write every output but the reports."""
+    options = solved.options
+    if options.covariance and not solved.result.converged:
+        solved.report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
+    try:
+        with kind.room():
+            attempt(solved, kind.outputs(solved))
+    except nls.GraphFileError as error:  # no folder, no files in it
+        solved.failed.append(error)
+    if options.covariance and solved.result.converged:
+        attempt(solved, {options.covariance: partial(_covariance, kind, solved)})
+    if options.plot:
+        attempt(solved, {options.plot: partial(_plot, kind, solved)})
+    solved.clock.lap("write")
+
+
+def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError) -> None:
+    from nls.cli.page import write_page
+
+    attempt(problem, {problem.options.report: partial(write_page, kind, problem, result)})
+
+
+def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
+    from nls.io.table import write_covariances
+
+    marginals = None if solved.solution is None else solved.solution.marginals
+    if marginals is None:
+        marginals = nls.Marginals(solved.graph, solved.result.values, solved.solver, solved.options.gauge)
+    write_covariances(path, marginals, unmeasured=kind.unmeasured(solved.report))
+
+
+def _plot(kind: GraphFile, solved: Solved, path: str) -> None:
+    from nls.plot.picture import write_picture
+
+    write_picture(path, kind.picture(solved), kind.marks(solved))
+
+
+@contextmanager
+def _free_written(kind: GraphFile, problem: Problem) -> Iterator[None]:
+    """Where something is free, write the outputs that can say so; the error names these and what explains it."""
+    options, written, report = problem.options, problem.options.phase.written, problem.report
+    try:
+        yield
+    except nls.UnderconstrainedError as error:
+        if error.silent is not None and len(problem.graph.factors) == len(report.sources):
+            error.message = f"{report.place(*error.silent)}: {error.message}"
+        if options.report:
+            _page(kind, problem, error)
+        if options.json:
+            attempt(problem, {options.json: partial(_write_free, problem, error)})
+        for failure in problem.failed:
+            complain(failure)
+        names = ", ".join(name for name in written if name != "-")
+        explain = Advice("explain", (kind.asking(),))
+        error.advice = (*error.advice, explain, *(Advice("written", (names,)),) * bool(names))
+        raise
+
+
+def _write_free(problem: Problem, error: nls.UnderconstrainedError, where: str) -> None:
+    """The report for programs on a graph that leaves something free."""
+    record = {
+        "schema": SCHEMA,
+        "input": problem.report.path,
+        "format": problem.report.format,
+        "converged": False,
+        "status": "UNDERCONSTRAINED",
+        "reason": error.message,
+        "advice": listed(error.advice, shell=True),
+        "underconstrained": list(error.components),
+        "written": [*problem.options.phase.written, *([where] if where != "-" else [])],
+        "notes": problem.report.notes,
+    }
+    write_json(record, where)
+
+
+def _report(kind: GraphFile, solved: Solved) -> None:
     """The report for programs and the table."""
-    from models.errors import GraphFileError
-    from nls.cli import certificate, outliers, sigmas
-    from nls.cli.solve_report import record_of, table
-
-    options, written = job.options, job.options.phase.written
-    record = record_of(job)
+    options, written = solved.options, solved.options.phase.written
+    record = record_of(kind, solved)
     named = [options.json] if options.json not in (None, "-") else []
     record["written"] = written + named  # it names itself
     try:
         options.phase.now("while writing the report")
         write_json(record, options.json)
         written += named
-    except GraphFileError as error:
+    except nls.GraphFileError as error:
         record["written"] = written
-        job.failed.append(error)
+        solved.failed.append(error)
     if not options.quiet and options.json != "-":
-        rows = [] if job.choice is None else outliers.rows(job.choice, options.robust is not None)
-        rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
-        rows += [] if job.certificate is None else certificate.rows(job.certificate, job.refuted)
-        rows += [] if job.solved is None else job.solved.lines(record[job.solved.name])
-        say(table(record, job.result, rows, job.report.warnings, options.verbose))
+        say(table(kind, solved, record))
 
 
-def _status(job: Job) -> int:
+def _status(kind: GraphFile, solved: Solved) -> int:
     """The exit status; reasons for another than 0 on standard error."""
-    import nls
-    from nls.cli import certificate
-    from nls.cli.hint import asking
-    from nls.cli.solve_report import advice
-
-    options, result = job.options, job.result
+    options, result = solved.options, solved.result
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     if not result.converged and not (allowed and options.quiet):
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
-        say(f"nls: {reason}; see: {asking(options, options.phase.written)}", error=True)
-    if refuted := job.certificate is not None and job.certificate.verdict == "refuted":
-        say(f"nls: {certificate.summary(job.certificate)}", error=True)
-    doubts = [] if options.allow_doubtful or refuted else job.doubts
+        say(f"nls: {reason}; see: {kind.asking(options.phase.written)}", error=True)
+    refuted = solved.certificate is not None and solved.certificate.verdict == "refuted"
+    if solved.certificate is not None and refuted:
+        say(f"nls: {summary(solved.certificate)}", error=True)
+    doubts = [] if options.allow_doubtful or refuted else kind.doubts(solved)
     if doubts and (result.converged or allowed):
         say(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", error=True)
-    for failure in job.failed:
+    for failure in solved.failed:
         complain(failure)
-    if job.failed and options.debug:
-        raise job.failed[0]
-    return 1 if refuted or doubts or not (result.converged or allowed) else 2 if job.failed else 0
+    if solved.failed and options.debug:
+        raise solved.failed[0]
+    return 1 if refuted or doubts or not (result.converged or allowed) else 2 if solved.failed else 0

@@ -2,74 +2,129 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
-from nls.cli.formats import mission_of
+import nls
+from models.advice import Advice, listed
+from models.listing import several
+from nls.cli.inputs import GraphFile
+from nls.cli.run import Solved
+from nls.cli.timing import iterations, peak_rss_mb
+from nls.cli.timing import table as timing_table
+from nls.gauge import choose_gauge, component_labels, fixed_variables
 
-if TYPE_CHECKING:
-    from nls.cli.job import Job
-    from nls.io import LoadReport
-    from nls.optimizers import Iteration, Result
-
-__all__ = ["table"]
+__all__ = ["advice", "record_of", "summary", "table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
-# fields of the report for programs that are as in the result
+# fields of the report for programs that are as in the result, in a certificate, and in the scales of a kind
 OF_RESULT = "method linear_solver chi2_initial chi2_final gauge dof ratio doubt iterations converged rule reused"
-FAR = 5.0  # sigmas of a calibration before the measurements
+OF_CERTIFICATE = "verdict chi2_given chi2_reached reached lower_chi2 cost_given cost proved lowest converged steps"
+OF_KIND = "measurements numbers redundancy scale known"
 
 
-def record_of(job: Job) -> dict[str, Any]:
+def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
     """The report for programs, without the names of the files that are written."""
-    import nls
-    from nls.cli.hint import doubts, gnc_applies, separate_parts
-    from nls.cli.timing import peak_rss_mb
-
-    options, result, report, additions = job.options, job.result, job.report, job.additions()
-    parts, findings = separate_parts(job.graph, result.values), _findings(report)
+    options, result, report, written = solved.options, solved.result, solved.report, solved.options.phase.written
+    additions, findings = _additions(kind, solved), kind.findings(report)
     explained = findings.get("explained")
-    cures = [explained["sentence"]] if explained else gnc_applies(job.graph, result, options)
+    cures = [explained["sentence"]] if explained else _gnc_applies(kind, solved)
     cures = cures or ["first do what the warnings on its tables say"] * bool(findings.get("findings"))
     return {
         "schema": SCHEMA,
         "input": report.path,
         "format": report.format,
         "dimension": report.dimension,
-        "variables": len(job.values),
-        "factors": len(job.graph) + len(additions.get("rejected", ())),
+        "variables": len(solved.values),
+        "factors": len(solved.graph) + len(additions.get("rejected", ())),
         "convention": report.convention,
-        "robust": options.robust,
+        "robust": kind.robust,
         "held": options.hold,
-        "init": job.init,
-        "starts": job.starts,
-        "chi2_file": job.chi2_read if report.vertices_given else None,
-        **{name: getattr(result, name) for name in OF_RESULT.split()},
+        "init": solved.init,
+        "starts": solved.starts,
+        "chi2_file": solved.chi2_read if report.vertices_given else None,
+        **_same(result, OF_RESULT),
         "fit": result.fit.name,
         "ignored": [{"table": s.name, "ignored": s.ignored, "total": s.total} for s in result.shares],
-        "doubtful": job.doubts,
+        "doubtful": kind.doubts(solved),
         "status": result.status.name,
         "reason": f"{result.status.value}: {result.ending}",
         "attempts": [attempt._asdict() | {"status": attempt.status.name} for attempt in result.attempts],
         **additions,
-        "history": [_record(iteration) for iteration in result.history],
-        "timings": job.timings,
+        "history": [_iteration(iteration) for iteration in result.history],
+        "timings": solved.timings,
         "underconstrained": list(result.underconstrained),
-        "written": options.phase.written,
-        "unwritten": [error.message for error in job.failed],
+        "written": written,
+        "unwritten": [error.message for error in solved.failed],
         **findings,
-        "notes": report.notes + parts + doubts(result, options, options.phase.written, cures),
+        "notes": [*report.notes, *_separate_parts(solved), *doubtful(kind, result, written, cures)],
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
 
 
-def _findings(report: LoadReport) -> dict[str, Any]:
-    """What is implausible in the tables of a mission."""
-    if (mission := mission_of(report)) is None:
-        return {}
-    explained = mission.explained and mission.explained.record()
-    return {"findings": [finding.record() for finding in mission.findings], "explained": explained}
+def _same(entry: object, names: str) -> dict[str, Any]:
+    """Fields as they are."""
+    return {name: getattr(entry, name) for name in names.split()}
+
+
+def _additions(kind: GraphFile, solved: Solved) -> dict[str, Any]:
+    """Additions of a mission, scales, a choice and a certificate to the report for programs."""
+    record = kind.record(solved)
+    if (sigmas := solved.sigmas) is not None:
+        kinds = [{"kind": c.name, "scale_sigma": c.sigma} | _same(c, OF_KIND) for c in sigmas.components]
+        settled = {"settled": sigmas.settled, "rounds": sigmas.rounds, "kinds": kinds}
+        record["sigmas"] = settled | {"correlation": sigmas.correlation.tolist()}
+    if solved.choice is not None:
+        from nls.cli import outliers
+
+        record |= outliers.record(solved.choice, solved.sources)
+    if (certificate := solved.certificate) is not None:
+        both = [("moved", certificate.moved), ("moved_rms", certificate.moved_rms)]
+        pairs = {name: dict(zip(("distance", "angle"), pair, strict=True)) for name, pair in both}
+        spectrum = {"eigenvalues": certificate.eigenvalues.tolist(), "refuted": list(solved.refuted)}
+        record["certificate"] = _same(certificate, OF_CERTIFICATE) | pairs | spectrum
+    return record
+
+
+def _separate_parts(solved: Solved) -> list[str]:
+    """The note on parts that no measurement joins, of a graph that has several."""
+    graph, values = solved.graph, solved.result.values
+    pattern = graph.pattern(values)
+    if not component_labels(pattern).any():  # one part, beginning with the first variable
+        return []
+    from nls.explanation.explain import separate_parts
+
+    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
+    return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
+
+
+def _gnc_applies(kind: GraphFile, solved: Solved) -> list[str]:
+    """Graduated non-convexity, or another start, where chi2 is far off and closures may be wrong."""
+    if kind.robust is not None or Advice("start") not in solved.result.advice:
+        return []
+    from nls.explanation.doubts import graduates
+
+    return listed([Advice("gnc"), Advice("start")] * graduates(solved.graph, solved.result.values), shell=True)
+
+
+def doubtful(kind: GraphFile, result: nls.Result, written: Sequence[str] = (), cures: Sequence[str] = ()) -> list[str]:
+    """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.fit`.
+
+    Parameters
+    ----------
+    kind, result : the input, and its optimization.
+    written : files that exist by now.
+    cures : what else explains or cures it, in words.
+    """
+    if not (result.misfit or cures):
+        return []
+    none = kind.robust is None and kind.options.robust == "none"
+    cure = ["without --robust none, wrong contacts are found and left out"] * none
+    cure += cures or listed((piece for piece in result.advice if piece.action != "explain"), shell=True)
+    problem = [f"implausible: {result.doubt}" if result.doubt else result.misfit] * bool(result.misfit)
+    return ["; ".join([*problem, *cure, f"see: {kind.asking(written)}"])]
 
 
 def _doubt(report: dict[str, Any]) -> str:
@@ -78,31 +133,22 @@ def _doubt(report: dict[str, Any]) -> str:
     doubts += [
         f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
         for c in report.get("mission", {}).get("calibrations", ())
-        if c["sigmas_away"] > FAR
+        if c["sigmas_away"] > 5
     ]
     return f"; but {'; '.join(doubts)}" if doubts else ""
 
 
-def _record(iteration: Iteration) -> dict[str, Any]:
+def _iteration(iteration: nls.Iteration) -> dict[str, Any]:
     """One iteration for programs."""
-    same = {name: getattr(iteration, name) for name in ("chi2", "update", "gradient", "seconds", "reused")}
+    same = _same(iteration, "chi2 update gradient seconds reused")
     return {"iteration": iteration.number, "lambda": iteration.damping, **same}
 
 
-def table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:
-    """The table of a run, from its report for programs.
-
-    Parameters
-    ----------
-    report, result : of the run.
-    findings : rows of a choice, of a certificate and of a solved mission.
-    warned : notes that were printed already.
-    verbose : whether iterations and seconds follow.
-    """
-    from models.listing import several
-
+def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
+    """The table of a run, from its report for programs."""
+    result, verbose = solved.result, solved.options.verbose
     lines = result.steps if verbose else []
-    file = "dead reckoning" if {"mission", "scans"} & report.keys() else "file"  # a mission has no start in a file
+    file = kind.read_values
     start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
@@ -121,23 +167,41 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         *([f"ignored     by the kernel: {', '.join(map(str, result.shares))}"] if result.shares else []),
         f"result      {report['reason']}{_doubt(report)}",
         *(f"method      {remark}" for remark in result.remarks),
-        *findings,
+        *_rows(kind, solved, report),
     ]
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:
         lines.append(f"free        and {more} more directions")
     lines += [f"written     {name}" for name in report["written"]]
-    lines += [f"note        {note}" for note in report["notes"] if note not in warned]
+    lines += [f"note        {note}" for note in report["notes"] if note not in solved.report.warnings]
     if verbose:
-        from nls.cli.timing import iterations
-        from nls.cli.timing import table as timing_table
-
         lines += [*iterations(result.history), *timing_table(seconds)]
     return "\n".join(lines)
 
 
-def advice(result: Result, allowed: bool) -> str:
+def _rows(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> list[str]:
+    """Rows of a choice, of scales, of a certificate and of a mission."""
+    out: list[str] = []
+    if solved.choice is not None:
+        from nls.cli import outliers
+
+        out += outliers.rows(solved.choice, kind.robust is not None)
+    if solved.sigmas is not None:
+        out += [f"sigmas      {component}" for component in solved.sigmas.components]
+    if solved.certificate is not None:
+        out += [f"improved    left at chi2 {chi2:.9g}: went on from its better poses" for chi2 in solved.refuted]
+        text = solved.certificate.report(shell=True).replace("\n", f"\n{'':12}")
+        out += f"certificate {text}".splitlines()
+    return out + kind.lines(report)
+
+
+def summary(certificate: nls.Certificate) -> str:
+    """The verdict of a certificate and the way on, in one line."""
+    return "; ".join([certificate.sentence, *listed(certificate.advice, shell=True)])
+
+
+def advice(result: nls.Result, allowed: bool) -> str:
     """Advice by status; an estimate that has not converged may be `allowed` already."""
     name = result.status.name
     if result.rises and not result.attempts:

@@ -36,7 +36,6 @@ from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
 from nls.io.formats import FORMATS, Format, Reading, by_content
 from nls.io.read import read_graph
 from nls.io.records import KINDS
-from nls.io.report import LoadReport
 from nls.io.unused_lines import not_there
 
 __all__ = ["stream"]
@@ -223,7 +222,7 @@ class _Reader:
         self._refuse_two_things(graph, report)
         yield from self._arriving(graph, values, report)
 
-    def _refuse_two_things(self, graph: nls.FactorGraph, report: LoadReport) -> None:
+    def _refuse_two_things(self, graph: nls.FactorGraph, report: nls.LoadReport) -> None:
         """Refuse a number that is a pose in one block and a point in another: what a line is about, others say."""
         format, tags = TAGGED[report.format], {*self.tags, *report.tags}
         if format.apart or any(record.apart for record in format.records if record.tag.decode() in tags):
@@ -252,7 +251,7 @@ class _Reader:
             )
 
     def _arriving(
-        self, graph: nls.FactorGraph, values: nls.Values, report: LoadReport
+        self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport
     ) -> Iterator[tuple[Arrived, nls.Values]]:
         """The measurements of a graph that was read, step by step."""
         self.tags.update(report.tags)

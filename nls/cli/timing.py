@@ -6,11 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from nls.optimizers import Iteration
-
+import nls
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -84,7 +81,7 @@ def table(timings: dict[str, float]) -> list[str]:
     return lines
 
 
-def iterations(history: Sequence[Iteration]) -> list[str]:
+def iterations(history: Sequence[nls.Iteration]) -> list[str]:
     """Lines: milliseconds of the parts of every iteration; the start is only linearized."""
     parts = dict.fromkeys((*PARTS, *(stage for iteration in history for stage in iteration.seconds)))
     lines = ["iteration " + "".join(f"{stage:>11s}" for stage in parts) + "          ms"]

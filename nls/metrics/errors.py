@@ -54,7 +54,18 @@ from models.finite import finite, numbers
 from models.options import check_between
 from models.sensors import SingularAt
 
-__all__ = ["ALIGNMENTS", "DISTANCES", "RelativeError", "TrajectoryError", "ate", "cep", "displacements", "drms2", "rpe"]
+__all__ = [
+    "ALIGNMENTS",
+    "DISTANCES",
+    "RelativeError",
+    "TrajectoryError",
+    "ate",
+    "cep",
+    "circles",
+    "displacements",
+    "drms2",
+    "rpe",
+]
 
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 DISTANCES = (10.0, 50.0, 100.0)  # m
@@ -238,6 +249,17 @@ def drms2(errors: npt.ArrayLike) -> float:
     10.0
     """
     return float(2 * np.sqrt(np.mean(np.square(_horizontal("drms2", errors)))))
+
+
+def circles(errors: npt.ArrayLike) -> dict[str, float]:
+    """Radii about the truth that hold half and 95 % of the horizontal errors, and twice their rms, m; as for `cep`.
+
+    Examples
+    --------
+    >>> circles([[3.0, 4.0], [0.0, 5.0]])
+    {'cep50_m': 5.0, 'cep95_m': 5.0, 'drms2_m': 10.0}
+    """
+    return {"cep50_m": cep(errors), "cep95_m": cep(errors, 0.95), "drms2_m": drms2(errors)}
 
 
 def _horizontal(who: str, errors: npt.ArrayLike) -> Array:

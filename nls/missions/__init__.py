@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from nls.missions.folder import (
         write_mission as write_mission,
     )
-    from nls.missions.solution import (
+    from nls.missions.landmarks import (
         Elevations as Elevations,
+    )
+    from nls.missions.landmarks import (
+        elevations as elevations,
     )
     from nls.missions.solution import (
         Track as Track,
-    )
-    from nls.missions.solution import (
-        elevations as elevations,
     )
     from nls.missions.solution import (
         track_of as track_of,
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "nls.missions.folder": "DivesReport MissionReport read_dives read_mission write_mission",
-    "nls.missions.solution": "Elevations Track elevations track_of",
+    "nls.missions.landmarks": "Elevations elevations",
+    "nls.missions.solution": "Track track_of",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 

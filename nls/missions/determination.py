@@ -23,13 +23,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors import XYH, Heading
-from factors.keys import Kind, kinds
+from factors.keys import Keys, Kind, kinds
+from models.algebra import Array, Mask, Numbers
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.io.table import EMPTY
 from nls.missions.folder.report import MissionReport
 from nls.values import Values
 
-__all__ = ["Determination", "determinations", "position_checks", "sigma_at_the_end"]
+__all__ = [
+    "Determination",
+    "covariances",
+    "determinations",
+    "or_empty",
+    "position_checks",
+    "sigma_at_the_end",
+    "undetermined",
+]
 
 LEFT = 0.9  # of the sigma: 81 % of the variance
 YAW = 2  # column of XYH
@@ -120,3 +130,30 @@ def sigma_at_the_end(marginals: Marginals, report: MissionReport) -> float:
     numbers = marginals.values.stack("x").numbers
     last = int(numbers[np.argmax(report.vertex_times.get("x", numbers))])
     return float(np.sqrt(np.trace(marginals.covariance(x[last], view="position"))))
+
+
+def covariances(values: Values, marginals: Marginals | None, kind: Kind, view: str | None = None) -> Array:
+    """Covariances (n, k, k) of the variables of a kind, nan where there are none; view as for `nls.Marginals`."""
+    stack = values.stack(kind)
+    size = 3 if view == "position" else stack.manifold.dim
+    Sigma = np.full((len(stack), size, size), np.nan)
+    if marginals is not None and (known := determined(marginals, kind, stack.numbers)).any():
+        Sigma[known] = marginals.covariance(kind[stack.numbers[known]], view=view)
+    return Sigma
+
+
+def determined(marginals: Marginals, kind: Kind, numbers: Numbers) -> Mask:
+    """Which variables (n,) of a kind have a covariance."""
+    known = ~np.isin(marginals.status(kind), EMPTY)
+    return np.asarray(known[marginals.values.stack(kind).index(kind[numbers])])
+
+
+def undetermined(marginals: Marginals, kind: Kind) -> Keys:
+    """The variables of a kind without a covariance."""
+    numbers = marginals.values.stack(kind).numbers
+    return kind[numbers[~determined(marginals, kind, numbers)]]
+
+
+def or_empty(rows: Array) -> list[list[str]]:
+    """Cells of a table, empty where a number is not known."""
+    return [["" if np.isnan(number) else repr(number) for number in row] for row in rows.tolist()]

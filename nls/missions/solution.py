@@ -1,49 +1,286 @@
-r"""Quality of a solved mission: the drift of its track, and how well the elevation of its landmarks is known.
+"""The solution of a mission, or of several dives solved as one: its drift, what checks it, and how well it is known.
 
     drift = |t_n - t_n,true| / distance,    distance = sum |t_k+1 - t_k|
 
-of dead reckoning and of the solution, nothing aligned. The elevation of a landmark is the one in its first view:
-
-    sigma^2 = H Sigma H',    H = [H_X, H_l] of the elevation, Sigma the joint covariance of that pose and landmark
-
-A hinge that pushes is a limit, not a measurement. In Sigma it knows the elevation as well as its softness s, 1 deg,
-where chi2 may hardly change over the whole aperture. Here the aperture stands in for it: an even spread over it, seen
-from where the landmark was placed, which may be an end; and no elevation is known less well than that:
-
-    v = limit^2 / 3 + elevation^2                                             mean square distance, even spread
-    sigma^2  ->  1 / (max(1 / sigma^2 - sum 1 / s^2, 0) + 1 / v)   pushed,    min(sigma^2, v)   not pushed
-
-An arc is no straight line. A sigma that has grown by w adds 3/4 w^2 r^2 along the range, the mean square of r e^2 / 2.
-Mean of (error / sigma)^2 of the elevations that are pushed, hull, seeds 0 to 2: 40, 14, 32 by the covariances alone, so
-0.7, 0.4, 0.7; e' Sigma^-1 e of their places, 3 expected: 56, 17, 47, so 3.7, 1.4, 2.3.
+of dead reckoning and of the solution, nothing aligned. Its files are in `nls.missions.files`, its words in
+`nls.missions.summary`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import Elevation, ElevationHinge, Factor, Isotropic, RangeAzimuth
-from factors.keys import Keys, kinds
-from factors.noise import square
-from factors.sonar import first_contacts
-from models import SE3, R
-from models.algebra import Array, Index, Mask, Numbers, distance_along, dot
-from models.errors import GraphError
-from models.sensors import cartesian, spherical
+from factors import Position, RangeAzimuth
+from factors.keys import Kind, kinds
+from models import SE3
+from models.algebra import Array, Numbers, distance_along
+from models.errors import GraphError, UnderconstrainedError
+from models.finite import finite_or_none
+from models.listing import some
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.linear import LinearSolver
-from nls.metrics import TrajectoryError, ate
+from nls.io.report import LoadReport
+from nls.io.trajectory import trajectory_text
+from nls.metrics import TrajectoryError, ate, circles
+from nls.missions import determination
+from nls.missions.folder.dives import SHARED, Dive, DivesReport
 from nls.missions.folder.report import MissionReport
-from nls.missions.sonar.mirror_images import mirrored
+from nls.missions.landmarks import Elevations, elevations
 from nls.values import Values
 
-__all__ = ["Elevations", "Track", "elevations", "track_of"]
+if TYPE_CHECKING:
+    from nls.linear import LinearSolver
+    from nls.optimizers import Result
 
-FOLLOWS = 1e-3  # rad
-x, l, e = kinds("x", "l", "e")
+__all__ = ["Solution", "SolvedDives", "SolvedMission", "Track", "track_of"]
+
+CALIBRATION = ("name", "value", "sigma", "sigma_before", "sigmas_away", "share", "determined")  # of the report
+x, l = kinds("x", "l")
+
+
+class Solution:
+    """A solved mission of any kind: the numbers that are said of it and written.
+
+    Parameters
+    ----------
+    graph : the measurements that are believed.
+    dead : values as read: dead reckoning.
+    result : of the optimization.
+    report : of the mission.
+    solver, gauge : of the covariances, as for `nls.Marginals`.
+    """
+
+    def __init__(
+        self,
+        graph: FactorGraph,
+        dead: Values,
+        result: Result,
+        report: LoadReport,
+        solver: LinearSolver | None = None,
+        gauge: str = "first",
+    ) -> None:
+        self.graph, self.dead, self.result, self.report = graph, dead, result, report
+        self.solver, self.gauge, self.values = solver, gauge, result.values
+
+    @cached_property
+    def covariances(self) -> tuple[Marginals | None, str]:
+        """Covariances at the optimum; None and the note where there are none."""
+        reason = "this is no optimum"
+        if self.result.converged:
+            try:
+                return Marginals(self.graph, self.result.values, self.solver, self.gauge), ""
+            except UnderconstrainedError as error:
+                reason = str(error)
+        return None, f"the files have no sigmas: {reason}"
+
+    @cached_property
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none, and a note says why."""
+        marginals, note = self.covariances
+        self.report.notes += [note] * (marginals is None)
+        return marginals
+
+    def tum(self) -> bytes:
+        """trajectory.tum: the poses in the order of their times or numbers."""
+        poses = Values.of([self.values.stack("x")])
+        return trajectory_text("trajectory.tum", "tum", self.graph, poses, self.report)[0]
+
+
+class SolvedMission(Solution):
+    """A solved mission; parameters as for `Solution`."""
+
+    report: MissionReport
+
+    @cached_property
+    def contacts(self) -> Sequence[RangeAzimuth]:
+        """The factors of its contacts."""
+        return [factor for factor in self.graph.factors if isinstance(factor, RangeAzimuth)]
+
+    @property
+    def mapped(self) -> bool:
+        """Whether a sonar saw landmarks."""
+        return bool(self.contacts) and self.report.sonar is not None
+
+    @cached_property
+    def tracks(self) -> dict[str, Track]:
+        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none.
+
+        None where there is no truth and nothing checks dead reckoning: the solution is dead reckoning then.
+        """
+        if "x" in self.report.truth.stacks:
+            estimates, judge = {"dead reckoning": self.dead, "solution": self.values}, "truth"
+        elif self.checks and "motion.csv" not in self.report.tags:
+            estimates, judge = {"dead reckoning": self.dead}, "solution"
+        else:
+            return {}
+        against = self.report.truth if judge == "truth" else self.values
+        return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
+
+    @cached_property
+    def checks(self) -> int:
+        """Measured numbers that check the position of dead reckoning."""
+        return determination.position_checks(self.graph, self.values, self.result.dof)
+
+    @cached_property
+    def unchecked(self) -> list[dict[str, Any]]:
+        """Errors of whole tables that nothing shows; none where nothing checks dead reckoning, or at no optimum."""
+        errors = [error for error in self.report.errors if error.hidden] if self.checks else []
+        return [finite_or_none({"file": e.file, "quantity": e.quantity, "below": e.below}) for e in errors]
+
+    @cached_property
+    def end_sigma(self) -> float | None:
+        """Standard deviation of the last position, m; None where it has none."""
+        marginals, _ = self.covariances
+        try:
+            return None if marginals is None else determination.sigma_at_the_end(marginals, self.report)
+        except UnderconstrainedError:
+            return None
+
+    @cached_property
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
+        marginals = super().marginals
+        if marginals is None:
+            return None
+        seen_once = (
+            determination.undetermined(marginals, l) if self.report.sonar and l.name in self.values.stacks else l[[]]
+        )
+        if len(seen_once):
+            self.report.notes.append(
+                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
+                "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+            )
+        kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
+        if free := [key for kind in kinds_of for key in determination.undetermined(marginals, kind)]:
+            cause = marginals.underconstrained
+            reason = "no measurement touches them" if cause is None else str(cause)
+            self.report.notes.append(f"no sigmas of {some(free)}, all others are given: {reason}")
+        return marginals
+
+    @cached_property
+    def elevations(self) -> Elevations:
+        """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
+        return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
+
+    @cached_property
+    def calibrations(self) -> list[determination.Determination]:
+        """The calibrations by the measurements."""
+        marginals = self.covariances[0] if self.report.calibrations else None
+        return determination.determinations(self.values, self.report, marginals)
+
+    @property
+    def judge(self) -> str | None:
+        """The reference of the tracks; None where nothing checks dead reckoning."""
+        return next((track.against for track in self.tracks.values()), None)
+
+    @cached_property
+    def distance(self) -> float:
+        """Distance travelled, m."""
+        return [*self.tracks.values(), track_of(self.values, self.values, self.report, "solution")][0].distance
+
+    def record(self) -> dict[str, Any]:
+        """The mission in the report for programs."""
+        distance = self.distance
+        anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
+        out: dict[str, Any] = {
+            "poses": len(self.values.stack("x")),
+            "landmarks": len(self.values.stacks.get("l", ())),
+            "contacts": sum(map(len, self.contacts)),
+            "sonar": None if self.report.sonar is None else self.report.sonar.name,
+            "anchor": ", ".join(self.report.world or anchors),
+            "judge": self.judge,
+            "distance_m": distance,
+            "checks": self.checks,
+            "unchecked": self.unchecked,
+        }
+        if not self.checks:
+            end = self.end_sigma
+            out["end_sigma_m"] = end
+            out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
+        out |= drift_record(self.tracks)
+        if self.contacts and "l" in self.report.truth.stacks:
+            known = self.report.truth.stack("l").numbers
+            landmarks = l[known[np.isin(known, self.values.stack("l").numbers)]]
+            away = self.values[landmarks] - self.report.truth[landmarks]
+            out["landmark_rmse_m"] = float(np.sqrt(np.square(away).sum(axis=1).mean())) if len(landmarks) else None
+        if "elevations" in vars(self) and (known := np.isfinite(self.elevations.sigma)).any():  # with files
+            sigma = np.degrees(self.elevations.sigma[known])
+            out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
+            out["at_limit"] = int(self.elevations.pushed.sum())
+            out["mirrored"] = int(self.elevations.mirrored.sum())
+        if self.report.calibrations:
+            out["calibrations"] = [{name: getattr(c, name) for name in CALIBRATION} for c in self.calibrations]
+        return out
+
+
+class SolvedDive(SolvedMission):
+    """One dive in the solution of all: its own variables, with the numbers and covariances they have there.
+
+    Parameters
+    ----------
+    whole : the solution of all dives.
+    dive : the one.
+    """
+
+    contacts = ()
+
+    def __init__(self, whole: SolvedDives, dive: Dive) -> None:
+        report = replace(dive.report, truth=_own(whole.report.truth, dive))
+        super().__init__(whole.graph, _own(whole.dead, dive), whole.result, report)
+        self.whole, self.dive, self.values = whole, dive, _own(whole.values, dive)
+
+    @property
+    def checks(self) -> int:
+        """Measured numbers that check the position of dead reckoning, in all dives together."""
+        return self.whole.checks
+
+    @property
+    def covariances(self) -> tuple[Marginals | None, str]:
+        """Covariances of all dives."""
+        return self.whole.covariances
+
+
+class SolvedDives(SolvedMission):
+    """Several dives, solved as one."""
+
+    report: DivesReport
+
+    @property
+    def tracks(self) -> dict[str, Track]:
+        """None of all together: each dive has its own."""
+        return {}
+
+    @cached_property
+    def dives(self) -> list[SolvedDive]:
+        """The parts of the solution."""
+        return [SolvedDive(self, dive) for dive in self.report.dives]
+
+    def record(self) -> dict[str, Any]:
+        """The dives in the report for programs."""
+        out = super().record()
+        out["distance_m"] = sum(dive.distance for dive in self.dives)
+        out["dives"] = [
+            {"name": d.dive.name, "first": d.dive.first, "poses": len(d.values.stack("x")), "distance_m": d.distance}
+            | {"judge": d.judge}
+            | drift_record(d.tracks)
+            for d in self.dives
+        ]
+        return out
+
+
+def _own(values: Values, dive: Dive) -> Values:
+    """The values of this dive, and of what all share."""
+    stacks = {}
+    for kind, stack in values.stacks.items():
+        mine = slice(None) if kind in SHARED else (stack.numbers >= dive.first) & (stack.numbers < dive.end)
+        if len(numbers := stack.numbers[mine]):
+            stacks[kind] = stack.manifold, stack.X[mine], numbers
+    return Values(stacks)
 
 
 @dataclass(frozen=True)
@@ -106,165 +343,15 @@ def track_of(estimate: Values, judge: Values, report: MissionReport, against: st
     return Track(against, numbers, distance_along(SE3.position(Q)), error.distances, error)
 
 
-@dataclass(frozen=True)
-class Elevations:
-    """Landmarks as their first view has them, by their number.
-
-    Attributes
-    ----------
-    landmarks, poses : (n,) numbers of the landmarks and of the poses that saw them first.
-    views : (n,) contacts of each.
-    range, azimuth, elevation : (n,) of the estimate, in the frame of the sonar at that pose, m and rad.
-    pushed : (n,) whether a hinge keeps the landmark within the aperture, against its measurements.
-    sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
-        landmark is free.
-    mirrored : (n,) whether the landmark fits as well with the other sign of the elevation, at a place that sigma does
-        not reach; False where there is no sigma. See `nls.missions.sonar.mirror_images`.
-    before : (n,) the same by the covariances alone, before the aperture had its say.
-    along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
-    ahead : (n, 3) unit vectors of the world: from the sonar to the landmark.
-    """
-
-    landmarks: Numbers
-    poses: Numbers
-    views: Index
-    range: Array
-    azimuth: Array
-    elevation: Array
-    pushed: Mask
-    sigma: Array
-    mirrored: Mask
-    before: Array
-    along: Array
-    ahead: Array
-
-    def bounded(self, Sigma: Array) -> Array:
-        """Covariances (n, 3, 3) of the landmarks along the axes of the world, with what the aperture says of them."""
-        was, now = np.square(self.before), np.square(self.sigma)
-        grown = np.where(now > was, now - was, 0.0)
-        arc, bow = (
-            np.sqrt(k)[:, None] * self.range[:, None] * v
-            for k, v in ((grown, self.along), (0.75 * grown**2, self.ahead))
-        )
-        Sh = np.matvec(Sigma, self.along)
-        known = np.where(now < was, 1 - np.divide(now, was, out=np.ones_like(now), where=was > 0), 0.0)
-        own = dot(self.along, Sh)  # 0 of a landmark that is held
-        less = np.sqrt(known / np.where(own > 0, own, 1.0))[:, None] * Sh
-        return np.asarray(
-            Sigma + sum(sign * v[:, :, None] * v[:, None, :] for sign, v in ((1, arc), (1, bow), (-1, less)))
-        )
-
-
-def elevations(
-    graph: FactorGraph,
-    values: Values,
-    sigmas: bool = False,
-    linear_solver: LinearSolver | None = None,
-    gauge: str = "first",
-) -> Elevations:
-    """The elevation of every landmark of a mission at its first view, and how well it is known.
-
-    Parameters
-    ----------
-    graph : its `RangeAzimuth` factors; their offset is fixed, or a variable: its uncertainty then counts, too.
-    values : poses ``x`` and landmarks ``l``.
-    sigmas : whether to compute the standard deviations, from the covariances at these values. What the measurements
-        leave free has none.
-    linear_solver, gauge : for the covariances, as in `nls.Marginals`.
-
-    Raises
-    ------
-    UnderconstrainedError
-        Sigmas where the measurements leave everything free.
-    """
-    contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
-    pose = np.concatenate([factor.keys[0].numbers for factor in contacts])
-    point = np.concatenate([factor.keys[1].numbers for factor in contacts])
-    landmarks, views = np.unique(point, return_counts=True)
-    first = first_contacts(x[pose], l[point])
-    S, p, firsts = np.zeros((len(first), SE3.size)), np.zeros((len(first), 3)), []
-    begin = np.cumsum([0, *map(len, contacts)])
-    for factor, low, high in zip(contacts, begin[:-1], begin[1:], strict=True):
-        rows = np.flatnonzero((first >= low) & (first < high))  # landmarks whose first contact is one of its
-        sighting = factor[first[rows] - low]
-        assert isinstance(sighting, RangeAzimuth)
-        X_keys, l_keys = sighting.keys[:2]
-        firsts.append((rows, Elevation(X_keys, l_keys, np.zeros((len(rows), 1)), Isotropic(1.0), sighting.offset)))
-        _, X = values.gather(sighting)
-        S[rows], p[rows] = sighting.sensor_pose(SE3, X[0], *X[2:]), X[1]
-    r, azimuth, elevation = spherical(SE3.act(SE3.inverse(S), p))[0].T
-    _, J = cartesian(np.column_stack([r, azimuth, elevation]))
-    along = (SE3.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
-    sigma = np.full(len(r), np.nan)
-    if sigmas:
-        sigma = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)
-    held = np.concatenate([np.zeros(0, dtype=int), *(keys.numbers for keys in graph.fixed if keys.kind == l.name)])
-    hinges, limit = _limits(graph, values, landmarks, held)
-    pushed, before, v = hinges > 0, sigma.copy(), limit**2 / 3 + elevation**2
-    sigma = np.minimum(sigma, np.sqrt(v))
-    sigma[pushed] = 1 / np.sqrt(np.maximum(1 / before[pushed] ** 2 - hinges[pushed], 0.0) + 1 / v[pushed])
-    ahead = (p - SE3.position(S)) / r[:, None]
-    twofold = np.isfinite(sigma) & ~np.isin(landmarks, held)
-    if twofold.any():
-        polar = np.column_stack([r, azimuth, elevation])[twofold]
-        twofold[twofold] = mirrored(graph, values, l[landmarks[twofold]], S[twofold], polar, sigma[twofold])
-    return Elevations(
-        landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, twofold, before, along, ahead
-    )
-
-
-def _limits(graph: FactorGraph, values: Values, landmarks: Numbers, held: Numbers) -> tuple[Array, Array]:
-    """Information (n,) of the hinges that push a landmark, 0 for none, and its limit (n,), inf where nothing says.
-
-    A landmark that is held is not pushed: its place is given, and its hinges say something of the poses.
-    """
-    hinges, limit = np.zeros(len(landmarks)), np.zeros(len(landmarks))
-    for factor in graph.factors:
-        if isinstance(factor, ElevationHinge):
-            W = square(factor.noise.sqrt_information(len(factor), factor.measures))[:, 0, 0]
-            numbers = factor.keys[1].numbers
-            pushes = (factor.chi2(values) > 0) & ~np.isin(numbers, held)
-            rows = np.flatnonzero(np.isin(numbers, landmarks))
-            at = np.searchsorted(landmarks, numbers[rows])
-            np.add.at(hinges, at, np.where(pushes, np.square(W), 0.0)[rows])
-            limit[at] = np.maximum(limit[at], factor.limit)
-    return hinges, np.where(limit > 0, limit, np.inf)
-
-
-def _sigmas(
-    graph: FactorGraph,
-    values: Values,
-    firsts: list[tuple[Index, Elevation]],
-    elevation: Array,
-    solver: LinearSolver | None,
-    gauge: str,
-) -> Array:
-    """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`; nan: free.
-
-    A variable that only follows adds nothing to what is known of the others, and its variance is H Sigma H' +
-    FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
-    with its pose are nine columns of the inverse each (1,321 landmarks of 2,143 poses: 3 s, not 47).
-    """
-    followed = [_followed(view, e[rows], values) for rows, view in firsts if len(view)]
-    wider = FactorGraph([*graph.factors, *followed], graph.fixed)
-    with_elevations = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
-    marginals = Marginals(wider, with_elevations, solver, gauge)
-    known = np.array(marginals.status(e)) == "estimated"
-    sigma = np.full(len(elevation), np.nan)
-    sigma[known] = np.sqrt(marginals.covariance(e[np.flatnonzero(known)])[:, 0, 0] - FOLLOWS**2)
-    return sigma
-
-
-def _followed(view: Elevation, keys: Keys, values: Values) -> Factor:
-    """Variables that are the elevations of a view, but for `FOLLOWS`."""
-    manifolds = values.gather(view)[0].manifolds
-
-    def away(*X: Array) -> Array:
-        return view.predict(manifolds, *X[:-1])[0] - X[-1]
-
-    def jacobians(*X: Array) -> list[Array]:
-        H = view.predict(manifolds, *X[:-1])[1]
-        assert H is not None
-        return [*(np.asarray(block) for block in H), np.full((len(view), 1, 1), -1.0)]
-
-    return Factor.from_function(away, [*view.keys, keys], 1, Isotropic(FOLLOWS), jacobians)
+def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
+    """Tracks in the report for programs, by their name."""
+    return {
+        name.replace(" ", "_"): {
+            "drift_percent": 100 * track.drift,
+            "end_error_m": track.end,
+            "ate_rmse_m": track.ate.rmse,
+            "ate_alignment": track.ate.align,
+            **circles(track.ate.errors),
+        }
+        for name, track in tracks.items()
+    }

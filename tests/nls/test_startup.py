@@ -95,7 +95,7 @@ def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -
         "nls.missions",
         "nls.robust",
     )
-    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.report")
+    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.page", "nls.cli.outliers")
     rest += ("scipy.sparse._base", "sksparse.cholmod")
     program = (
         f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"

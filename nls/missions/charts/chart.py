@@ -15,9 +15,9 @@ from models.geodesy import LocalPlane
 from models.visible import visible
 from nls.covariance import Marginals
 from nls.covariance.frames import outlines
+from nls.missions.determination import covariances
 from nls.missions.folder.report import MissionReport
-from nls.missions.results import covariances, landmark_covariances
-from nls.missions.solution import Elevations
+from nls.missions.landmarks import Elevations
 from nls.values import Values
 
 __all__ = ["Chart", "Points", "chart_of"]
@@ -142,5 +142,5 @@ def _covariances(values: Values, marginals: Marginals | None, kind: str, elevati
     Sigma = covariances(values, marginals, Kind(kind), "position")
     if marginals is not None and kind == "l" and elevations is not None:
         rows = values.stack(kind).index(Keys(kind, elevations.landmarks))
-        Sigma[rows] = landmark_covariances(marginals, elevations)
+        Sigma[rows] = elevations.covariances(marginals)
     return Sigma

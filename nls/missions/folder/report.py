@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from models.algebra import Array
+from factors.base import Factor
+from models.algebra import Array, Mask
 from models.geodesy import LocalPlane
 from nls.io.report import LoadReport
 from nls.values import Values
@@ -59,6 +61,11 @@ class MissionReport(LoadReport):
         """The file that each factor is from, such as ``fixes.csv``; of several dives with the name of the dive."""
         files = [Path(source.path).name for source in self.sources]
         return [f"{dive}/{file}" for dive, file in zip(self.dive_of, files, strict=True)] if self.dive_of else files
+
+    def of_parts(self, factors: Sequence[Factor], parts: Sequence[tuple[int, Mask, Factor]]) -> Self:
+        """The report of a graph of parts of these factors, as for `LoadReport`; with the dives that they are of."""
+        dives = [self.dive_of[k] for k, _, _ in parts] if self.dive_of else []
+        return replace(super().of_parts(factors, parts), dive_of=dives)
 
     @property
     def anchored(self) -> bool:

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
-    from nls.missions.solution import Elevations, Track
+    from nls.missions.landmarks import Elevations
+    from nls.missions.solution import Track
     from nls.optimizers import Result
     from nls.values import Values
 

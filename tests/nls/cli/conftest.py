@@ -13,3 +13,9 @@ from tests.nls.cli.shell import Shell
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Shell:
     monkeypatch.chdir(tmp_path)
     return Shell(tmp_path, capsys)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not rendered: that is most of the time."""
+    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")

@@ -54,6 +54,11 @@ class Shell:
         """The report for programs, which is all there is on standard output."""
         return dict(json.loads(self.both(f"{words} --json -", status)[0]))
 
+    def told(self, words: str, status: int = 0) -> tuple[str, dict[str, Any]]:
+        """Standard output, and the report for programs beside it."""
+        out = self(f"{words} --json r.json", status)
+        return out, dict(json.loads((self.folder / "r.json").read_text()))
+
     def refused(self, words: str, status: int = 2) -> str:
         """A refusal: one line and advice below it, nothing on standard output, and every file as it was."""
         before = self.contents()

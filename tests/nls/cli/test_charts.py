@@ -1,11 +1,12 @@
-"""``nls solve MISSION -o FOLDER`` with an origin: what is written is where the mission was, to a millimeter."""
+"""``nls solve MISSION -o FOLDER``: what is written is where the mission was, to a millimeter; beacons, too."""
 
 from __future__ import annotations
 
-import csv
+import csv as csv_reader
 import json
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,18 +14,16 @@ import pytest
 import nls
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from tests.nls.cli.shell import Shell, rows
+from nls.missions.folder.table import Table
+from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.folder.mission_files import TINY, folder
+from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
+from tests.nls.missions.folder.test_acoustic import HEARD, KNOWN, RANGE, SIGMA, T
 
 x, l = nls.kinds("x", "l")
 ORIGIN = "lat_deg,lon_deg\n{},{}\n"
+pytestmark = pytest.mark.usefixtures("undrawn")
 PLACES = [(54.1, 10.2), (-33.9, 151.2), (-17.0, 179.99999), (78.0, 350.5)]
-
-
-@pytest.fixture(autouse=True)
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: that is most of the time."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
 
 
 def table(shell: Shell, name: str) -> dict[str, Array]:
@@ -167,12 +166,12 @@ def test_tables_have_no_comments_and_empty_cells(shell: Shell) -> None:
     folder(shell / "m", contacts=TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n", origin=ORIGIN.format(54.1, 10.2))
     shell("solve m -o out")
     for name in ("trajectory.csv", "map.csv"):
-        head, *body = csv.reader((shell / "out" / name).read_text().splitlines())
+        head, *body = csv_reader.reader((shell / "out" / name).read_text().splitlines())
         assert {len(row) for row in body} == {len(head)} == {len(set(head))}
         columns = table(shell, f"out/{name}")
         assert list(columns) == head
-        for row, cells in enumerate(body):
-            assert [cell == "" for cell in cells] == [bool(np.isnan(columns[column][row])) for column in head]
+        for number, cells in enumerate(body):
+            assert [cell == "" for cell in cells] == [bool(np.isnan(columns[column][number])) for column in head]
     assert np.isnan(columns["cov_x_x_m2"]).tolist() == [False, False, False, True]
     features = json.loads((shell / "out/track.geojson").read_text())["features"]
     (free,) = [f for f in features if f["properties"]["kind"] == "landmark" and f["properties"]["number"] == 20]
@@ -194,3 +193,30 @@ def ascii_grid(shell: Shell, name: str) -> tuple[dict[str, float], Array]:
     grid = np.array([line.split() for line in lines[6:]], dtype=float)
     assert grid.shape == (head["nrows"], head["ncols"])
     return head, np.where(grid == head["NODATA_value"], np.nan, grid)
+
+
+def test_beacons_and_calibrations_are_written_with_their_sigmas(shell: Shell, tmp_path: Path) -> None:
+    truth = Positioned(tmp_path / "truth", T)
+    ranges = csv(RANGE, T, HEARD, 1.02 * truth.ranges(T, HEARD), SIGMA)
+    fixes = csv("time_s,x_m,y_m,sigma_x_m,sigma_y_m", T[:9], truth.places(T[:9])[:, :2], np.full((9, 2), 0.3))
+    calibration = "name,value,sigma\nsound_speed_scale,0.0,0.05\n"
+    beacons = "\n".join(KNOWN.splitlines()[:3])
+    m = folder(shell / "m", truth.files, ranges=ranges, fixes=fixes, beacons=beacons, calibration=calibration)
+    out = shell("solve m -o out --json r.json")
+    assert row(out, "ATE").endswith("(no alignment: held in the world by fixes.csv, beacons.csv)")
+    assert json.loads((shell / "r.json").read_text())["mission"]["anchor"] == "fixes.csv, beacons.csv"
+    columns = ("beacon", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m")
+    estimated = Table(shell / "out" / "beacons.csv", columns)
+    assert estimated.integers("beacon").tolist() == list(BEACONS)
+    p, sigmas = estimated.floats(*columns[1:4]), estimated.floats(*columns[4:])
+    error = np.abs(p - list(BEACONS.values()))
+    assert (error < 3 * sigmas).all()
+    assert (sigmas[2] > 0.15).all()  # the one that was not known
+    rows = list(csv_reader.DictReader((shell / "out" / "calibration.csv").read_text().splitlines()))
+    assert [r["name"] for r in rows] == ["sound_speed_scale"]
+    assert float(rows[0]["value"]) == pytest.approx(0.02, abs=3 * float(rows[0]["sigma"]))
+    (m / "beacons.csv").write_bytes((shell / "out" / "beacons.csv").read_bytes())  # an estimate is a table
+    assert nls.load(m)[1].stack("b").numbers.tolist() == list(BEACONS)
+    assert "robust kernel ScaledRange=cauchy:2" in shell("solve m --robust ScaledRange=cauchy:2")
+    assert "ScaledRange" in shell("explain m")
+    assert "ranges.csv" in shell("info m")

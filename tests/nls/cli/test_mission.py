@@ -15,8 +15,8 @@ import nls
 from models import SE3, euler
 from nls.io import read_tum
 from nls.missions import elevations
+from nls.missions.files import MAP, TRAJECTORY
 from nls.missions.folder.table import Table
-from nls.missions.results import MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
@@ -28,12 +28,6 @@ LOST = {  # nothing measures the depth of x2
     "zpr": TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", ""),
     "contacts": "".join(row + "\n" for row in TINY["contacts"].splitlines() if not row.startswith("2,")),
 }
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: that is most of the time."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
 
 
 def test_both_commands_draw_a_mission_from_above_and_from_the_side(
@@ -53,8 +47,7 @@ def test_both_commands_draw_a_mission_from_above_and_from_the_side(
 
 def test_the_table_and_the_report(shell: Shell) -> None:
     folder(shell / "m")
-    out = shell("solve m --json r.json")
-    report = json.loads((shell / "r.json").read_text())
+    out, report = shell.told("solve m")
     mission, solution = report["mission"], report["mission"]["solution"]
     assert row(out, "mission") == "4 poses over 1.533 m, 3 landmarks, 11 contacts by the sonar DIDSON, high frequency"
     assert row(out, "drift").startswith("dead reckoning 4.52 % (0.0693 m), solution ")
@@ -101,8 +94,7 @@ def test_where_nothing_checks_dead_reckoning_it_has_a_sigma_and_no_drift(
         ]
         files["ahrs"] = "\n".join(rows_kept)
     folder(shell / "m", files)
-    out = shell("solve m --json r.json")
-    report = json.loads((shell / "r.json").read_text())
+    out, report = shell.told("solve m")
     mission = report["mission"]
     assert (report["dof"] > 0) == (lost[1] > 0)
     assert (mission["checks"], mission["judge"]) == (0, None)

@@ -1,9 +1,14 @@
-"""What ``nls solve`` writes: no outcome is lost where one of the outputs fails."""
+"""What ``nls solve`` writes: files in any format, covariances, the page, and where the time went."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import subprocess
+import sys
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +17,11 @@ from matplotlib.figure import Figure
 import nls
 from models.advice import Advice
 from nls.cli import main
+from nls.cli.timing import Clock
 from tests.nls.cli.shell import Shell, rows
+from tests.nls.io.test_bal import GOOD
+from tests.nls.missions.folder.mission_files import folder
+from tests.nls.plot.html_page import Page, undrawn
 
 TURN = "VERTEX_SE3:QUAT {} 0 0 0 0 {} 0 {}\n"
 PLACEHOLDER = """VERTEX_SE2 0 0 0 0
@@ -133,3 +142,99 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
     shell.file("the old one", "a.png")
     monkeypatch.setattr(Figure, "savefig", half)
     assert "no space left on device" in shell.refused(words)
+
+
+def test_the_command(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    file = shell.file(name="<b>$a$.g2o")
+    printed = shell(f"solve '{file}' --certify --report out.html --json r.json --verbose")
+    assert re.search(r"^report +[0-9.]+ +[0-9.]+ +explanation, covariances and pictures", printed, re.MULTILINE)
+    record = json.loads((shell / "r.json").read_text())
+    assert "out.html" in record["written"]
+    seconds = record["timings"]
+    parts = ("solved", "check", "write", "certify", "report")
+    assert seconds["total"] == pytest.approx(sum(seconds[part] for part in parts))
+    text = (shell / "out.html").read_text()
+    page = Page(text)
+    assert {"certificate", "provenance", "time"} <= page.ids
+    for said in ("<b>$a$.g2o", "4 VERTEX_SE2, 4 EDGE_SE2", "g2o, 2-D", "--certify --report", record["reason"][11:]):
+        assert said in page.text
+    assert "<b>" not in text
+
+
+def test_a_mission(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    folder(shell / "m", anchor=None)  # the anchor is assumed, and not a measurement that nothing checks
+    assert shell("solve m --report out.html --quiet") == ""
+    page = Page((shell / "out.html").read_text())
+    assert [image["alt"] for image in page.images[:2]] == ["The track", "The landmarks"]
+    assert {"RangeAzimuth", "XYH", "ZPR", "Nothing suspicious."} <= set(page.texts)
+
+
+def test_a_bundle(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    shell.both(f"solve {shell.file(chr(10).join(GOOD), 'b.txt')} --report out.html --quiet", 1)
+    page = Page((shell / "out.html").read_text())
+    assert "Not solved" in page.text  # two cameras, three points: much is free
+    assert "2 c, 2 k, 3 l" in page.text
+
+
+def test_the_page_of_a_large_graph_stays_below_3_mb(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.html"
+    assert main(["solve", str(data / "pose-graphs-3d/sphere2500.g2o.gz"), "--report", str(out), "--quiet"]) == 0
+    assert 5e4 < out.stat().st_size < 3e6
+    assert len(Page(out.read_text()).images) == 5
+
+
+ROOT = Path(__file__).parents[3]
+PARTS = ("linearize", "assemble", "factorize", "solve", "retract")
+STAGES = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS, "other", "write")
+
+
+def test_the_table_adds_up(shell: Shell) -> None:
+    out = shell(f"solve {shell.file()} --verbose --init file")
+    rows = re.findall(r"^([a-z]+) +([0-9.]+) +([0-9.]+)(?: .*)?$", out, re.MULTILINE)
+    milliseconds = {name: float(ms) for name, ms, _ in rows}
+    whole = milliseconds.pop("process")
+    assert tuple(milliseconds) == STAGES
+    assert sum(milliseconds.values()) == pytest.approx(whole, abs=0.05 * len(rows) + 0.01)
+    assert sum(float(share) for *_, share in rows) == pytest.approx(200, abs=0.05 * len(rows) + 0.01)
+    parts = re.search(r"^iteration +linearize.*\n((?: +\d+(?: +[0-9.]+){6}\n)+)", out, re.MULTILINE)
+    assert parts is not None
+    spent = np.array([line.split() for line in parts[1].splitlines()], dtype=float)
+    assert spent[:, 1:6].sum(axis=1) == pytest.approx(spent[:, 6], abs=0.03)
+    assert spent[:, 3].sum() == pytest.approx(milliseconds["factorize"], abs=0.1)
+
+
+def test_parts_of_a_stage_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a solution that --improve left, and the one it ended at."""
+    now = iter([1.0, 3.0, 4.0, 9.0])
+    monkeypatch.setattr("nls.cli.timing.perf_counter", lambda: next(now))
+    clock = Clock(0.0, 0.0)
+    assert [clock.lap(name) for name in ("optimize", "certify", "optimize", "certify")] == [1.0, 2.0, 2.0, 7.0]
+    assert clock.seconds == {"startup": 0.0, "optimize": 2.0, "certify": 7.0}
+
+
+def test_the_report_of_a_process(shell: Shell) -> None:
+    """Its timings add up, and count its start; its peak of memory is not that of the process that began it."""
+    code = "import subprocess, sys; big = bytearray(b'1') * 400_000_000; subprocess.run(sys.argv[1:], check=True)"
+    command = [sys.executable, "-m", "nls", "solve", shell.file(), "--json", "-", "-o", "out.g2o"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        timeout=60,
+        check=True,
+    )
+    report = json.loads(done.stdout)
+    seconds = report["timings"]
+    solved = sum(seconds[part] for part in ("read", "init", "build", "analyze", *PARTS, "other"))
+    assert seconds["solved"] == pytest.approx(solved)
+    assert seconds["total"] == pytest.approx(solved + seconds["check"] + seconds["write"])
+    assert seconds["process"] == pytest.approx(seconds["total"] + seconds["startup"] + seconds["imports"])
+    assert all(value >= 0 for value in seconds.values())
+    assert seconds["imports"] > seconds["check"] > 0
+    assert 0 < seconds["startup"] < 5
+    assert 0 < seconds["read file"] < seconds["read"]
+    if Path("/proc/self/status").exists():  # elsewhere the peak of the parent is handed down
+        assert 10 < report["peak_rss_mb"] < 350

@@ -140,6 +140,7 @@ explain square.g2o --robust gnc-tls => one of huber, .*; nls solve has gnc-tls a
 solve chain.g2o --robust gnc-tls => no loop closures, (.|\n)*-> use a robust kernel: --robust cauchy:1$
 solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certify: .
 solve graph.g2o --improve --sigmas estimate => expected stated with --improve
+solve square.g2o --sigmas estimate {--robust gnc-tls|-o square.g2o} => (which rejects by|replaces) the stated sigmas
 solve ray.g2o --improve => ^nls: ray.g2o:10: certify: Bearing\(x0, l20\)
 solve ray.g2o --certify => ^nls: ray.g2o:10: certify: Bearing\(x0, l20\)
 

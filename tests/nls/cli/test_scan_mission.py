@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import json
 import re
 from pathlib import Path
@@ -15,7 +14,7 @@ import nls
 from factors.keys import kinds
 from models.errors import GraphFileError
 from nls.io import read_tum
-from nls.missions.scans.results import CLOSURES, MAP, TRAJECTORY
+from nls.missions.scans.solution import CLOSURES, MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.scans.room_files import room, write
 from tests.nls.missions.scans.test_folder import FILES
@@ -29,16 +28,10 @@ def table(file: Path) -> tuple[list[str], list[list[str]]]:
     return head, body
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
-
-
 def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
     write(shell / "m", room())
-    out = shell("solve m -o out --json r.json --plot p.png --report page.html --covariance c.csv")
-    record = json.loads((shell / "r.json").read_text())["scans"]
+    out, report = shell.told("solve m -o out --plot p.png --report page.html --covariance c.csv")
+    record = report["scans"]
     assert record["solution"]["ate_rmse_m"] < 0.2 < 0.7 < record["dead_reckoning"]["ate_rmse_m"]
     assert (record["keyframes"], record["with_points"], record["settled"], record["select"]) == (90, 81, True, "gnc")
     assert len(rows(out, "round")) == len(record["rounds"]) >= 2
@@ -108,7 +101,7 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
     monkeypatch.setattr("nls.cli.scan_mission.ROUNDS", 1)
     out = shell("solve m")
     assert row(out, "settled").startswith("no: the last round moved the track by 0.7")
-    monkeypatch.setattr("nls.cli.scan_mission.WILD", 0.1)
+    monkeypatch.setattr("nls.missions.scans.solution.WILD", 0.1)
     _, err = shell.both("solve m", status=1)
     assert err.startswith("nls: doubtful: not settled: the last of 1 rounds moved the track by 0.7")
 
@@ -124,11 +117,8 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
         ("--method dogleg", "the rounds of a scan mission choose their own"),
         ("--hold x", "a scan mission has only its keyframes and their drift"),
         ("--certify", "the drifts of a scan mission are no poses"),
-        ("--improve", "the drifts of a scan mission are no poses"),
         ("--crs utm -o out", "a scan mission has coordinates of its own"),
         ("-o out.g2o", "a folder: the solution of a mission is several files"),
-        ("-o m", "another folder than that of the mission"),
-        ("--covariance m/scans.csv", "this is the input"),
         ("m", "a scan mission is solved alone"),
     ],
 )
@@ -149,28 +139,6 @@ def test_other_commands(shell: Shell) -> None:
         assert "bad/scans.csv:3: keyframe 5: no such keyframe in keyframes.csv" in shell.refused(words)
     with pytest.raises(GraphFileError):
         nls.load("bad")
-
-
-def first_keyframes(folder: Path, count: int, to: Path) -> None:
-    """The first part of a scan mission, as a mission."""
-    to.mkdir()
-    end = float(gzip.decompress((folder / "keyframes.csv.gz").read_bytes()).split()[1 + count].split(b",")[1])
-    for path in folder.glob("*.csv.gz"):
-        head, *lines = gzip.decompress(path.read_bytes()).decode().splitlines(keepends=True)
-        last = count if head.startswith("keyframe,") else end
-        (to / path.stem).write_text("".join([head, *(line for line in lines if float(line.split(",")[0]) < last)]))
-
-
-def test_the_harbor_of_aracati(shell: Shell, data: Path, undrawn: None) -> None:
-    """The first quarter; the page of its benchmark has the whole."""
-    folder = data / "aracati"
-    if not folder.is_dir():
-        pytest.skip("LEADLINE_DATA has no aracati")
-    first_keyframes(folder, 160, shell / "first")
-    record = shell.report("solve first -o out")
-    assert record["scans"]["dead_reckoning"]["ate_rmse_m"] == pytest.approx(5.59, abs=0.01)
-    assert record["scans"]["solution"]["ate_rmse_m"] <= 2.1
-    assert len(table(shell / "out/trajectory.csv")[1]) == record["scans"]["judged_keyframes"] == 160
 
 
 @pytest.mark.filterwarnings("default::models.errors.GraphWarning")

@@ -54,12 +54,6 @@ def test_a_kernel_and_a_chain_that_nothing_checks(shell: Shell) -> None:
     assert row == "Between: stated sigmas kept, no other measurement checks them (redundancy 0 of 15 numbers)"
 
 
-def test_refusals(shell: Shell) -> None:
-    shell.file(SPOILED)
-    assert "which rejects by the stated sigmas" in shell.refused("solve graph.g2o --sigmas estimate --robust gnc-tls")
-    assert "replaces the stated sigmas" in shell.refused("solve graph.g2o --sigmas estimate -o graph.g2o")
-
-
 def test_a_mission_has_the_sigmas_of_the_estimated_noise(shell: Shell) -> None:
     mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
     write_mission(shell / "m", mission.graph, mission.sonar, mission.offset, mission.truth)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,16 +30,10 @@ def written(folder: Path, given: sim.Mission) -> None:
         (folder / name).write_bytes(data)
 
 
-def both(shell: Shell, words: str) -> tuple[str, dict[str, Any]]:
-    """The table of a solution, and its report for programs."""
-    out = shell(f"{words} --json report.json")
-    return out, json.loads((shell / "report.json").read_text())
-
-
 def test_wrong_contacts_are_left_out_and_counted(shell: Shell) -> None:
     given = mission(outliers=0.1)
     written(shell / "m", given)
-    out, report = both(shell, "solve m -o solved")
+    out, report = shell.told("solve m -o solved")
     solved, dead = (report["mission"][name]["ate_rmse_m"] for name in ("solution", "dead_reckoning"))
     clean = mission()
     best = clean.ate(clean.graph.optimize(clean.start).values)
@@ -69,7 +61,7 @@ def test_a_clean_mission_is_solved_as_without_the_test(shell: Shell) -> None:
 
 def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
     written(shell / "m", mission(outliers=0.1))
-    out, report = both(shell, "solve m --robust none --allow-doubtful")
+    out, report = shell.told("solve m --robust none --allow-doubtful")
     assert "rejected" not in report
     assert report["mission"]["contacts"] == len(mission(outliers=0.1).contacts)
     assert report["chi2_final"] > 100 * report["dof"]
@@ -82,7 +74,7 @@ def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
 def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
     given = mission(outliers=0.1, per_leg=12)
     written(shell / "m", given)
-    out, report = both(shell, "solve m --robust gnc-tls:0.999")
+    out, report = shell.told("solve m --robust gnc-tls:0.999")
     assert (report["init"], report["doubted"], report["probability"]) == ("gnc-tls:0.999", len(given.contacts), 0.999)
     assert report["mission"]["solution"]["ate_rmse_m"] < report["mission"]["dead_reckoning"]["ate_rmse_m"] / 2
     assert "more" in out

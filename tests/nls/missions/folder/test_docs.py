@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from nls.cli import main
+from nls.missions.files import MAP, TRAJECTORY
 from nls.missions.folder.columns import COLUMNS, POSE
-from nls.missions.results import MAP, TRAJECTORY
 from tests.nls.io.formats_page import columns_of, files_of, section, shown_tables
 from tests.nls.missions.folder.mission_files import TINY, folder
 

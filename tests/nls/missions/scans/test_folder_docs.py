@@ -10,8 +10,8 @@ from pathlib import Path
 from nls.cli import main
 from nls.missions.scans import Drift
 from nls.missions.scans.folder import COLUMNS
-from nls.missions.scans.results import CLOSURES, MAP, TRAJECTORY, WORDS
 from nls.missions.scans.settings import KEYS, read_settings
+from nls.missions.scans.solution import CLOSURES, MAP, TRAJECTORY, WORDS
 from tests.nls.io.formats_page import columns_of, files_of, section, shown_tables
 from tests.nls.missions.scans.room_files import room, write
 

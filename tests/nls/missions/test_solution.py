@@ -7,9 +7,10 @@ import numpy as np
 from factors import Between, Isotropic, Range
 from factors.keys import kinds
 from models import SE2
-from nls.cli.job import covariances
 from nls.graph import FactorGraph
+from nls.io.report import LoadReport
 from nls.linear import QR
+from nls.missions.solution import Solution
 from nls.optimizers import GaussNewton, Stop
 from nls.values import Values
 
@@ -19,13 +20,14 @@ START = Values({x: (SE2, [[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])})
 
 
 GRAPH = FactorGraph([STEP])
+REPORT = LoadReport("m", "mission", "2-D", "log")
 NONE = "the files have no sigmas: "
 
 
 def test_at_an_optimum_with_solver_and_gauge() -> None:
     result = GRAPH.optimize(START)
     for gauge, sentence in (("first", "x0 held"), ("free", "free")):
-        marginals, note = covariances(GRAPH, result, QR(), gauge)
+        marginals, note = Solution(GRAPH, START, result, REPORT, QR(), gauge).covariances
         assert marginals is not None
         assert note == ""
         assert marginals.gauge.startswith(sentence)
@@ -34,8 +36,8 @@ def test_at_an_optimum_with_solver_and_gauge() -> None:
 
 def test_why_there_are_none() -> None:
     stopped = GRAPH.optimize(START, GaussNewton(Stop(max_iterations=1)))
-    assert covariances(GRAPH, stopped) == (None, f"{NONE}this is no optimum")
+    assert Solution(GRAPH, START, stopped, REPORT).covariances == (None, f"{NONE}this is no optimum")
     free = FactorGraph([Range(x[0], x[1], [2.0], Isotropic(0.1))])
-    marginals, note = covariances(free, GRAPH.optimize(START))
+    marginals, note = Solution(free, START, GRAPH.optimize(START), REPORT).covariances
     assert marginals is None
     assert note.startswith(f"{NONE}1 unknown is not measured: x1: yaw")

@@ -1,0 +1,339 @@
+"""A graph file as the input of a command: how it is read, solved, drawn and written, and what is said of it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import nls
+from factors.robust import kernel_from_text
+from models.options import did_you_mean
+from nls.cli import formats
+from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
+from nls.cli.outputs import input_name, refuse_loss
+from nls.cli.progress import Progress
+from nls.cli.run import Problem, Solved
+from nls.io.files import title_of, write_bytes
+from nls.io.formats import FORMATS, check_renumber
+from nls.optimizers import OPTIMIZERS, default_optimizer
+
+if TYPE_CHECKING:
+    from nls.missions.charts import Projection
+
+__all__ = ["NO_FOLDER", "GraphFile", "Meaningless", "Read", "Writer", "named"]
+
+Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
+NO_FOLDER = "it is for the folder that -o writes of a mission"
+Meaningless = tuple[tuple[str, tuple[str, ...]], ...]  # reasons, and the options of `solve` that do nothing
+Writer = Callable[[str], None]  # of the file of this path
+
+
+class GraphFile:
+    """A graph file, a file of poses, or standard input; other kinds differ in what they override.
+
+    Parameters
+    ----------
+    options : of the command.
+
+    Attributes
+    ----------
+    files : all that is read.
+    robust : the kernel of ``--robust``, or the way to reject measurements; None where all are believed.
+    init : the name of the start.
+    output_file : of the output; None where there is none, or a folder.
+    """
+
+    MEANINGLESS: Meaningless = ((NO_FOLDER, ("crs",)),)
+    explains = True  # whether measurements have lines to explain
+    unnumbered = "no output"  # for which --renumber is refused
+    read_values = "file"  # the name of the start where it was read
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options, given = options, vars(options)
+        self.files: list[str] = [options.file, *given.get("dives", [])]
+        self.robust: str | None = given.get("robust")
+        self.init: str = given.get("init", "auto")
+        self.output_file: str | None = given.get("output")
+
+    @property
+    def rejects(self) -> bool:
+        """Whether ``--robust`` asks for graduated non-convexity, not for a kernel."""
+        return bool(self.robust and self.robust.rpartition("=")[2].startswith("gnc"))
+
+    # --- before the work
+
+    def check_options(self) -> None:
+        """Refuse options of ``nls solve`` that mean nothing here.
+
+        Raises
+        ------
+        OptionError
+        """
+        for name, reason in ((name, reason) for reason, names in self.MEANINGLESS for name in names):
+            if (value := getattr(self.options, name)) != self.options.default_of(name):
+                raise nls.OptionError(f"--{name.replace('_', '-')}", value, f"nothing: {reason}")
+
+    def check_explainable(self) -> None:
+        """Refuse what ``nls explain`` cannot explain."""
+
+    def output_format(self) -> str:
+        """The format of the output of ``nls solve``; empty where none is written, or a folder.
+
+        Raises
+        ------
+        OptionError
+            A format without values, or less than was read over the input.
+        """
+        options = self.options
+        if not options.output:
+            return ""
+        form = formats.output_format("-o", options.output, options.to)
+        if form and not FORMATS[form].values:
+            allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
+            raise nls.OptionError("-o", options.output, allowed)
+        if options.sigmas != "stated":
+            refuse_loss("-o", options, f"--sigmas {options.sigmas} replaces the stated sigmas")
+        if self.rejects:
+            refuse_loss("-o", options, f"{self.robust} leaves out the measurements it rejects")
+        return form
+
+    def check_renumber(self, form: str) -> None:
+        """Refuse new numbers for what needs none."""
+        if self.options.renumber:
+            check_renumber(form or self.unnumbered)
+
+    # --- reading
+
+    def read(self) -> Read:
+        """Graph, start values and report."""
+        return formats.read(self.options)
+
+    def read_to_solve(self) -> Read:
+        """What `solve` and `explain` take: as it was read; landmarks of contacts without names are found in here."""
+        return self.read()
+
+    def check_format(self, option: str, form: str, report: nls.LoadReport) -> None:
+        """Refuse to replace the input by a file of another format; none is written where the format is empty."""
+        if form and form != report.format:
+            refuse_loss(option, self.options, f"{form} files do not hold all that {report.format} files do")
+
+    def prepared(self, as_read: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.FactorGraph:
+        """The graph under the robust kernel, with the kinds held that were asked for; the one read stays as it is.
+
+        Parameters
+        ----------
+        as_read, values, report : of the file; the report gets a note on a number that was left out.
+
+        Raises
+        ------
+        GraphFileError
+            A file without a measurement.
+        OptionError
+            No such kernel, type of factor or kind of variable.
+        """
+        if not as_read.factors:
+            raise nls.GraphFileError(
+                "has no measurement: nothing to optimize; add edges, or see the variables with nls plot",
+                input_name(self.options.file),
+            )
+        graph = nls.FactorGraph(as_read.factors, as_read.fixed)
+        if (robust := self.robust) is not None and not self.rejects:
+            name, separator, kernel = robust.rpartition("=")
+            names = list(dict.fromkeys(factor.name for factor in graph.factors))
+            if separator and name not in names:
+                allowed = "no type, or one of those in the graph: " + ", ".join(names) + did_you_mean(name, names)
+                raise nls.OptionError("--robust", name, allowed)
+            if (kind := kernel.partition(":")[0]) not in KERNELS:
+                more, near = (ROBUST_OF_SOLVE, GNC) if self.options.command == "solve" else (ROBUST, ())
+                raise nls.OptionError("--robust", robust, more + did_you_mean(kind, [*KERNELS, *near]))
+            made = kernel_from_text(kernel)
+            if ":" not in kernel:
+                report.notes.append(f"--robust {robust}: taken as {kernel}:{made.c:g}, 95 % efficient without outliers")
+            graph.factors = [f.robust(made) if name in ("", f.name) else f for f in graph.factors]
+        for kind in self.options.hold:
+            if kind not in values.stacks:
+                allowed = "one of the kinds " + ", ".join(values.stacks) + did_you_mean(kind, values.stacks)
+                raise nls.OptionError("--hold", kind, allowed)
+            graph.fix(nls.Keys(kind, values.stack(kind).numbers))
+        return graph
+
+    def projection(self, report: nls.LoadReport) -> Projection | None:
+        """The projection of the coordinates in the files; None for local ones."""
+        return None
+
+    # --- solving
+
+    def optimum(self, problem: Problem) -> Solved:
+        """The optimum from the start of a problem; with ``--sigmas estimate`` of the graph with rescaled noise."""
+        options = self.options
+        options.phase.now(f"while solving {options.file}")
+        with Progress("solve", options.max_iterations, options.quiet) as progress:
+            if options.method == "auto":
+                optimizer = default_optimizer(problem.graph.factors, problem.stop, progress.show)
+            else:
+                optimizer = OPTIMIZERS[options.method](problem.stop, progress.show)
+            if options.sigmas != "stated":
+                return _rescaled(problem, optimizer)
+            result = problem.graph.optimize(problem.start, optimizer, problem.solver, options.gauge)
+        return Solved(**{**vars(problem), "result": result})
+
+    def solved(self, problem: Problem) -> Solved:
+        """The optimum, and what is found about the input there."""
+        solved = self.optimum(problem)
+        problem.clock.lap("optimize")
+        return solved
+
+    def finished(self, solved: Solved) -> Solved:
+        """With the solution of a mission at the last optimum."""
+        return solved
+
+    def choice(
+        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
+    ) -> nls.Robustified | None:
+        """The measurements to believe where nothing was asked for and some do not fit; None: all."""
+        return None
+
+    def with_findings(
+        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
+    ) -> nls.LoadReport:
+        """The report with what an optimum says of the tables that were read."""
+        return report
+
+    def explanation(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.Explanation:
+        """The explanation of a graph, with the lines of the measurements where its file has them."""
+        explanation = nls.explain(graph, values, self._parts(report), report.assumed)
+        return explanation.placed(report.place) if report.has_lines else explanation
+
+    def _parts(self, report: nls.LoadReport) -> list[str] | None:
+        """The name of the dive that each factor is of; None where there are no dives."""
+        return None
+
+    def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
+        """The explanation with what is said of the tables of a mission."""
+        return explanation
+
+    def asking(self, written: Sequence[str] = ()) -> str:
+        """The command that explains the graph: as it was read, or without what was rejected if that is written.
+
+        Parameters
+        ----------
+        written : files that exist by now.
+        """
+        options = self.options
+        of_lines = ["--drop-absent"] * options.drop_absent
+        of_lines += ["--ignore-tags", options.ignore_tags] if options.ignore_tags else []
+        if self.rejects and options.output in written and options.to is None:
+            same = os.path.splitext(options.file)[1] == os.path.splitext(options.output)[1]  # lines left out are in it
+            return shlex.join(["nls", "explain", named(options.output), *of_lines * same])
+        words = ["nls", "explain", *map(named, self.files)]
+        options_of_solve = {
+            "--dialect": options.dialect if options.dialect != "auto" else None,
+            "--convention": options.convention if options.convention != "g2o" else None,
+            "--elevation": options.elevation,
+            "--init": options.init if options.init != "auto" else None,
+            "--robust": None if self.rejects else options.robust,
+        }
+        words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
+        words += ["--repair-information"] * options.repair_information + of_lines
+        words += [word for kind in options.hold for word in ("--hold", kind)]
+        return shlex.join(words)
+
+    # --- what is said, drawn and written
+
+    def doubts(self, solved: Solved) -> list[str]:
+        """Reasons to doubt the result, in words; none where it is as it should be.
+
+        A calibration far from its belief is no reason: the measurements determined it, and the table prints it.
+        """
+        result, choice, sigmas = solved.result, solved.choice, solved.sigmas
+        out = [result.doubt] * bool(result.doubt and result.converged)
+        out += [] if choice is None else map(str, choice.doubts)
+        if sigmas is not None and not sigmas.settled:
+            out.append(
+                f"the scales of the sigmas did not settle in {sigmas.rounds} rounds; start from a better point with "
+                "--init, or estimate fewer scales with --sigmas estimate"
+            )
+        return out
+
+    def marks(self, solved: Solved) -> list[str]:
+        """Words on pictures and charts: the reasons to doubt, and that this is no optimum."""
+        return [f"not converged: {solved.result.status.value}"] * (not solved.result.converged) + self.doubts(solved)
+
+    def record(self, solved: Solved) -> dict[str, Any]:
+        """The solution in the report for programs."""
+        return {}
+
+    def findings(self, report: nls.LoadReport) -> dict[str, Any]:
+        """What is implausible in the tables, in the report for programs."""
+        return {}
+
+    def lines(self, record: dict[str, Any]) -> list[str]:
+        """The lines of the table that say what the solution is worth, from the report for programs."""
+        return []
+
+    def unmeasured(self, report: nls.LoadReport) -> Sequence[str]:
+        """Components of a pose that nothing measures."""
+        return ()
+
+    def room(self) -> AbstractContextManager[None]:
+        """The place of the output, where it is to be made."""
+        return nullcontext()
+
+    def outputs(self, solved: Solved) -> dict[str, Writer]:
+        """What writes the files of the output, by their paths."""
+        options = self.options
+
+        def optimum(path: str) -> None:
+            kept = solved.form, solved.as_read, solved.result.values, solved.report
+            data, notes = formats.rendered(path, *kept, options.renumber)
+            write_bytes(path, data)
+            solved.report.notes.extend(notes)
+
+        return {options.output: optimum} if options.output else {}
+
+    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+        """The picture of ``nls plot``."""
+        from nls.plot import trajectory
+
+        return trajectory(graph, values)
+
+    def picture(self, solved: Solved) -> Any:
+        """The picture of ``--plot``."""
+        from nls.plot import before_after
+
+        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
+
+    def page(self, solved: Solved) -> dict[str, Any]:
+        """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""
+        return {}
+
+    def facts(self, solved: Solved) -> dict[str, str]:
+        """Facts for the page besides those of the run, by name."""
+        return {}
+
+
+def named(file: str) -> str:
+    """A file name that is not taken for an option; standard input is none."""
+    return f"./{file}" if file.startswith("-") and file != "-" else file
+
+
+def _rescaled(problem: Problem, optimizer: nls.Optimizer) -> Solved:
+    """The scales of the sigmas, and the optimum of the graph with rescaled noise; lines of its file do not hold it."""
+
+    options, report, old = problem.options, problem.report, problem.as_read
+    groups: Any = options.sigmas.partition(":")[2] or "kinds"
+    sigmas = nls.variance_components(problem.graph, problem.start, groups, optimizer, problem.solver, options.gauge)
+    as_read = sigmas.rescaled(old)
+    times = {id(factor): times for factor, times in report.factor_times}
+    pairs = zip(old.factors, as_read.factors, strict=True)
+    factor_times = [(new, times[id(factor)]) for factor, new in pairs if id(factor) in times]
+    if problem.form:
+        report.notes.append(f"{options.output} holds the estimated sigmas, not the stated ones")
+    problem = replace(problem, as_read=as_read, report=replace(report, factor_times=factor_times, statements=[]))
+    problem = replace(problem, graph=sigmas.graph, sigmas=sigmas)
+    return Solved(**vars(problem), result=sigmas.result)

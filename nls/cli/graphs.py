@@ -1,0 +1,94 @@
+"""``nls info``, ``plot`` and ``convert``: a graph as it was read, in numbers, as a picture, and in another format."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+from models.listing import several
+from nls.cli import formats
+from nls.cli.inputs import input_of
+from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable, say, write_json
+from nls.io import files
+
+LABELS = {  # where the identifier of a program says too little
+    "components": "connected parts",
+    "component_sizes": "variables of each part",
+    "isolated_variables": "variables not measured",
+    "numbers_in_A": "nonzeros of A",
+    "numbers_in_R": "nonzeros of R, A'A = R'R",
+    "factorization_mflop": "factorization, Mflop",
+    "factorization_mb": "memory of R, MB",
+    "sigma_smallest": "smallest sigma, m or rad",
+    "sigma_largest": "largest sigma, m or rad",
+    "semi_definite_measurements": "measured in part only",
+    "chi2": "chi2 of the start",
+}
+
+
+def info(options: argparse.Namespace) -> int:
+    """Read, inspect, print; returns the exit status."""
+    from nls.analysis.inspection import inspect
+
+    refuse_unwritable({"--json": options.json}, options.file)
+    graph, values, report = input_of(options).read()
+    options.phase.doing = f"while inspecting {options.file}"
+    facts = report.counts | inspect(graph, values)
+    head = {"input": report.path, "format": report.format, "dimension": report.dimension}
+    options.phase.now("while writing the report")
+    write_json(head | {"tags": report.tags, "notes": report.notes} | facts, options.json)
+    if options.json != "-":
+        say(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
+        say(
+            "\n".join(
+                f"  {LABELS.get(name, name.replace('_', ' ')):26s} {_shown(value)}" for name, value in facts.items()
+            )
+        )
+    return 0
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value))
+    if isinstance(value, bool | str) or value is None:
+        return str(value)
+    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+
+
+def plot(options: argparse.Namespace) -> int:
+    """Read, draw, write; returns the exit status."""
+    from nls.plot.picture import write_picture
+
+    refuse_unwritable({"OUT": options.output}, options.file)
+    refuse_name("OUT", options.output, PICTURES)
+    kind = input_of(options)
+    graph, values, report = kind.read()
+    options.phase.now(f"while writing {options.output}")
+    figure = kind.plan(graph, values)
+    figure.suptitle(files.title_of(report.path))
+    write_picture(options.output, figure)
+    options.phase.written.append(options.output)
+    say(f"written     {options.output}")
+    return 0
+
+
+def convert(options: argparse.Namespace) -> int:
+    """Read, write, say what the file leaves out; returns the exit status."""
+    refuse_unwritable({"OUT": options.output})
+    form = formats.output_format("OUT", options.output, options.to)
+    kind = input_of(options)
+    kind.check_renumber(form)
+    graph, values, report = kind.read()
+    kind.check_format("OUT", form, report)
+    options.phase.now(f"while writing {options.output}")
+    data, notes = formats.rendered(options.output, form, graph, values, report, options.renumber)
+    files.write_bytes(options.output, data)
+    options.phase.written.append(options.output)
+    holds = f"{several(len(values), 'variable')}, {several(len(graph), 'measurement')}"
+    say(f"input       {report.path}: {report.format}, {holds}")
+    say(f"written     {options.output}: {form}")
+    for note in [*report.notes, *notes]:
+        if note not in report.warnings:
+            say(f"note        {note}")
+    return 0
