@@ -94,7 +94,7 @@ def _separate_parts(solved: Solved) -> list[str]:
     pattern = graph.pattern(values)
     if not component_labels(pattern).any():  # one part, beginning with the first variable
         return []
-    from nls.explanation.explain import separate_parts
+    from nls.explanation.explanation import separate_parts
 
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
