@@ -22,7 +22,7 @@ __all__ = ["explain", "explanation_of", "with_tables"]
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
+    """Read, find the landmarks of contacts without names, start, optimize, explain; returns the exit status, 0."""
     import nls
     from nls.cli import outliers
     from nls.cli.choices import GNC, ROBUST
@@ -37,7 +37,7 @@ def explain(options: argparse.Namespace) -> int:
             from nls.cli.scan_mission import refuse_explanation
 
             refuse_explanation(file)
-    as_read, values, report = read(options)
+    as_read, values, report = read(options, to_solve=True)
     options.phase.doing = f"while explaining {options.file}"
     judges = not believes_all(options, report) and options.robust is None
     graph = prepare(as_read, values, report, options)

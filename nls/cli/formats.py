@@ -37,14 +37,21 @@ def output_format(option: str, path: str, named: str | None) -> str:
     return format_of(path, named, SUFFIXES, "--to FORMAT", option)
 
 
-def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
-    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements."""
+def read(options: argparse.Namespace, to_solve: bool = False) -> tuple[FactorGraph, Values, LoadReport]:
+    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements.
+
+    Reading solves nothing. Only a graph to solve gets the contacts that name no landmarks, which association finds.
+    """
     from nls.cli.progress import Progress
     from nls.stages import listened
 
     options.phase.doing = f"while reading {options.file}"
     with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
         graph, values, report = _read(options)
+        if to_solve and (mission := mission_of(report)) and mission.unnamed:
+            from nls.missions import associated
+
+            graph, values, report = associated(graph, values, mission)
     options.phase.as_read = graph, report
     return graph, values, report
 
@@ -97,20 +104,33 @@ def rendered(
     path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
 ) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
-    from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
 
-    if report.format == "mission" and form not in (*io.POSES_ONLY, *io.NATIVE):
-        raise GraphError(
-            f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
-            "npz and json hold it, and tum or kitti its poses"
-        )
+    if report.format == "mission":
+        refuse_other_formats(path, form)
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
     with _renamed(graph, values, report, renumber) as (graph, values, changes):
         data, notes = io.rendered(path, graph, values, report, form)
     return data, changes + notes
+
+
+def refuse_other_formats(path: str, form: str) -> None:
+    """Refuse a format that has no lines for the graph of a mission.
+
+    Raises
+    ------
+    GraphError
+    """
+    from models.errors import GraphError
+    from nls import io
+
+    if form not in (*io.POSES_ONLY, *io.NATIVE):
+        raise GraphError(
+            f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
+            "npz and json hold it, and tum or kitti its poses"
+        )
 
 
 def refuse_unwritable_graph(

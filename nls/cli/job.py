@@ -37,7 +37,7 @@ class Job:
     Attributes
     ----------
     options, clock, solver, stop : of the command.
-    form : format of the output; empty where none is written, or a mission.
+    form : format of `graph_file`; empty where no graph is written.
     select : how the matches of a scan mission are selected; None of other inputs.
     projection : of the coordinates in the files of a mission; None for local ones.
     as_read, values, report : of the file; without what was rejected.
@@ -76,6 +76,11 @@ class Job:
         self.stages: dict[str, float] = {}
         self.refuted: list[float] = []
         self.failed: list[LeadlineError] = []
+
+    @property
+    def graph_file(self) -> str:
+        """The file of the graph that was solved: that of ``-o``, of a mission that of ``--write-graph``."""
+        return str(self.options.write_graph or self.options.output)
 
     @property
     def before(self) -> Values:

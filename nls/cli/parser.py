@@ -158,6 +158,12 @@ def parser() -> Parser:
         metavar="OUT.g2o",
         help="write the optimum: a file whose suffix says the format, or the folder of a solved mission",
     )
+    solve.add_argument(
+        "--write-graph",
+        metavar="OUT.npz",
+        help="of a mission: write the graph that was solved, with the landmarks found for contacts without names, and "
+        "its optimum; the suffix says the format",
+    )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
     solve.add_argument("--elevation", choices=TREATMENTS, help=ELEVATION)

@@ -9,7 +9,7 @@ from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable, say
 
 def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
-    from nls.cli.formats import read
+    from nls.cli.formats import mission_of, read
     from nls.io.files import title_of
     from nls.missions.pictures.mission import plan
     from nls.plot import trajectory
@@ -24,4 +24,6 @@ def plot(options: argparse.Namespace) -> int:
     write_picture(options.output, figure)
     options.phase.written.append(options.output)
     say(f"written     {options.output}")
+    if (mission := mission_of(report)) and mission.unnamed:
+        say(f"note        {mission.unnamed.note(report.path)}")
     return 0

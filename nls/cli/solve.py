@@ -40,7 +40,7 @@ def solve(options: argparse.Namespace) -> int:
 def _checked(options: argparse.Namespace) -> Job:
     """The job, once all outputs can be written."""
     import nls
-    from nls.cli.formats import output_format
+    from nls.cli.formats import output_format, refuse_other_formats
     from nls.cli.job import Job
     from nls.cli.sigmas import refuse
     from nls.cli.timing import Clock
@@ -53,6 +53,7 @@ def _checked(options: argparse.Namespace) -> Job:
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}
+    output_files |= {"--write-graph": options.write_graph}
     output_files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
     refuse_unwritable(output_files, options.file, *options.dives)
     if mission:
@@ -73,6 +74,12 @@ def _checked(options: argparse.Namespace) -> Job:
     elif options.output:
         job.form = output_format("-o", options.output, options.to)
         _refuse_output(job)
+    if options.write_graph:
+        if not mission:
+            raise nls.OptionError("--write-graph", options.write_graph, "a mission as input; -o writes another graph")
+        job.form = output_format("--write-graph", options.write_graph, None)
+        if job.select is None:
+            refuse_other_formats(options.write_graph, job.form)
     if options.renumber:
         from nls.io.renumbering import check_renumber
 
@@ -109,7 +116,7 @@ def _read(job: Job) -> None:
 
     options = job.options
     with collected() as job.stages:
-        job.as_read, job.values, job.report = formats.read(options)
+        job.as_read, job.values, job.report = formats.read(options, to_solve=True)
         believes_all(options, job.report)
         if job.form and job.form != job.report.format:
             refuse_loss("-o", options, f"{job.form} files do not hold all that {job.report.format} files do")
@@ -150,7 +157,7 @@ def _take(job: Job, choice: Robustified, name: str) -> None:
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.values = outliers.without_left(job.values, choice.result.values)
     if job.form and (count := len(choice.rejected)):
-        job.report.notes.append(f"{job.options.output} holds the graph without the {count} rejected measurements")
+        job.report.notes.append(f"{job.graph_file} holds the graph without the {count} rejected measurements")
     job.starts = {job.init: choice.result.chi2_final}
 
 
@@ -173,7 +180,7 @@ def _check_graph(job: Job) -> None:
 
         job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
     if job.form:
-        refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
+        refuse_unwritable_graph(job.graph_file, job.form, job.as_read, job.start, job.report, job.options.renumber)
     if job.options.certify or job.options.improve:
         from nls.certificate.problem import certifiable
 
@@ -239,7 +246,7 @@ def _estimate(job: Job, optimizer: Optimizer) -> None:
     job.report = rescaled_report(job.report, job.as_read, as_read)
     job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
     if job.form:
-        job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
+        job.report.notes.append(f"{job.graph_file} holds the estimated sigmas, not the stated ones")
 
 
 def _optimizer(job: Job, progress: Progress) -> Optimizer:

@@ -27,6 +27,7 @@ def write_outputs(job: Job) -> None:
         job.report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
         outputs = []
     outputs.append((lambda path: _plot(job, path), options.plot))
+    outputs.append((lambda path: _optimum(job, path), options.write_graph))
     if job.solved is None or not options.output:
         optimum = None if job.solved else options.output
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])

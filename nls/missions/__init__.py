@@ -4,6 +4,9 @@ from nls.lazy import importer
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
+    from nls.missions.association import (
+        associated as associated,
+    )
     from nls.missions.folder import (
         DivesReport as DivesReport,
     )
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     )
 
 _WHERE = {
+    "nls.missions.association": "associated",
     "nls.missions.folder": "DivesReport MissionReport read_dives read_mission write_mission",
     "nls.missions.solution": "Elevations Track elevations track_of",
 }
