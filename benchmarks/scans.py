@@ -87,7 +87,7 @@ def mission(count: int) -> tuple[Array, Array, list[Array]]:
 
 def all_at_once(count: int) -> dict[str, Any]:
     """Seconds by stage of `close`, meters of the map from the truth, and peak memory."""
-    from nls.missions.scans import Scans, candidates, close, closing, dead_reckoning
+    from nls.missions.scans import Scans, close, closing, dead_reckoning
 
     truth, reckoned, points = mission(count)
     scans = Scans(np.concatenate(points), np.repeat(np.arange(count), [len(p) for p in points]), count)
@@ -106,9 +106,9 @@ def all_at_once(count: int) -> dict[str, Any]:
         setattr(owner, name, timed)
 
     for owner, name, stage in (
-        (candidates, "pairs", "pairs"),
-        (closing, "windows", "windows"),
-        (closing.Matches, "of", "matching"),
+        (closing, "pairs", "pairs"),
+        (closing, "half_widths", "windows"),
+        (closing.Matches, "around", "matching"),
         (closing, "sequential_matches", "matching"),
         (closing, "chosen", "solving"),
     ):

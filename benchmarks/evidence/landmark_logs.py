@@ -32,7 +32,7 @@ from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
 from nls.metrics import TrajectoryError
-from nls.missions.sonar import contacts
+from nls.missions import contacts
 from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from sim import LandmarkWorld

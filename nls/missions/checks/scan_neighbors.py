@@ -8,9 +8,8 @@ import numpy as np
 
 from models import SE2
 from models.algebra import Array, Index
-from nls.missions.scans.field import Field
-from nls.missions.scans.matches import ACCEPTED, Fits, verdicts
-from nls.missions.scans.matching import match
+from nls.missions.scans.correlation import Field, match
+from nls.missions.scans.matches import ACCEPTED, MatchTable, verdicts
 from nls.missions.scans.scans import Scans
 
 __all__ = ["Neighbors", "match_steps", "neighbors", "steps"]
@@ -56,10 +55,10 @@ def steps(poses: Array, scans: Scans) -> tuple[Index, Array]:
     return i, np.abs(SE2.between(poses[i], poses[i + 1])[:, 2])
 
 
-def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> Fits:
+def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> MatchTable:
     """Scans of keyframes i + 1 matched with those of keyframes i (n,), around the steps of poses (count, 3)."""
     S = SE2.between(poses[i], poses[i + 1])
-    return Fits.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in zip(i.tolist(), S, strict=True)])
+    return MatchTable.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in zip(i.tolist(), S, strict=True)])
 
 
 def _chosen(i: Index, turn: Array) -> Index:

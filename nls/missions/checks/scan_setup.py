@@ -21,8 +21,8 @@ from nls.missions.checks.scan_mounting import COMPONENTS, LIMITS, SIGMAS, Mounti
 from nls.missions.checks.scan_neighbors import match_steps, steps
 from nls.missions.checks.scan_sigmas import fits
 from nls.missions.scans.closing import Closing, refuse_other_keyframes
-from nls.missions.scans.matches import WINDOW, comparable, field_before
-from nls.missions.scans.matching import match
+from nls.missions.scans.correlation import match
+from nls.missions.scans.matches import WINDOW_BEFORE, comparable, field_before
 from nls.missions.scans.scans import Scans
 from nls.values import Values
 
@@ -163,7 +163,7 @@ def _unrepeated(poses: Array, scans: Scans) -> list[SetupFinding]:
     k = k[np.unique(np.linspace(0, len(k) - 1, min(len(k), SCANS)).astype(np.intp))] if len(k) else k
     fit = 0
     for row in k.tolist():
-        best = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)
+        best = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW_BEFORE)
         e = best.pose[:2]
         fit += bool(e @ np.linalg.solve(best.covariance[:2, :2] + RECKONED**2 * np.eye(2), e) < FITS)
     if len(k) < FEW_SCANS or fit >= SHARE * len(k):
