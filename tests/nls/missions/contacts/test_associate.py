@@ -227,3 +227,16 @@ def test_a_wrong_loop_is_taken_back_and_right_ones_stay() -> None:
     held, marginals = _held(graph, values, x[np.arange(n)], loops, 0.995)
     assert [*held] == [pair for pair in loops if pair[0] != 2]
     np.testing.assert_allclose(marginals.values[x], truth, atol=1e-6)
+
+
+def test_loops_of_one_map_share_its_errors() -> None:
+    """Three of them: the motion is known a third as well as each one says."""
+    truth, k, none = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]]), np.arange(3), np.zeros(0, dtype=np.intp)
+    steps = Between(x[k], x[k + 1], SE2.between(truth[:-1], truth[1:]), Isotropic(10.0))
+    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
+    motions = {(0, b): SE2.between(truth[[0]], truth[[b]])[0] for b in (1, 2, 3)}
+    loops = {pair: Loop(motion, np.eye(3) / 0.02**2, none, none, np.zeros(0)) for pair, motion in motions.items()}
+    held, marginals = _held(graph, values, x[np.arange(4)], loops, 0.995)
+    assert [*held] == [*loops]
+    C = marginals.relative(x[[0, 0, 0]], x[[1, 2, 3]])
+    np.testing.assert_allclose(C, np.broadcast_to(3 * 0.02**2 * np.eye(3), C.shape), rtol=1e-3, atol=1e-6)
