@@ -111,7 +111,7 @@ def check_setup(
     Five scans of one wall close no loop and show no turn: nothing speaks against anything.
 
     >>> import numpy as np
-    >>> from nls.missions.scans import Scans, check_setup, dead_reckoning
+    >>> from nls.sonar.scans import Scans, check_setup, dead_reckoning
     >>> wall = np.column_stack([np.linspace(5, 15, 40), np.full(40, 4.0)])
     >>> graph, values = dead_reckoning(np.arange(5.0)[:, None] * [1.0, 0.0, 0.0])
     >>> check_setup(graph, values, Scans(np.tile(wall, (5, 1)), np.repeat(np.arange(5), 40), 5))

@@ -80,3 +80,11 @@ def test_pairs_by_brute_force() -> None:
         chosen = middle[a[middle[b] == j]].tolist()
         assert len({i // 8 for i in chosen}) == len(chosen), "one of each piece"
         assert sorted(share(i, j) for i in chosen) == sorted(best.values())[-8:]
+
+
+def test_centers_have_their_neighbors_and_sixty_points() -> None:
+    few = Scans(np.ones((60, 2)), np.repeat([20, 40], [30, 30]), 60)
+    assert len(centers(few)) == 0
+    alone = Scans(np.ones((60, 2)), np.full(60, 20), 60)
+    assert centers(alone).tolist() == [16, 20, 24]
+    assert len(centers(Scans(np.ones((99, 2)), np.zeros(99, dtype=int), 5))) == 0, "shorter than a submap"
