@@ -20,10 +20,9 @@ from models import SE2
 from models.algebra import wrap
 from nls import Marginals, kinds
 from nls.missions.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
-from nls.missions.scans.candidates import HALF, centers, pairs
+from nls.missions.scans.correlation import match_submap
 from nls.missions.scans.matches import verdicts
-from nls.missions.scans.matching import match_submap
-from nls.missions.scans.scans import in_world
+from nls.missions.scans.scans import SUBMAP_HALF, centers, in_world, pairs
 
 Array = npt.NDArray[np.float64]
 GEOMETRIES = ("marina", "quay", "rocks")
@@ -166,7 +165,7 @@ def trials(world: sim.Harbor, poses: Array, guess_of: str) -> list[list[float]]:
         T = SE2.between(world.truth[[i]], world.truth[[j]])[0]
         width, turn = GUESSES[guess_of]
         guess = T + rng.uniform(-1.0, 1.0, 3) * [width, width, turn]
-        target, points = (submap(poses, world.scans, k, HALF) for k in (i, j))
+        target, points = (submap(poses, world.scans, k, SUBMAP_HALF) for k in (i, j))
         m = match_submap(Field(target), points, guess, WINDOW[guess_of])
         verdict = verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread, WINDOW[guess_of][0])))[0]
         figures = [verdict]
@@ -224,7 +223,7 @@ def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
     return [
         *lines,
         "",
-        f"- Random pairs of submaps of {2 * HALF + 1} keyframes with overlapping footprints.",
+        f"- Random pairs of submaps of {2 * SUBMAP_HALF + 1} keyframes with overlapping footprints.",
         "- A guess is off by up to the stated width, evenly distributed. The window is as wide, and at least 3 m "
         "and 3 deg.",
         "- Submaps are of the true poses, or of reckoned poses and then not rigid.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from nls.missions import MissionReport
     from nls.values import Values
 
+    Read = tuple[FactorGraph, Values, LoadReport]
+
 
 def output_format(option: str, path: str, named: str | None) -> str:
     """The format of an output, the value of an option: as named, else by the suffix; errors as for `nls.save`."""
@@ -29,14 +31,19 @@ def output_format(option: str, path: str, named: str | None) -> str:
     return format_of(path, named, "--to FORMAT", option)
 
 
-def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
-    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements."""
+def read(
+    options: argparse.Namespace, stage: Callable[[Read], Read] = lambda read: read
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements.
+
+    Reading solves nothing. A command that solves may add a stage, which is shown as part of the reading.
+    """
     from nls.cli.progress import Progress
     from nls.stages import listened
 
     options.phase.doing = f"while reading {options.file}"
     with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
-        graph, values, report = _read(options)
+        graph, values, report = stage(_read(options))
     options.phase.as_read = graph, report
     return graph, values, report
 
@@ -86,21 +93,33 @@ def rendered(
     path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
 ) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
-    from models.errors import GraphError
     from nls.io import rendered as rendered_graph
     from nls.io.formats import FORMATS
 
-    row = FORMATS[form]
-    if report.format == "mission" and row.measurements and not row.whole:
-        raise GraphError(
-            f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
-            f"{_names('whole', 'and')} hold it, and {_names('poses_alone', 'or')} its poses"
-        )
-    if not row.tagged:
+    if report.format == "mission":
+        refuse_lines(path, form)
+    if not FORMATS[form].tagged:
         return rendered_graph(path, graph, values, report, form)
     with _renamed(graph, values, report, renumber) as (graph, values, changes):
         data, notes = rendered_graph(path, graph, values, report, form)
     return data, changes + notes
+
+
+def refuse_lines(path: str, form: str) -> None:
+    """Refuse a format that has no lines for the graph of a mission.
+
+    Raises
+    ------
+    GraphError
+    """
+    from models.errors import GraphError
+    from nls.io.formats import FORMATS
+
+    if FORMATS[form].measurements and not FORMATS[form].whole:
+        raise GraphError(
+            f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
+            f"{_names('whole', 'and')} hold it, and {_names('poses_alone', 'or')} its poses"
+        )
 
 
 def _names(trait: str, word: str) -> str:

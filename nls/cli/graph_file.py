@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import nls
@@ -48,7 +49,10 @@ class GraphFile:
     output_file : of the output; None where there is none, or a folder.
     """
 
-    MEANINGLESS: Meaningless = ((NO_FOLDER, ("crs",)),)
+    MEANINGLESS: Meaningless = (
+        (NO_FOLDER, ("crs",)),
+        ("-o writes another graph than that of a mission", ("write_graph",)),
+    )
     explains = True  # whether measurements have lines to explain
     unnumbered = "no output"  # for which --renumber is refused
     read_values = "file"  # the name of the start where it was read
@@ -114,7 +118,7 @@ class GraphFile:
         return formats.read(self.options)
 
     def read_to_solve(self) -> Read:
-        """What `solve` and `explain` take: as it was read; landmarks of contacts without names are found in here."""
+        """What `solve` and `explain` take: as it was read, and the landmarks of contacts without names."""
         return self.read()
 
     def check_format(self, option: str, form: str, report: nls.LoadReport) -> None:
@@ -286,21 +290,24 @@ class GraphFile:
 
     def outputs(self, solved: Solved) -> dict[str, Writer]:
         """What writes the files of the output, by their paths."""
-        options = self.options
+        return {solved.graph_file: partial(self.write_optimum, solved)} if solved.graph_file else {}
 
-        def optimum(path: str) -> None:
-            kept = solved.form, solved.as_read, solved.result.values, solved.report
-            data, notes = formats.rendered(path, *kept, options.renumber)
-            write_bytes(path, data)
-            solved.report.notes.extend(notes)
-
-        return {options.output: optimum} if options.output else {}
+    def write_optimum(self, solved: Solved, path: str) -> None:
+        """Write the graph that was solved, at its optimum."""
+        kept = solved.form, solved.as_read, solved.result.values, solved.report
+        data, notes = formats.rendered(path, *kept, self.options.renumber)
+        write_bytes(path, data)
+        solved.report.notes.extend(notes)
 
     def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
         """The picture of ``nls plot``."""
         from nls.plot import trajectory
 
         return trajectory(graph, values)
+
+    def not_drawn(self, report: nls.LoadReport) -> list[str]:
+        """Remarks on what was read and is not in the picture of ``nls plot``."""
+        return []
 
     def picture(self, solved: Solved) -> Any:
         """The picture of ``--plot``."""
@@ -333,7 +340,7 @@ def _rescaled(problem: Problem, optimizer: nls.Optimizer) -> Solved:
     pairs = zip(old.factors, as_read.factors, strict=True)
     factor_times = [(new, times[id(factor)]) for factor, new in pairs if id(factor) in times]
     if problem.form:
-        report.notes.append(f"{options.output} holds the estimated sigmas, not the stated ones")
+        report.notes.append(f"{problem.graph_file} holds the estimated sigmas, not the stated ones")
     problem = replace(problem, as_read=as_read, report=replace(report, factor_times=factor_times, statements=[]))
     problem = replace(problem, graph=sigmas.graph, sigmas=sigmas)
     return Solved(**vars(problem), result=sigmas.result)

@@ -70,6 +70,8 @@ def plot(options: argparse.Namespace) -> int:
     write_picture(options.output, figure)
     options.phase.written.append(options.output)
     say(f"written     {options.output}")
+    for note in kind.not_drawn(report):
+        say(f"note        {note}")
     return 0
 
 

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import nls
-from nls.cli.graph_file import NO_FOLDER, GraphFile, Meaningless, Writer
+import nls.missions
+from nls.cli import formats
+from nls.cli.graph_file import NO_FOLDER, GraphFile, Meaningless, Read, Writer
 from nls.cli.outliers import choice_of
 from nls.cli.progress import Progress
 from nls.cli.run import Problem, Solved
@@ -46,14 +48,14 @@ class Folder(GraphFile):
     read_values = "dead reckoning"
 
     def output_format(self) -> str:
-        """Empty, once it is known that the folder of the output can hold the solution; one that is not there is made.
+        """The format of ``--write-graph``, once it is known that the folder of the output can hold the solution.
 
         Raises
         ------
         OptionError
         """
         if (folder := self.options.output) is None:
-            return ""
+            return self.graph_format()
         path = Path(folder)
         if path.suffix in suffixes() and not os.path.isdir(folder):
             raise nls.OptionError("-o", folder, "a folder: the solution of a mission is several files")
@@ -64,7 +66,12 @@ class Folder(GraphFile):
             raise nls.OptionError("-o", folder, "a folder you may write to")
         if os.path.exists(path) and any(os.path.samefile(path, mission) for mission in self.files):
             raise nls.OptionError("-o", folder, "another folder than that of the mission")
-        return ""
+        return self.graph_format()
+
+    def graph_format(self) -> str:
+        """The format of ``--write-graph``; empty without it."""
+        file = self.options.write_graph
+        return formats.output_format("--write-graph", file, None) if file else ""
 
     def room(self) -> AbstractContextManager[None]:
         """The folder of the output."""
@@ -72,8 +79,9 @@ class Folder(GraphFile):
 
     def outputs(self, solved: Solved) -> dict[str, Writer]:
         """What writes the files of the folder, and its mark where the solution is doubtful, by their paths."""
+        graph = super().outputs(solved)
         if not (folder := self.options.output):
-            return {}
+            return graph
         files, doubts = self.contents(solved), self.marks(solved)
         if doubts:
             files[MARK] = lambda: "".join(f"{reason}\n" for reason in doubts).encode()
@@ -90,7 +98,7 @@ class Folder(GraphFile):
 
                 write_picture(path, content, self.marks(solved))
 
-        return {str(Path(folder, name)): partial(write, make) for name, make in files.items()}
+        return {str(Path(folder, name)): partial(write, make) for name, make in files.items()} | graph
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """What makes the files of the folder, by name: each gives bytes, or a figure of matplotlib."""
@@ -104,6 +112,27 @@ class Mission(Folder):
         super().__init__(options)
         if self.robust == "none":  # all contacts are believed
             self.robust = None
+
+    def graph_format(self) -> str:
+        """The format of ``--write-graph``, which has lines for the graph of a mission; empty without it."""
+        if form := super().graph_format():
+            formats.refuse_lines(self.options.write_graph, form)
+        return form
+
+    def read_to_solve(self) -> Read:
+        """What was read, with the landmarks that association finds for contacts without names."""
+
+        def with_landmarks(read: Read) -> Read:
+            graph, values, report = read
+            mission = self.mission(report)
+            return read if mission.unnamed is None else nls.missions.associated(graph, values, mission)
+
+        return formats.read(self.options, with_landmarks)
+
+    def not_drawn(self, report: nls.LoadReport) -> list[str]:
+        """The remark on contacts without names."""
+        unnamed = self.mission(report).unnamed
+        return [] if unnamed is None else [unnamed.note(report.path)]
 
     def projection(self, report: nls.LoadReport) -> Projection | None:
         """The projection of ``--crs``.
@@ -136,10 +165,7 @@ class Mission(Folder):
         return solved
 
     def solved(self, problem: Problem) -> Solved:
-        """The optimum, without wrong contacts where that of all says that some are wrong, and what explains its chi2.
-
-        Contacts without names are given theirs while the mission is read.
-        """
+        """The optimum, without contacts that are wrong where that of all says so, and what explains its chi2."""
         solved = self.optimum(problem)
         if (choice := self.choice(solved.graph, solved.values, solved.result, solved.report)) is not None:
             solved = self.optimum(problem.without(choice, "gnc-tls"))

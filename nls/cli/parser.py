@@ -25,6 +25,10 @@ COORDINATES = (
     "coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
     "origin.csv and pyproj, and add columns to the tables"
 )
+SOLVED_GRAPH = (
+    "of a mission: write the graph that was solved, with the landmarks found for contacts without names, and its "
+    "optimum; the suffix says the format"
+)
 GRADUATED = (
     "; gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: find wrong loop closures and, in a mission, wrong "
     "contacts, solve without them, list them; of a scan mission gnc (default), cauchy or none: how matches are selected"
@@ -160,6 +164,7 @@ def parser() -> Parser:
     add = solve.add_argument
     output = "write the optimum: a file whose suffix says the format, or the folder of a solved mission"
     add("-o", "--output", metavar="OUT.g2o", help=output)
+    add("--write-graph", metavar="OUT.npz", help=SOLVED_GRAPH)
     _overwriting(solve)
     add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
     add("--crs", metavar="CRS", help=COORDINATES)

@@ -24,7 +24,7 @@ class Run:
     Attributes
     ----------
     options, clock, solver, stop : of the command.
-    form : format of the output; empty where none is written, or the folder of a mission.
+    form : format of `graph_file`; empty where no graph is written.
     failed : outputs that could not be written so far.
     """
 
@@ -34,6 +34,11 @@ class Run:
     stop: nls.Stop
     form: str
     failed: list[nls.LeadlineError] = field(default_factory=list)
+
+    @property
+    def graph_file(self) -> str:
+        """The file of the solved graph: that of ``-o``, of a mission that of ``--write-graph``; empty: none."""
+        return str(self.options.write_graph or self.options.output) if self.form else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +83,7 @@ class Problem(Run):
 
         as_read, report = without_rejected(self.as_read, choice, self.report)
         if self.form and (count := len(choice.rejected)):
-            report.notes.append(f"{self.options.output} holds the graph without the {count} rejected measurements")
+            report.notes.append(f"{self.graph_file} holds the graph without the {count} rejected measurements")
         return replace(
             self,
             as_read=as_read,

@@ -53,7 +53,12 @@ def _checked(kind: GraphFile) -> Run:
     solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     files = {"-o": kind.output_file, "--covariance": options.covariance}
-    files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
+    files |= {
+        "--write-graph": options.write_graph,
+        "--plot": options.plot,
+        "--report": options.report,
+        "--json": options.json,
+    }
     refuse_unwritable(files, *kind.files)
     kind.check_options()
     if options.sigmas != "stated":
@@ -122,7 +127,7 @@ def _check_graph(kind: GraphFile, problem: Problem) -> Problem:
     problem = replace(problem, projection=kind.projection(problem.report))
     if form:
         about = problem.as_read, problem.start, problem.report
-        formats.refuse_unwritable_graph(options.output, form, *about, options.renumber)
+        formats.refuse_unwritable_graph(problem.graph_file, form, *about, options.renumber)
     if options.certify or options.improve:
         from nls.certificate.problem import certifiable
 

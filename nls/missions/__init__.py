@@ -4,35 +4,19 @@ from nls.lazy import importer
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
+    from nls.missions.association import associated as associated
     from nls.missions.folder import (
         DivesReport as DivesReport,
-    )
-    from nls.missions.folder import (
         MissionReport as MissionReport,
-    )
-    from nls.missions.folder import (
         read_dives as read_dives,
-    )
-    from nls.missions.folder import (
         read_mission as read_mission,
-    )
-    from nls.missions.folder import (
         write_mission as write_mission,
     )
-    from nls.missions.landmarks import (
-        Elevations as Elevations,
-    )
-    from nls.missions.landmarks import (
-        elevations as elevations,
-    )
-    from nls.missions.solution import (
-        Track as Track,
-    )
-    from nls.missions.solution import (
-        track_of as track_of,
-    )
+    from nls.missions.landmarks import Elevations as Elevations, elevations as elevations
+    from nls.missions.solution import Track as Track, track_of as track_of
 
 _WHERE = {
+    "nls.missions.association": "associated",
     "nls.missions.folder": "DivesReport MissionReport read_dives read_mission write_mission",
     "nls.missions.landmarks": "Elevations elevations",
     "nls.missions.solution": "Track track_of",

@@ -32,7 +32,7 @@ from models.sensors import cartesian, spherical
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.linear import LinearSolver
-from nls.missions.sonar.mirror_images import mirrored
+from nls.missions.sonar.elevation import mirrored
 from nls.values import Values
 
 __all__ = ["Elevations", "elevations"]
@@ -54,7 +54,7 @@ class Elevations:
     sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
         landmark is free.
     mirrored : (n,) whether the landmark fits as well with the other sign of the elevation, at a place that sigma does
-        not reach; False where there is no sigma. See `nls.missions.sonar.mirror_images`.
+        not reach; False where there is no sigma. See `nls.missions.sonar.elevation`.
     before : (n,) the same by the covariances alone, before the aperture had its say.
     along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
     ahead : (n, 3) unit vectors of the world: from the sonar to the landmark.

@@ -33,9 +33,8 @@ from models.errors import GraphError
 from nls.analysis.clock import central_differences
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.scans.field import Field
-from nls.missions.scans.matches import ACCEPTED, Fits, verdicts
-from nls.missions.scans.matching import match
+from nls.missions.scans.correlation import Field, match
+from nls.missions.scans.matches import ACCEPTED, MatchTable, verdicts
 from nls.missions.scans.scans import Scans
 from nls.values import Values
 
@@ -222,10 +221,11 @@ def turns(poses: Array, scans: Scans) -> tuple[Index, Array]:
     return i, np.abs(SE2.between(poses[i], poses[i + 1])[:, 2])
 
 
-def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> Fits:
+def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> MatchTable:
     """Scans of keyframes i + 1 matched with those of keyframes i (n,), around the steps of poses (count, 3)."""
     S = SE2.between(poses[i], poses[i + 1])
-    return Fits.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in zip(i.tolist(), S, strict=True)])
+    pairs = zip(i.tolist(), S, strict=True)
+    return MatchTable.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in pairs])
 
 
 def _chosen(i: Index, turn: Array, half: int = 200) -> Index:

@@ -35,8 +35,8 @@ from nls.missions.checks.scan_mounting import (
     turns,
 )
 from nls.missions.scans.closing import Closing, refuse_other_keyframes, shares
-from nls.missions.scans.matches import WINDOW, comparable, field_before
-from nls.missions.scans.matching import match
+from nls.missions.scans.correlation import match
+from nls.missions.scans.matches import WINDOW_BEFORE, comparable, field_before
 from nls.missions.scans.scans import Scans
 from nls.values import Values
 
@@ -135,7 +135,7 @@ def _unrepeated(poses: Array, scans: Scans) -> list[SetupFinding]:
     k = k[np.unique(np.linspace(0, len(k) - 1, min(len(k), 150)).astype(np.intp))] if len(k) else k
     fit, reckoned = 0, 0.3  # m, sigma of dead reckoning over the keyframes before a scan
     for row in k.tolist():
-        best = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)
+        best = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW_BEFORE)
         e = best.pose[:2]  # 78 % of those with right sigmas fit
         fit += bool(e @ np.linalg.solve(best.covariance[:2, :2] + reckoned**2 * np.eye(2), e) < 3.0)
     share = 0.25  # random points have 0.02 to 0.19, harbors 0.34 (one straight wall) to 0.89

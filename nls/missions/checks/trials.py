@@ -30,6 +30,7 @@ from nls.analysis.calibrations import explains
 from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.missions.association import associated
 from nls.missions.checks.alone import ROBUST
 from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
 from nls.missions.checks.log import Alternative, corrected, readings
@@ -154,7 +155,7 @@ def _mission(tables: Tables, elevation: str, chi2: float = 0.0, dof: int = 0) ->
 
 def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionReport]:
     report = report_of(next(iter(tables.values())).path, tables)
-    return (*graph_of(tables, report, elevation), report)
+    return associated(*graph_of(tables, report, elevation), report)
 
 
 def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:

@@ -30,22 +30,13 @@ from models import LieGroup
 from models.algebra import Array, Index, apply, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
+from nls.missions.contacts import partition
 from nls.missions.contacts.estimate import KERNEL
 from nls.missions.contacts.gates import quadratic
-from nls.missions.contacts.tracks import largest
 
-__all__ = ["LEAST", "Alignment", "Points", "aligned"]
-
-LEAST = 10  # matches
-BEYOND = 4.0  # times the square root of the matches by chance: so many more make an alignment sure
-SIGMAS = 3.0  # of the turn that are searched
-WORK = 500_000  # pairs times turns; a motion that is known so poorly waits for that of other maps
-PEAKS = 6  # motions to begin with
-NEAREST = 8  # landmarks of the other map that are looked at for each
-WIDE = 4.0  # times the gate, for the first matches
-AWAY = 6.0, 9.0  # cells by which maps are shifted to see what matches by chance
-DIRECTIONS = 8
-BITS = 1 << 21  # cells along an axis, so that the name of a cell is one whole number
+LEAST_MATCHES = 10
+MOST_MOTIONS = 500_000  # pairs times turns; a motion that is known so poorly waits for that of other maps
+WIDE_GATE = 4.0  # times the gate, for the first matches
 
 
 class Points(NamedTuple):
@@ -74,8 +65,8 @@ class Alignment:
 
     @property
     def sure(self) -> bool:
-        """Whether no shift matches nearly as many."""
-        return len(self.i) >= LEAST and len(self.i) > self.chance + BEYOND * sqrt(self.chance)
+        """Whether no shift matches nearly as many: by chance they scatter with their square root."""
+        return len(self.i) >= LEAST_MATCHES and len(self.i) > self.chance + 4.0 * sqrt(self.chance)
 
 
 def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) -> Alignment | None:
@@ -88,7 +79,7 @@ def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) ->
     Sigma : (m, m) covariance of the motion.
     gate : bound on d^2.
     """
-    if min(len(a.p), len(b.p)) < LEAST:
+    if min(len(a.p), len(b.p)) < LEAST_MATCHES:
         return None
     maps, (w, V) = _Maps(group, a, b, gate), np.linalg.eigh(Sigma)
     S = V * np.sqrt(np.maximum(w, 0.0))
@@ -96,7 +87,7 @@ def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) ->
     if not len(starts):
         return None
     fits, n = maps.fitted(starts, S)
-    if n.max() < LEAST:
+    if n.max() < LEAST_MATCHES:
         return None
     best, middle = fits[n.argmax()], maps.J.mean(axis=0)
     _, i, j, _, _, d2 = maps.matches(best[None], gate)
@@ -144,12 +135,13 @@ class _Maps:
         """
         k = len(self.b.p)
         moved = self.group.act(self.group.exp(delta).repeat(k, axis=0), np.tile(self.b.p, (len(delta), 1)))
-        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(WIDE * self.gate) * self.cell)
+        bound_m = sqrt(WIDE_GATE * self.gate) * self.cell
+        distance, near = self.tree.query(moved, 8, distance_upper_bound=bound_m)
         row, column = np.nonzero(np.isfinite(distance))
         (which, j), i = np.divmod(row, k), near[row, column]
         r, W = moved[row] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
         d2 = quadratic(r, W)
-        match = (d2 < bound) & largest(which * len(self.a.p) + i, -d2) & largest(row, -d2)
+        match = (d2 < bound) & partition.largest(which * len(self.a.p) + i, -d2) & partition.largest(row, -d2)
         return which[match], i[match], j[match], r[match], W[match], d2[match]
 
     def fitted(self, start: Array, S: Array) -> tuple[Array, Index]:
@@ -158,7 +150,7 @@ class _Maps:
         S S' is the covariance of the motion about each start.
         """
         delta, which = start, np.zeros(0, dtype=np.intp)
-        for bound in (WIDE * self.gate, WIDE * self.gate, self.gate, self.gate, self.gate):
+        for bound in (WIDE_GATE * self.gate, WIDE_GATE * self.gate, self.gate, self.gate, self.gate):
             which, _, j, r, W, d2 = self.matches(delta, bound)
             J, Omega, pull = self.J[j], np.zeros((len(start), *S.shape)), np.zeros(start.shape)
             WJ = KERNEL.weight(d2)[:, None, None] * product(W, J)
@@ -169,7 +161,7 @@ class _Maps:
         return delta, np.bincount(which, minlength=len(start))
 
     def starts(self, Sigma: Array) -> Array:
-        """Motions (q, m) to begin with: turns, with the shifts most pairs vote for; none where that is much to try."""
+        """Six motions (q, m) to begin with: turns, with the shifts most pairs vote for; none where that is much."""
         a, b, J, k = self.a, self.b, self.J, self.a.p.shape[1]
         extent = float(np.linalg.norm(b.p - b.p.mean(axis=0), axis=1).max())
         turns = _turns(Sigma[k:, k:], self.cell / max(extent, self.cell))
@@ -177,7 +169,7 @@ class _Maps:
         reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
         other = type(self.tree)(b.p)
         none = np.zeros((0, len(Sigma)))
-        if not len(turns) or self.tree.count_neighbors(other, reach) * len(turns) > WORK:
+        if not len(turns) or self.tree.count_neighbors(other, reach) * len(turns) > MOST_MOTIONS:
             return none
         pairs = self.tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = pairs["i"], pairs["j"]
@@ -196,29 +188,31 @@ class _Maps:
                 continue
             for aside in (0.0, 0.5):  # the cells of one grid lie over the corners of the other
                 cells = np.floor(r / (2 * self.cell) + aside).astype(np.intp)
-                names = ((cells - cells.min(axis=0)) % BITS) @ (BITS ** np.arange(k)[::-1])
+                bits = 1 << 21  # cells along an axis, so that the name of a cell is one whole number
+                names = ((cells - cells.min(axis=0)) % bits) @ (bits ** np.arange(k)[::-1])
                 _, first, count = np.unique(names, return_index=True, return_counts=True)
                 best = int(count.argmax())
                 shift = (cells[first[best]] + 0.5 - aside) * 2 * self.cell
                 motions.append(np.concatenate([delta[:k] - shift, turn]))
                 votes.append(int(count[best]))
-        return np.stack(motions)[np.argsort(-np.array(votes), kind="stable")[:PEAKS]] if motions else none
+        return np.stack(motions)[np.argsort(-np.array(votes), kind="stable")[:6]] if motions else none
 
     def shifts(self) -> Array:
         """Motions (q, m) that shift map b a little way, along the two axes of its largest extent."""
         b, (_, k, m) = self.b.p, self.J.shape
         x, y = np.linalg.svd(b - b.mean(axis=0), full_matrices=False)[2][:2]
-        angles = np.arange(DIRECTIONS) * 2 * pi / DIRECTIONS
+        angles = np.arange(8) * pi / 4
         aside = np.outer(np.cos(angles), x) + np.outer(np.sin(angles), y)
-        return np.pad(self.cell * np.multiply.outer(AWAY, aside).reshape(-1, k), ((0, 0), (0, m - k)))
+        away = self.cell * np.array([6.0, 9.0])  # where it matches by chance
+        return np.pad(np.multiply.outer(away, aside).reshape(-1, k), ((0, 0), (0, m - k)))
 
 
 def _turns(Sigma: Array, step: float) -> Array:
-    """Turns (n, r) within the covariance (r, r), in steps along its axes that are longer; none where they are many."""
+    """Turns (n, r) within three sigmas, in steps along the axes of the covariance (r, r) that are longer; or none."""
     w, V = np.linalg.eigh(Sigma)
-    most = SIGMAS * np.sqrt(np.maximum(w, 0.0))
+    most = 3.0 * np.sqrt(np.maximum(w, 0.0))
     steps = np.where(most > step, np.ceil(most / step), 0.0)
-    if np.prod(2 * steps + 1) > WORK:
+    if np.prod(2 * steps + 1) > MOST_MOTIONS:
         return np.zeros((0, len(w)))
     axes = [np.linspace(-s, s, 2 * int(n) + 1) if n else np.zeros(1) for s, n in zip(most, steps, strict=True)]
     return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(w)) @ V.T)

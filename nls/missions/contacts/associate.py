@@ -3,7 +3,7 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
 1. Sightings of pings that follow one another are linked where one fits the arc of the other and nothing else does. The
    same must hold backwards. Links that hang together are tracks.
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
-3. A track whose sightings fit the landmark of another is joined with it (`nls.missions.contacts.merging`), and
+3. A track whose sightings fit the landmark of another is joined with it (`nls.missions.contacts.partition`), and
    sightings alone with one another. A track with two answers waits. A sighting that its landmark does not explain is
    alone again.
    Pieces without which chi2 is much less are a landmark of their own again (`nls.missions.contacts.splitting`). Of a
@@ -14,7 +14,7 @@ well beside each other. Then they are twice as wide, until no pair that fits is 
 poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
 (`nls.missions.contacts.compatibility`).
 
-A mission of many pings has stretches of its own before (`nls.missions.contacts.stretches`). Their rounds join sightings
+A mission of many pings has stretches of its own before (`nls.missions.contacts.partition`). Their rounds join sightings
 where dead reckoning has drifted little. Then all landmarks of a stretch together tell where it lies on another one
 (`nls.missions.contacts.loops`), however far dead reckoning has gone. The rounds of the whole begin with what that
 joins.
@@ -27,7 +27,6 @@ Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,34 +37,17 @@ from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.contacts import tracks as of
-from nls.missions.contacts.anchors import Anchored
+from nls.missions.contacts import gates, partition
 from nls.missions.contacts.compatibility import resolved
-from nls.missions.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
-from nls.missions.contacts.gates import landmark_distances, sighting_distances
-from nls.missions.contacts.loops import closed
-from nls.missions.contacts.maps import local_maps
-from nls.missions.contacts.merging import continued, linked, merged
-from nls.missions.contacts.pairs import near_landmarks, near_pings, near_sightings
-from nls.missions.contacts.places import Pings
+from nls.missions.contacts.estimate import FIRST_KERNEL, KERNEL, Estimate, estimated
+from nls.missions.contacts.loops import closed, local_maps
+from nls.missions.contacts.pings import Pings, bounds, stretch_of_ping, stretches, without
 from nls.missions.contacts.splitting import Cuts
-from nls.missions.contacts.stretches import bounds, stretch_of_ping, stretches
 from nls.stages import announce
 from nls.values import Values
 
-__all__ = ["Associated", "associate"]
-
-PINGS = 150  # of a stretch, at most
-NARROW = 2.0  # the widest innovations of the first rounds, in sigmas of the sensor
-WIDER = 2.0  # times as wide are those of the next rounds
-LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
-SOME = 0.1  # part of the sightings, new in their tracks; a round that moves no more is the last with its gates
-FEW = 0.01  # a round that moves no more is the last
-ROUNDS = 40
-TOGETHER = 0.9  # pieces of one target stay together with this probability; what leaves may be joined again
-SURE = 0.98  # the same in the last rounds
-OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
-TWICE = 2  # a sighting that its landmark did not explain so often is joined with no other any more
+STRETCH_PINGS = 150  # of a stretch, at most
+MOST_EXPELLED = 2  # a sighting that its landmark did not explain so often is joined with no other any more
 l = kinds("l")[0]
 
 
@@ -83,7 +65,7 @@ class Associated:
     cost : chi2 with its robust kernel, and log N for each number of a landmark where N numbers are measured. Each
         undecided sighting adds the kernel's charge at the gate.
     d2 : (n,) squared residual of each decided sighting, in sigmas; nan of the others.
-    history : the tracks (n,) after each round, see `nls.missions.contacts.tracks`.
+    history : the tracks (n,) after each round, see `nls.missions.contacts.partition`.
     """
 
     numbers: Index
@@ -132,7 +114,7 @@ def associate(
     kind: Kind = l,
     least: int = 3,
     probability: float = 0.995,
-    rounds: int = ROUNDS,
+    rounds: int = 40,
 ) -> Associated:
     """Landmarks of sightings without names.
 
@@ -175,40 +157,26 @@ def associate(
     >>> associated.settled, associated.share > 0.9
     (True, True)
     """
-    asked = _Asked(
-        check_whole("least", least, 2),
-        check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.995"),
-        check_whole("rounds", rounds, 1),
-    )
+    check_whole("least", least, 2)
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.995")
+    check_whole("rounds", rounds, 1)
     pings = Pings.of(sightings, values, kind, aperture)
-    gate = asked.gate(pings)
+    asked, gate = (least, probability, rounds), chi2_gate(pings.dim, probability)
     pieces = _linked(pings, graph, values, gate)
     poses, tracks = graph.optimize(values).values, pieces.copy()
-    if len(pings.poses) > PINGS:
+    if len(pings.poses) > STRETCH_PINGS:
         maps = []
-        for rows, part, between, start in stretches(pings, graph, poses, PINGS):
-            linked_there = of.renamed(pieces[rows])
+        for rows, part, between, start in stretches(pings, graph, poses, STRETCH_PINGS):
+            linked_there = partition.renamed(pieces[rows])
             of_stretch, there, _ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
             tracks[rows] = rows[of_stretch[-1]]
-            estimate = estimated(part, between, there, of_stretch[-1])
-            maps.append([local.renumbered(rows) for local in local_maps(part, estimate, least)])
-        stretch = stretch_of_ping(bounds(len(pings.poses), PINGS))[pings.ping]
-        tracks = continued(tracks, pieces, pings.ping, stretch)
+            own = local_maps(part, estimated(part, between, there, of_stretch[-1]), least)
+            maps.append([local._replace(sightings=rows[local.sightings]) for local in own])
+        stretch = stretch_of_ping(bounds(len(pings.poses), STRETCH_PINGS))[pings.ping]
+        tracks = partition.continued(tracks, pieces, pings.ping, stretch)
         tracks, poses = closed(pings, graph, poses, tracks, maps, probability)
     history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, asked)
     return _associated(pings, graph, poses, history, least, gate, settled)
-
-
-class _Asked(NamedTuple):
-    """What the user asks for, see `associate`."""
-
-    least: int
-    probability: float
-    rounds: int
-
-    def gate(self, pings: Pings) -> float:
-        """The bound on d2 of a sighting."""
-        return chi2_gate(measured_numbers(pings), self.probability)
 
 
 def _rounds(
@@ -217,61 +185,69 @@ def _rounds(
     values: Values,
     tracks: Index,
     pieces: Index,
-    asked: _Asked,
+    asked: tuple[int, float, int],
     part: bool = False,
 ) -> tuple[list[Index], Values, bool]:
     """Tracks (n,) after every round, poses by them, and whether the last round joined next to nothing.
 
-    Sightings that are still open in the end are decided in the whole alone, not in a `part` of it.
+    Sightings that are still open in the end are decided in the whole alone, not in a `part` of it. Asked for are least,
+    probability and rounds of `associate`.
     """
     least, probability, rounds = asked
-    gate = asked.gate(pings)
-    poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
-    widest, complete, last, settled = NARROW, False, False, False
+    gate = chi2_gate(pings.dim, probability)
+    poses, expelled = estimated(pings, graph, values, tracks, FIRST_KERNEL).values, np.zeros(len(pings), dtype=np.intp)
+    # the widest innovations of the first rounds, in sigmas of the sensor
+    widest, complete, last, settled = 2.0, False, False, False
     history: list[Index] = []
     Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
-        poses, open_, cuts = estimate.values, np.flatnonzero(expelled < TWICE), Cuts(pings, graph, estimate, pieces)
-        alone = open_[of.sizes(tracks)[open_] == 1]
-        near = near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
-        pairs = near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
-        anchored = Anchored(pings, cuts.tied, near[::-1], pairs)
+        poses, open_, cuts = (
+            estimate.values,
+            np.flatnonzero(expelled < MOST_EXPELLED),
+            Cuts(pings, graph, estimate, pieces),
+        )
+        alone = open_[partition.sizes(tracks)[open_] == 1]
+        near = gates.near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
+        pairs = gates.near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
+        anchored = gates.Anchored(pings, cuts.tied, near[::-1], pairs)
         Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
             joined = resolved(pings, estimate, anchored, *near, least, probability)
         else:
             joined, complete = _joined(pings, estimate, anchored, near, pairs, gate, widest)
-        misfits = estimate.doubtful & ~of.several(tracks, pieces)
-        outside = (of.largest(tracks, estimate.d2) & misfits) | (estimate.d2 > OUTSIDE * gate)
-        leaving = cuts.leaving(anchored.marginals, chi2_gate(pings.group.point_dim, SURE if last else TOGETHER))
-        few = np.mean(of.moved(tracks, joined)) <= (FEW if complete else SOME)
-        tracks = of.single(of.parted(joined, tracks, leaving), outside)
+        misfits = estimate.doubtful & ~partition.several(tracks, pieces)
+        outside = (partition.largest(tracks, estimate.d2) & misfits) | (estimate.d2 > 1.5 * gate)
+        # pieces of one target stay together with this probability; what leaves before the last may be joined again
+        leaving = cuts.leaving(anchored.marginals, chi2_gate(pings.group.point_dim, 0.98 if last else 0.9))
+        moved = np.mean(partition.moved(tracks, joined))
+        few = moved <= (0.01 if complete else 0.1)
+        tracks = partition.single(partition.parted(joined, tracks, leaving), outside)
         expelled += outside | leaving
         settled = bool(few and complete and (last or part))
         if few and not complete:
-            widest *= WIDER
+            widest *= 2
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
             last = True
             expelled[:] = 0
         history.append(tracks)
-        decided = np.count_nonzero(of.sizes(tracks) >= least)
+        decided = np.count_nonzero(partition.sizes(tracks) >= least)
         announce(f"{decided:,} of {len(tracks):,} contacts are of landmarks" + " in a part of the mission" * part)
     return history, without(poses, pings.kind), settled
 
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
-    """Tracks (n,) of sightings in pings that follow one another."""
-    c, d, motions = near_pings(pings, graph, values, LAGS, gate)
-    d2, _ = sighting_distances(pings, values, c, d, motions)
-    tracks = linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
-    return of.once_per_ping(tracks, pings.ping)
+    """Tracks (n,) of sightings in pings that follow one another, up to the third after one."""
+    c, d, motions = gates.near_pings(pings, graph, values, 3, gate)
+    d2, _ = gates.sighting_distances(pings, values, c, d, motions)
+    tracks = partition.linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
+    return partition.once_per_ping(tracks, pings.ping)
 
 
 def _joined(
     pings: Pings,
     estimate: Estimate,
-    anchored: Anchored,
+    anchored: gates.Anchored,
     near: tuple[Index, Index],
     pairs: tuple[Index, Index],
     gate: float,
@@ -283,12 +259,12 @@ def _joined(
     pairs : of sightings (q,) that are alone.
     """
     tracks, (d, landmarks), (c, e) = estimate.tracks, near, pairs
-    of_landmarks = landmark_distances(pings, estimate, anchored, d, landmarks)
-    of_one = sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
+    of_landmarks = gates.landmark_distances(pings, estimate, anchored, d, landmarks)
+    of_one = gates.sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
     d2, width = (np.concatenate([a, b, b]) for a, b in zip(of_landmarks, of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all())
+    return partition.merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all())
 
 
 def _associated(
@@ -302,7 +278,7 @@ def _associated(
 ) -> Associated:
     """The last tracks that are landmarks, numbered, and their estimate."""
     tracks = history[-1]
-    decided = of.sizes(tracks) >= least
+    decided = partition.sizes(tracks) >= least
     estimate = estimated(pings, graph, poses, np.where(decided, tracks, np.arange(len(tracks))))
     numbers, values = np.full(len(tracks), -1), estimate.values
     names, numbers[decided] = np.unique(tracks[decided], return_inverse=True)
@@ -311,9 +287,9 @@ def _associated(
         stack = values.stack(pings.kind)
         values = without(values, pings.kind)
         values.add(pings.kind, stack.manifold, stack.X, np.arange(len(names)))
-    price = np.log(measured_numbers(pings) * len(tracks)) * pings.group.point_dim
+    price = np.log(pings.dim * len(tracks)) * pings.group.point_dim
     undecided = float(KERNEL.rho(np.array(gate))) * np.count_nonzero(~decided)
     cost = float(estimate.graph.chi2(estimate.values) + price * len(names) + undecided)
     d2 = np.where(decided, estimate.d2, np.nan)
-    rounds = tuple(int(np.count_nonzero(of.sizes(tracks) >= least)) for tracks in history)
+    rounds = tuple(int(np.count_nonzero(partition.sizes(tracks) >= least)) for tracks in history)
     return Associated(numbers, sightings, values, rounds, settled, cost, d2, tuple(history))

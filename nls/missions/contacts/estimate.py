@@ -7,26 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors import Cauchy, Huber
-from factors.keys import Keys, Kind
+from factors.keys import Keys
 from factors.robust import Kernel
 from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
-from nls.missions.contacts import tracks as of
-from nls.missions.contacts.places import Pings
+from nls.missions.contacts import partition
+from nls.missions.contacts.pings import Pings
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
 from nls.starts import locate_points, search_elevation
 from nls.values import Values
 
-__all__ = ["FIRST", "Estimate", "estimated", "without"]
-
 KERNEL = Cauchy(2.0)
-FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
-ROUGHLY, LEVEL = 1e-3, 3  # an optimum to such a part of chi2; where so many steps bring no more, dead reckoning swings
-WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
-STEPS = 7  # elevations on either side of the middle, from which the optimizer goes on
-DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
+FIRST_KERNEL = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
 
 
 @dataclass(frozen=True)
@@ -61,44 +55,39 @@ class Estimate:
 
 def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, kernel: Kernel = KERNEL) -> Estimate:
     """Solve the graph with the landmarks of all tracks of two sightings and more, from these poses."""
-    chosen, n = np.flatnonzero(of.sizes(tracks) > 1), len(tracks)
+    chosen, n = np.flatnonzero(partition.sizes(tracks) > 1), len(tracks)
     d2 = np.zeros(n)
     if not len(chosen):
         return Estimate(tracks, graph, graph.optimize(poses).values, d2, np.zeros(n, dtype=bool), 1.0)
     measured, d = pings.of_landmarks(tracks[chosen], chosen), pings.group.point_dim
     factors, numbers = [*graph.factors, measured.robust(kernel)], np.unique(tracks[chosen])
-    weak, spread = ([pings.aperture_factor(measured, times)] if pings.limit else [] for times in (WEAK, 1.0))
+    # with twice the spread of elevations a landmark that is seen at one edge of the aperture alone bends less
+    weak, spread = ([pings.aperture_factor(measured, times)] if pings.limit else [] for times in (2.0, 1.0))
     solved = FactorGraph([*factors, *weak], graph.fixed)
     start = Values.of([*poses.stacks.values()])
     start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
-    start = search_elevation(solved, start, pings.limit, STEPS) if pings.limit else locate_points(solved, start)
+    start = search_elevation(solved, start, pings.limit, 7) if pings.limit else locate_points(solved, start)
     result = solved.optimize(start, _roughly())
     values = result.values
     d2[chosen] = measured.chi2(values)
     chi2 = result.chi2_final + float((d2 - kernel.rho(d2)).sum())
-    size = of.sizes(tracks)
-    dof = measured_numbers(pings) * size - d
-    doubtful = chi2_tail(np.asarray(np.bincount(tracks, d2, n), dtype=np.float64)[tracks], dof) < DOUBTFUL
+    size = partition.sizes(tracks)
+    dof = pings.dim * size - d
+    tail = chi2_tail(np.asarray(np.bincount(tracks, d2, n), dtype=np.float64)[tracks], dof)
+    doubtful = tail < 2e-3  # a track whose chi2 is as improbable may be two landmarks
     whole = FactorGraph([*factors, *spread], graph.fixed)
     return Estimate(tracks, whole, values, d2, doubtful & (size > 1), chi2 / max(1, result.dof))
 
 
 def _roughly() -> LevenbergMarquardt:
-    """Ends where chi2 is level, though long chains of poses still swing: the next tracks hold them."""
+    """Ends where chi2 is level, though long chains of poses still swing: the next tracks hold them.
+
+    Level is what three steps lower by less than a thousandth.
+    """
     chi2: list[float] = []
 
     def level(iteration: Iteration) -> bool:
         chi2.append(iteration.chi2)
-        return len(chi2) > LEVEL and chi2[-1 - LEVEL] - chi2[-1] < ROUGHLY * chi2[-1]
+        return len(chi2) > 3 and chi2[-4] - chi2[-1] < 1e-3 * chi2[-1]
 
-    return LevenbergMarquardt(Stop(max_iterations=30, chi2_rtol=ROUGHLY), level)
-
-
-def measured_numbers(pings: Pings) -> int:
-    """Numbers of one sighting."""
-    return int(pings.model(np.arange(1)).dim)
-
-
-def without(values: Values, kind: Kind) -> Values:
-    """The values of all other kinds."""
-    return Values.of(stack for name, stack in values.stacks.items() if name != kind.name)
+    return LevenbergMarquardt(Stop(max_iterations=30, chi2_rtol=1e-3), level)

@@ -33,14 +33,10 @@ from models.algebra import Array, Index, Mask, apply
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.contacts import tracks as of
-from nls.missions.contacts.estimate import KERNEL, Estimate, without
+from nls.missions.contacts import partition
+from nls.missions.contacts.estimate import KERNEL, Estimate
 from nls.missions.contacts.gates import quadratic
-from nls.missions.contacts.places import Pings
-
-__all__ = ["Cuts"]
-
-TIE = 0.05  # of the sigma of a place; tighter ties cost digits
+from nls.missions.contacts.pings import Pings, without
 
 
 class Cuts:
@@ -61,7 +57,7 @@ class Cuts:
 
     def __init__(self, pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index) -> None:
         tracks, dim = estimate.tracks, pings.group.point_dim
-        self.tied, self._d = estimate, np.flatnonzero(of.several(tracks, pieces))
+        self.tied, self._d = estimate, np.flatnonzero(partition.several(tracks, pieces))
         if not len(self._d):
             return
         names, piece = np.unique(np.column_stack([tracks, pieces])[self._d], axis=0, return_inverse=True)
@@ -72,7 +68,7 @@ class Cuts:
         cut, self._g = _cuts(which, pull[order], own[order], self._rough)
         self._spread, self._which = _spread_of_pulls(estimate, np.bincount(piece), which), which[piece]
         self._apart = np.argsort(order)[piece] <= cut[self._which]
-        sigma = TIE * float(np.sqrt(np.median(pings.variances)))
+        sigma = 0.05 * float(np.sqrt(np.median(pings.variances)))  # tighter ties cost digits
         i, j = pings.kind[landmark], pings.kind[landmark + len(tracks)]
         self._tie, self._information = Between(i, j, np.zeros(dim), Isotropic(sigma)), np.eye(dim) / sigma**2
         self.tied = _tied(pings, graph, estimate, self._d[self._apart], self._tie)
@@ -87,13 +83,10 @@ class Cuts:
         """
         leaving = np.zeros(len(self.tied.tracks), dtype=bool)
         if len(self._d):
-            leaving[self._d] = self._apart & (self.falls(marginals) > gate * self._spread)[self._which]
+            Lambda = np.linalg.inv(marginals.relative(*self._tie.keys)) - self._information
+            falls = mahalanobis(self._g, Lambda + self._rough)  # with all else at its best
+            leaving[self._d] = self._apart & (falls > gate * self._spread)[self._which]
         return leaving
-
-    def falls(self, marginals: Marginals) -> Array:
-        """How much chi2 falls (q,) by the cut of each landmark of several pieces, with all else at its best."""
-        Lambda = np.linalg.inv(marginals.relative(*self._tie.keys)) - self._information
-        return mahalanobis(self._g, Lambda + self._rough)
 
 
 def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> tuple[Array, Array]:
@@ -129,7 +122,7 @@ def _cuts(which: Index, pull: Array, own: Array, rough: Array) -> tuple[Index, A
     both = Lambda[inside] + rough, Lambda[last][which[inside]] - Lambda[inside] + rough
     fall = np.full(len(which), -1.0)
     fall[inside] = quadratic(g[inside], np.linalg.inv(both[0]) + np.linalg.inv(both[1]))
-    cut = np.flatnonzero(of.largest(which, fall))
+    cut = np.flatnonzero(partition.largest(which, fall))
     return cut, g[cut]
 
 
@@ -149,7 +142,7 @@ def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, ti
     """An estimate whose sightings `apart` leave their landmarks (q,) for those that these are tied to."""
     tracks, dim = estimate.tracks, pings.group.point_dim
     sightings, *apertures = estimate.graph.factors[len(graph.factors) :]
-    chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
+    chosen, targets = np.flatnonzero(partition.sizes(tracks) > 1), tracks.copy()
     targets[apart] += len(tracks)
     numbers = np.unique(targets[chosen])
     values = without(estimate.values, pings.kind)

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from factors import Diagonal, Elevation, RangeAzimuth, sonar_factors
+from factors import Diagonal, Elevation, Factor, RangeAzimuth, sonar_factors
 from factors.keys import kinds
 from factors.sighting import Sighting
 from factors.sonar import first_contacts, refuse_search
-from models import R, euler
+from models import euler
 from models.algebra import Array, Index, Numbers
-from models.errors import GraphFileError, OptionError, UnderconstrainedError
+from models.errors import OptionError
 from models.sensors import ImagingSonar
+from nls.io.report import Source
 from nls.missions.folder.columns import ANGLES, CONTACT, PLACE, suffixed
+from nls.missions.folder.report import MissionReport, Unnamed
 from nls.missions.folder.rows import Assembly
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline
-from nls.stages import announce, stage
 from nls.values import Values
 
-__all__ = ["add_contacts", "add_unnamed_contacts", "are_named"]
+__all__ = ["add_contacts", "are_named", "leave_contacts", "sonar_parts"]
 
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
@@ -34,42 +37,25 @@ def add_contacts(mission: Assembly, timeline: Timeline, elevation: str) -> Numbe
     """Add what the sonar saw of named landmarks to the graph; returns their numbers, rising."""
     if (table := mission.tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
-    refuse_search(elevation)
-    contacts, rows = _measured(mission, timeline, table.integers("landmark"))
-    _add(mission, contacts, rows, elevation)
+    contacts, rows = _measured(mission, timeline, table.integers("landmark"), elevation)
+    for factor, own in sonar_parts(contacts, table, rows, mission.report, elevation):
+        mission.add(factor, own)
     return np.unique(contacts.keys[1].numbers)
 
 
-def add_unnamed_contacts(mission: Assembly, timeline: Timeline, start: Values, elevation: str) -> Values:
-    """Find which contacts are of one landmark and add those to the graph; the start with these landmarks."""
-    from nls.missions.contacts import associate
-
-    refuse_search(elevation)
-    report = mission.report
-    contacts, rows = _measured(mission, timeline, np.arange(len(mission.tables["contacts"])))
-    assert report.sonar is not None
-    with stage("associate"):
-        announce(f"{len(contacts):,} contacts without names")
-        try:
-            associated = associate(mission.graph, start, contacts, report.sonar.aperture)
-        except UnderconstrainedError as error:
-            needed = "names no landmarks, so that the track must be determined without them"
-            raise GraphFileError(
-                f"{needed}: {error.message}", mission.tables["contacts"].path, advice=error.advice
-            ) from error
-    rows = rows[associated.numbers >= 0]
-    report.notes.append(f"contacts.csv names no landmarks: {associated}")
+def leave_contacts(mission: Assembly, timeline: Timeline, elevation: str) -> None:
+    """Leave contacts without names to the report, with a note; landmarks of the truth have other numbers."""
+    report, table = mission.report, mission.tables["contacts"]
+    contacts, rows = _measured(mission, timeline, np.arange(len(table)), elevation)
+    next(sonar_parts(contacts, table, rows, report, elevation))  # refuses a treatment that association would not have
+    report.unnamed = Unnamed(contacts, table, rows, elevation)
+    report.notes.append(report.unnamed.note(report.path))
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)
-    if not len(rows):
-        return start
-    _add(mission, associated.sightings, rows, elevation)
-    values = Values.of([*start.stacks.values()])
-    values.add(l, R(3), associated.values[l])
-    return values
 
 
-def _measured(mission: Assembly, timeline: Timeline, k: Numbers) -> tuple[RangeAzimuth, Index]:
+def _measured(mission: Assembly, timeline: Timeline, k: Numbers, elevation: str) -> tuple[RangeAzimuth, Index]:
     """The contacts within the track as measurements of landmarks k (n,), and their rows; the sonar in the report."""
+    refuse_search(elevation)
     table, report = mission.tables["contacts"], mission.report
     report.sonar, report.offset = _sonar(mission.tables["sonar"])
     i, within = timeline.poses("contacts", table)
@@ -92,13 +78,15 @@ def _measured(mission: Assembly, timeline: Timeline, k: Numbers) -> tuple[RangeA
     return RangeAzimuth(x[i[rows, 0]], l[k[rows]], z[rows], Diagonal(sigmas[rows]), report.offset), rows
 
 
-def _add(mission: Assembly, contacts: Sighting, rows: Index, elevation: str) -> None:
-    """Add contacts, of rows (n,) of the table, to the graph."""
-    report, (pose, target) = mission.report, contacts.keys[:2]
+def sonar_parts(
+    contacts: Sighting, table: Table, rows: Index, report: MissionReport, elevation: str
+) -> Iterator[tuple[Factor, Source]]:
+    """The factors of contacts, of rows (n,) of the table, each with its lines."""
     assert report.sonar is not None
+    pose, target = contacts.keys[:2]
     for factor in sonar_factors(pose, target, contacts.z, contacts.noise, report.sonar, report.offset, elevation):
         first = first_contacts(pose, target) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
-        mission.add(factor, mission.tables["contacts"].source(rows[first]))
+        yield factor, table.source(rows[first])
 
 
 def _sonar(table: Table) -> tuple[ImagingSonar, Array]:

@@ -87,9 +87,10 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
         No mission; a folder twice; dives with other origins on the Earth; numbers too large for so many dives.
     """
     names = _names(folders)
-    others = [read_mission(folder, elevation, anchored=False, alone=False) for folder in folders[1:]]
+    others = [read_mission(folder, elevation, anchored=False) for folder in folders[1:]]
     alone = not any(report.anchored for _, _, report in others)
-    dives = [read_mission(folders[0], elevation, anchored=alone, alone=False), *others]
+    dives = [read_mission(folders[0], elevation, anchored=alone), *others]
+    _refuse_unnamed([report for _, _, report in (*others, dives[0])])
     _refuse_other_origins([report for _, _, report in dives])
     stride = _stride([values for _, values, _ in dives], str(folders[0]))
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")
@@ -129,6 +130,16 @@ def _names(folders: Sequence[str | Path]) -> list[str]:
         if path.name in [other.name for other in paths[:k]]:
             raise GraphFileError("has the name of another dive; give each folder a name of its own", str(folders[k]))
     return [path.name for path in paths]
+
+
+def _refuse_unnamed(reports: Sequence[MissionReport]) -> None:
+    """Refuse contacts without names."""
+    for report in reports:
+        if report.unnamed is not None:
+            raise report.unnamed.table.at_names(
+                "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or "
+                "solve the dives one by one"
+            )
 
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:

@@ -13,7 +13,7 @@ from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.missions.folder.acoustic import Acoustics
 from nls.missions.folder.calibration import Calibrations, Compass
-from nls.missions.folder.contacts import add_contacts, add_unnamed_contacts, are_named
+from nls.missions.folder.contacts import add_contacts, are_named, leave_contacts
 from nls.missions.folder.dvl import integrated
 from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
 from nls.missions.folder.folder import read_tables
@@ -33,7 +33,7 @@ x, l = kinds("x", "l")
 
 
 def read_mission(
-    folder: str | Path, elevation: str = "hinge", anchored: bool = True, alone: bool = True
+    folder: str | Path, elevation: str = "hinge", anchored: bool = True
 ) -> tuple[FactorGraph, Values, MissionReport]:
     """The graph of a mission folder, dead reckoning as its start, and a report; see the page on formats.
 
@@ -42,14 +42,13 @@ def read_mission(
     folder : a folder of CSV files.
     elevation : what is done about the elevation a sonar does not measure, see `factors.sonar_factors`.
     anchored : whether a pose is held where no file places the mission in the world.
-    alone : whether no other mission shares its landmarks: those of contacts without names are numbered from 0.
 
     Returns
     -------
     graph : over the poses ``x`` and the landmarks ``l``, numbered as in the files. It has `XYH` and `ZPR`, `Position`
-        and `Heading` of the anchor, and the factors of the contacts.
+        and `Heading` of the anchor, and the factors of the contacts. Contacts without names are not in it.
     values : poses by dead reckoning, landmarks where they were seen first.
-    report : with the truth, the sonar and its mounting.
+    report : with the truth, the sonar and its mounting, and the contacts without names, see `nls.missions.associated`.
 
     Raises
     ------
@@ -69,7 +68,7 @@ def read_mission(
         if slow := [finding for finding in report.findings if finding.check == "time step" and "dvl" in tables]:
             table = tables[slow[0].file.removesuffix(".csv")]
             raise table.error("no log of sensors is as slow, and it would have a pose a second", slow[0].line - 1)
-        return (*graph_of(tables, report, elevation, anchored, alone), report)
+        return (*graph_of(tables, report, elevation, anchored), report)
     except GraphFileError as error:
         if not report.findings:
             raise
@@ -79,7 +78,7 @@ def read_mission(
 
 
 def graph_of(
-    tables: dict[str, Table], report: MissionReport, elevation: str, anchored: bool = True, alone: bool = True
+    tables: dict[str, Table], report: MissionReport, elevation: str, anchored: bool = True
 ) -> tuple[FactorGraph, Values]:
     """The graph of the tables of a mission and its start; the report gets what they say besides, see `read_mission`.
 
@@ -103,9 +102,7 @@ def graph_of(
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
     first = add_anchor(mission, numbers, compass, anchored)
-    if not (named := are_named(tables)) and not alone:
-        reason = "landmarks of several dives are told apart by their numbers; add it, or solve the dives one by one"
-        raise tables["contacts"].at_names(f"has no column 'landmark': {reason}")
+    named = are_named(tables)
     points = add_contacts(mission, timeline, elevation) if named else np.zeros(0, dtype=np.int64)
     if named:
         compare_landmarks(report, points)
@@ -117,7 +114,7 @@ def graph_of(
         mission.add(prior, source)
     report.calibrations = calibrations.given()
     if not named:
-        start = add_unnamed_contacts(mission, timeline, start, elevation)
+        leave_contacts(mission, timeline, elevation)
     return graph, start
 
 

@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from factors.base import Factor
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask
 from models.geodesy import LocalPlane
 from nls.io.report import LoadReport
 from nls.values import Values
 
 if TYPE_CHECKING:
+    from factors import RangeAzimuth
     from models.sensors import ImagingSonar
     from nls.missions.checks.findings import Explained, Implausible, TableError
     from nls.missions.folder.table import Table
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Contacts of a mission that names no landmarks; they are in no factor until `nls.missions.associated` finds them.
+
+    Attributes
+    ----------
+    contacts : n of them, within the track; each has its own number for a target.
+    table, rows : contacts.csv, and the row (n,) of each.
+    elevation : what is done about the elevation once their landmarks are known, see `factors.sonar_factors`.
+    """
+
+    contacts: RangeAzimuth
+    table: Table
+    rows: Index
+    elevation: str
+
+    def __len__(self) -> int:
+        return len(self.contacts)
+
+    def note(self, path: str) -> str:
+        """The remark of the report of a mission folder on contacts that are not in its graph."""
+        return (
+            f"contacts.csv names no landmarks: none of its {len(self):,} contacts is in the graph, nor in a file or "
+            f"picture of it. nls solve {shlex.quote(path)} --write-graph FILE finds their landmarks and writes the "
+            "graph with them; in Python nls.missions.associated(graph, values, report)"
+        )
 
 
 @dataclass
@@ -37,6 +67,7 @@ class MissionReport(LoadReport):
     explained : what explains chi2 where it was implausible; None where it was not asked.
     errors : of whole tables at the optimum, as `nls.missions.checks.table_errors` has them.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
+    unnamed : the contacts that name no landmark, and so are in no factor; None where there are none.
     dive_of : the name of the dive that each factor is of; empty for one mission.
     calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
@@ -54,7 +85,13 @@ class MissionReport(LoadReport):
     findings: list[Implausible] = field(default_factory=list)
     explained: Explained | None = None
     errors: list[TableError] = field(default_factory=list)
+    unnamed: Unnamed | None = field(default=None, compare=False, repr=False)
     dive_of: list[str] = field(default_factory=list, repr=False)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The contacts that are not in the graph, where there are some."""
+        return {} if self.unnamed is None else {"contacts_without_names": len(self.unnamed)}
 
     @property
     def tables(self) -> list[str]:

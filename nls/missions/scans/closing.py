@@ -16,18 +16,14 @@ from models.options import check_whole
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.metrics import displacements
-from nls.missions.scans import candidates
 from nls.missions.scans.matches import Matches, sequential_matches
-from nls.missions.scans.scans import Scans
+from nls.missions.scans.scans import Scans, centers, half_widths, pairs
 from nls.optimizers import Result
 from nls.robust import gnc
 from nls.values import Values
 
-__all__ = ["SELECTIONS", "Closing", "Round", "close"]
-
 SELECTIONS = ("gnc", "cauchy", "none")
 ROUNDS = 8
-SETTLED = 0.3  # m rms by which a round changes the shape of the track, below which it is the last
 x = kinds("x")[0]
 
 
@@ -145,7 +141,7 @@ def close(
         if report is not None:
             report(history[-1])
         empty = len(history) > 1 and not any(r.matches.kept.any() for r in history[-2:])
-        if (settled := moved < SETTLED) or empty:
+        if (settled := moved < 0.3) or empty:
             break
     return Closing(closed, result, tuple(history), settled)
 
@@ -167,12 +163,12 @@ def refuse_other_keyframes(values: Values, scans: Scans) -> None:
 
 def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
     """All candidates of a round, matched and judged; none where no two submaps overlap."""
-    middle = candidates.centers(scans)
-    a, b = candidates.pairs(values[x], scans, middle)
+    middle = centers(scans)
+    a, b = pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
     pair = x[i], x[j]
     relative = Marginals(graph, values, pairs=[pair]).relative(*pair) if len(i) else np.zeros((0, 3, 3))
-    return Matches.around(values[x], scans, i, j, candidates.half_widths(relative))
+    return Matches.around(values[x], scans, i, j, half_widths(relative))
 
 
 def shares(i: Index, j: Index) -> Array:

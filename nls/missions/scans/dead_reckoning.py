@@ -16,10 +16,7 @@ from models.options import check_positive
 from nls.graph import FactorGraph
 from nls.values import Values
 
-__all__ = ["Drift", "Reckoning", "dead_reckoning"]
-
 x, d, m = kinds("x", "d", "m")
-STILL = 0.3  # m, the least length of a step for its noise: a vehicle that turns on the spot moves too
 
 
 @dataclass(frozen=True)
@@ -102,7 +99,8 @@ class Reckoning:
         lengths = np.append(self._stretch, np.floor(way[:-1] / drift.length)).astype(np.intp)
         stretch = self.stretches - 1 + np.cumsum(lengths[1:] > lengths[:-1])
         fresh = np.arange(self.stretches, stretch[-1] + 1 if len(z) else self.stretches)
-        k, root = first + np.arange(len(z)), np.sqrt(np.maximum(length, STILL))
+        k = first + np.arange(len(z))
+        root = np.sqrt(np.maximum(length, 0.3))  # m: a vehicle that turns on the spot moves too
         noise = Diagonal(np.column_stack([drift.step * root, drift.step * root, np.full(len(z), drift.yaw)]))
         factors: list[Factor] = []
         if len(z):

@@ -1,15 +1,27 @@
-"""A folder of keyframes and scans: its files, and what is read of them: a graph of dead reckoning, points, a report."""
+"""A folder of keyframes and scans: its files, and what is read of them: a graph of dead reckoning, points, a report.
+
+mission.toml says how the sonar is mounted, and how wrong dead reckoning is:
+
+[sonar]
+azimuth = "left"       positive to the left, or "right"
+x_m = 0.0              place of the sonar on the vehicle, x ahead, y to the left; also y_m
+yaw_rad = 0.0          where it looks, positive to the left
+[drift]                see `nls.missions.scans.Drift`: mean, stretch, length, step, yaw, heading
+heading = false        no compass
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphFileError
 from models.listing import some
+from models.options import did_you_mean, is_number
 from nls.graph import FactorGraph
 from nls.io.report import LoadReport, Source
 from nls.io.unused_lines import note_comments
@@ -17,8 +29,8 @@ from nls.metrics import TrajectoryError, ate
 from nls.missions.folder.columns import ALONE, LOG, TRACK, TURNS
 from nls.missions.folder.folder import names_in, note_others
 from nls.missions.folder.table import Table
+from nls.missions.folder.toml_file import TomlFile
 from nls.missions.scans import Drift, Scans, dead_reckoning
-from nls.missions.scans.settings import Settings, read_settings
 from nls.values import Values
 
 __all__ = ["COLUMNS", "ScanReport", "Truth", "is_scan_mission", "read_scan_mission"]
@@ -32,10 +44,10 @@ OPTIONAL: dict[str, tuple[str, ...]] = {"scans": ("intensity",), "truth": ("yaw"
 NEEDED = ("keyframes", "scans")
 SETTINGS = "mission.toml"
 OTHER_MISSIONS = {*TRACK, *LOG, *ALONE} - {"odometry"}  # names of tables that a scan mission does not have
-FAR = 1e9  # m
-RANGE = 1e3  # m: no sonar that makes images of things sees farther
-LEAST = 2  # keyframes: of a track, and within the truth
 NOT_MISSED = (SETTINGS, "graph.npz", "truth.npz")
+SIDES = {"left": 1.0, "right": -1.0}
+MOUNT = ("x_m", "y_m", "yaw_rad")
+SECTIONS = {"sonar": ("azimuth", *MOUNT), "drift": tuple(entry.name for entry in fields(Drift))}
 
 
 @dataclass(frozen=True)
@@ -187,9 +199,9 @@ def _keyframes(table: Table) -> tuple[Numbers, Array, Array]:
     numbers, times = table.unique("keyframe", "keyframe"), table.rising("time")
     falls, rise = np.append(False, np.diff(numbers) < 0), "expected numbers that rise, sort the rows"
     table.refuse_rows(falls, lambda k: f"keyframe {numbers[k]} after {numbers[k - 1]}; {rise}")
-    if len(numbers) < LEAST:
+    if len(numbers) < 2:
         raise table.at(0, "is the only keyframe; expected two or more")
-    table.within(FAR, "meters, within 1e9", "x", "y")
+    table.within(1e9, "meters, within 1e9", "x", "y")
     table.within(TURNS, "radians, -2 pi to 2 pi", "yaw")
     return numbers, times, table.floats("x", "y", "yaw")
 
@@ -199,7 +211,7 @@ def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, A
     problem = f"no such keyframe in keyframes.csv, which has {len(numbers)} from {numbers[0]} to {numbers[-1]}"
     rows = np.searchsorted(numbers, table.known("keyframe", numbers, problem))
     r = table.positive("range")[:, 0]
-    table.within(RANGE, "meters, within 1000 (in millimeters?)", "range")
+    table.within(1e3, "meters, within 1000 (in millimeters?)", "range")
     azimuth = settings.side * table.within(TURNS, "radians, -2 pi to 2 pi", "azimuth")[:, 0]
     points = r[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     intensity = table.measured("intensity")[:, 0] if table.has("intensity") else None
@@ -210,16 +222,92 @@ def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, A
 
 def _truth(table: Table, times: Array, report: ScanReport) -> Truth:
     """True poses at the keyframes: on the line between two rows."""
-    t, p = table.rising("time"), table.within(FAR, "meters, within 1e9", "x", "y")
+    t, p = table.rising("time"), table.within(1e9, "meters, within 1e9", "x", "y")
     yaw = table.within(TURNS, "radians, -2 pi to 2 pi", "yaw")[:, 0] if table.has("yaw") else np.zeros(len(t))
     inside = (times >= t[0]) & (times <= t[-1])
-    if (count := int(inside.sum())) < LEAST:
+    if (count := int(inside.sum())) < 2:
         raise table.at(
             0,
             f"the truth is of {float(t[0])!r} to {float(t[-1])!r} s and the keyframes of {float(times[0])!r} to "
-            f"{float(times[-1])!r} s: {count} of these within, expected {LEAST} or more",
+            f"{float(times[-1])!r} s: {count} of these within, expected 2 or more",
         )
     if outside := len(times) - count:
         report.notes.append(f"errors are of {count} keyframes, not of {outside} before or after the truth")
     columns = [*p.T, np.unwrap(yaw)]
     return Truth(np.flatnonzero(inside), np.column_stack([np.interp(times[inside], t, c) for c in columns]))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a mission was sailed.
+
+    Attributes
+    ----------
+    side : 1 where azimuths are positive to the left, -1 to the right.
+    mount : pose of the sonar on the vehicle: x ahead and y to the left, m, and yaw, rad.
+    drift : how wrong dead reckoning is.
+    """
+
+    side: float = 1.0
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drift: Drift = field(default_factory=Drift)
+
+
+def read_settings(path: str | Path) -> Settings:
+    """The settings in a file.
+
+    Raises
+    ------
+    GraphFileError
+        No TOML, an unknown section or key, a value that cannot be: with file and line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "mission.toml")
+    ...     _ = file.write_text('[sonar]\\nazimuth = "right"\\nx_m = 0.4\\n')
+    ...     settings = read_settings(file)
+    >>> settings.side, settings.mount
+    (-1.0, (0.4, 0.0, 0.0))
+    """
+    file = TomlFile.read(path)
+    _refuse_unknown(file)
+    sonar, drift = file.tree.get("sonar", {}), file.tree.get("drift", {})
+    side = sonar.get("azimuth", "left")
+    if not isinstance(side, str) or side not in SIDES:
+        near = did_you_mean(side, SIDES) if isinstance(side, str) else ""
+        raise file.error(
+            "sonar", "azimuth", f"azimuth is {side!r}; expected the positive side, 'left' or 'right'{near}"
+        )
+    for name in MOUNT:
+        limit, unit = (6.2832, "rad") if name == "yaw_rad" else (1e3, "m")
+        if not is_number(value := sonar.get(name, 0.0)) or not abs(value) <= limit:
+            raise file.error("sonar", name, f"{name} is {value!r}; expected a number, {unit}, within {limit:g}")
+    for name, value in drift.items():
+        if name == "heading" and value is False:
+            continue
+        if not is_number(value) or not 1e-6 <= value <= 1e3:
+            none = ", or false: no compass" if name == "heading" else ""
+            allowed = f"a number from 1e-06 to 1000{none}"
+            raise file.error("drift", name, f"{name} is {value!r:.40}; expected {allowed}")
+    x, y, yaw = (float(sonar.get(name, 0.0)) for name in MOUNT)
+    given: dict[str, Any] = {name: None if value is False else float(value) for name, value in drift.items()}
+    return Settings(SIDES[side], (x, y, yaw), Drift(**given))
+
+
+def _refuse_unknown(file: TomlFile) -> None:
+    """Refuse sections and keys that a mission does not have."""
+    for section, content in file.tree.items():
+        known = " and ".join(f"[{name}]" for name in SECTIONS)
+        if section not in SECTIONS:
+            raise file.error(
+                section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, SECTIONS)}"
+            )
+        if not isinstance(content, dict):
+            raise file.error(section, "", f"{section} is {content!r}; expected a section, [{section}]")
+        for key in content:
+            if key not in SECTIONS[section]:
+                near = did_you_mean(key, SECTIONS[section])
+                message = f"[{section}] has no {key!r}; expected {', '.join(SECTIONS[section])}{near}"
+                raise file.error(section, key, message)

@@ -16,21 +16,11 @@ from factors import Cauchy, Covariance, Robust, SequentialMatch
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array, Index, Mask
-from nls.missions.scans import candidates
-from nls.missions.scans.field import Field
-from nls.missions.scans.matching import INDEPENDENT, Match, match_submap
-from nls.missions.scans.scans import Scans, submap
+from nls.missions.scans.correlation import INDEPENDENT_POINTS, Field, Match, match_submap
+from nls.missions.scans.scans import SUBMAP_HALF, Scans, submap
 
-__all__ = ["ACCEPTED", "Fits", "Matches", "Verdict", "comparable", "field_before", "sequential_matches", "verdicts"]
-
-SCORE = 0.8  # least log-likelihood for every point: nearly anything; a high floor loses the map, not the wrong matches
-ODDS = 1.5  # least log odds of the best place against the second, in a window of `WIDTH`
-WIDTH = 3.0  # m
-EDGE = 0.3  # most probability at the rim of the window
-SPREAD = 1.0  # m, most standard deviation of the position
-BACK = 6  # keyframes before it with which a scan is matched
-POINTS = (20, 40)  # least points of the scan, and of those before it
-WINDOW = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
+KEYFRAMES_BEFORE = 6  # with which a scan is matched
+WINDOW_BEFORE = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
 x = kinds("x")[0]
 
 
@@ -67,14 +57,15 @@ def verdicts(score: Array, ratio: Array, edge: Array, spread: Array, window: Arr
     >>> [Verdict(v).name for v in verdicts(**same, window=np.array([3.0, 20.0]))]
     ['ACCEPTED', 'AMBIGUOUS']
     """
-    odds = INDEPENDENT * score * (1 - ratio)
-    reasons = [score < SCORE, edge > EDGE, spread > SPREAD, odds < ODDS + 2 * np.log(window / WIDTH)]
+    odds = INDEPENDENT_POINTS * score * (1 - ratio)
+    # of a point nearly any log-likelihood will do: a high floor loses the map, not the wrong matches
+    reasons = [score < 0.8, edge > 0.3, spread > 1.0, odds < 1.5 + 2 * np.log(window / 3.0)]
     names = [Verdict.NO_FIT, Verdict.AT_THE_RIM, Verdict.WIDE, Verdict.AMBIGUOUS]
     return np.asarray(np.select(reasons, names, ACCEPTED), dtype=np.intp)
 
 
 @dataclass(frozen=True)
-class Fits:
+class MatchTable:
     """Matches, one row each; see `Match`.
 
     Attributes
@@ -86,7 +77,8 @@ class Fits:
     Examples
     --------
     >>> import numpy as np
-    >>> fits = Fits.of([Match(np.array([1.0, 0.0, 0.2]), np.diag([0.04, 0.01, 1e-4]), score=2.0, second=0.5, edge=0.1)])
+    >>> one = Match(np.array([1.0, 0.0, 0.2]), np.diag([0.04, 0.01, 1e-4]), score=2.0, second=0.5, edge=0.1)
+    >>> fits = MatchTable.of([one])
     >>> fits.pose, fits.ratio, fits.spread
     (array([[1. , 0. , 0.2]]), array([0.25]), array([0.2]))
     """
@@ -99,7 +91,7 @@ class Fits:
     spread: Array
 
     @classmethod
-    def of(cls, matches: Sequence[Match]) -> Fits:
+    def of(cls, matches: Sequence[Match]) -> MatchTable:
         """The columns of matches, in their order; empty ones of no match."""
         numbers = np.array([(match.score, match.ratio, match.edge, match.spread) for match in matches])
         return cls(
@@ -110,13 +102,13 @@ class Fits:
 
 
 @dataclass(frozen=True)
-class Matches(Fits):
+class Matches(MatchTable):
     """The matched candidates of a round, one row each.
 
     Attributes
     ----------
     i, j : (n,) keyframes in the middle of the earlier and of the later submap.
-    pose, covariance : of j in the frame of i, see `Fits`.
+    pose, covariance : of j in the frame of i, see `MatchTable`.
     window : (n, 2) half widths of the search, m and rad.
     verdict : (n,) `Verdict`, accepted or why not.
     kept : (n,) whether the selection kept it.
@@ -135,7 +127,7 @@ class Matches(Fits):
     def around(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
         """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
         guess = SE2.between(poses[i], poses[j])
-        part = {k: submap(poses, scans, k, candidates.HALF) for k in np.unique(np.append(i, j)).tolist()}
+        part = {k: submap(poses, scans, k, SUBMAP_HALF) for k in np.unique(np.append(i, j)).tolist()}
         by_field: list[Match] = []
         order = np.argsort(i, kind="stable")  # one field at a time: they are large
         for a, rows in groupby(order.tolist(), key=lambda row: int(i[row])):
@@ -143,7 +135,7 @@ class Matches(Fits):
             for row in rows:
                 reach, turn = window[row].tolist()
                 by_field.append(match_submap(field, part[int(j[row])], guess[row], (reach, turn)))
-        fits = Fits.of([by_field[place] for place in np.argsort(order).tolist()])
+        fits = MatchTable.of([by_field[place] for place in np.argsort(order).tolist()])
         verdict = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, window[:, 0])
         return cls(**vars(fits), i=i, j=j, window=window, verdict=verdict, kept=np.zeros(len(i), dtype=bool))
 
@@ -164,25 +156,27 @@ def sequential_matches(poses: Array, scans: Scans) -> SequentialMatch | None:
     scans : the points.
     """
     k = comparable(scans)
-    fits = Fits.of([match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW) for j in k.tolist()])
+    fits = MatchTable.of(
+        [match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW_BEFORE) for j in k.tolist()]
+    )
     unjudged = np.zeros(len(k))  # ratio: a second place is no reason against a match in so narrow a window
-    accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW[0])) == ACCEPTED
+    accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW_BEFORE[0])) == ACCEPTED
     if not accepted.any():
         return None
     j = k[accepted]
-    i = np.maximum(j - (BACK + 1) // 2, 0)
+    i = np.maximum(j - (KEYFRAMES_BEFORE + 1) // 2, 0)
     z = SE2.compose(SE2.between(poses[i], poses[j]), fits.pose[accepted])
-    C = (BACK + 1) * fits.covariance[accepted]  # the points of a scan take part in so many matches
+    C = (KEYFRAMES_BEFORE + 1) * fits.covariance[accepted]  # the points of a scan take part in so many matches
     return SequentialMatch(x[i], x[j], z, Robust(Covariance(C), Cauchy(1.0)))
 
 
 def comparable(scans: Scans) -> Index:
     """Keyframes (n,) that have points enough, and enough in the keyframes before them."""
     starts, k = scans.starts, np.arange(len(scans))
-    before = starts[k] - starts[np.maximum(k - BACK, 0)]
-    return np.flatnonzero((np.diff(starts) >= POINTS[0]) & (before >= POINTS[1]))
+    before = starts[k] - starts[np.maximum(k - KEYFRAMES_BEFORE, 0)]
+    return np.flatnonzero((np.diff(starts) >= 20) & (before >= 40))
 
 
 def field_before(poses: Array, scans: Scans, k: int) -> Field:
     """The field of the keyframes before one, in its frame, from poses (count, 3)."""
-    return Field(submap(poses, scans, k, (BACK, -1)))
+    return Field(submap(poses, scans, k, (KEYFRAMES_BEFORE, -1)))

@@ -24,18 +24,13 @@ from models.options import check_positive
 from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
-from nls.missions.scans import candidates
 from nls.missions.scans.closing import chosen
 from nls.missions.scans.dead_reckoning import Drift, Reckoning
 from nls.missions.scans.matches import Matches
-from nls.missions.scans.scans import Scans
+from nls.missions.scans.scans import FOOTPRINT_CELL, SUBMAP_HALF, SUBMAP_STEP, Scans, centers, half_widths, pairs
 from nls.values import Values
 
-__all__ = ["OnlineClosing"]
-
 x, d, m = kinds("x", "d", "m")
-HELD = 1e-4  # m and rad, of the first pose
-ENOUGH = 0.02  # new closures, part of those in the map, after which all are judged again
 
 
 class OnlineClosing:
@@ -67,7 +62,7 @@ class OnlineClosing:
     """
 
     def __init__(
-        self, drift: Drift | None = None, mount: npt.ArrayLike = (0.0, 0.0, 0.0), enough: float = ENOUGH
+        self, drift: Drift | None = None, mount: npt.ArrayLike = (0.0, 0.0, 0.0), enough: float = 0.02
     ) -> None:
         check_positive(enough=enough)
         if not isinstance(drift, Drift | None):
@@ -112,23 +107,23 @@ class OnlineClosing:
             step = SE2.between(self._reckoned[-1][None], reckoned[None])
             start = Values({x: (SE2, SE2.compose(self.smoother[x[k - 1]][None], step), [k])})
         else:
-            factors.append(Prior(x[0], reckoned, Isotropic(HELD)))
+            factors.append(Prior(x[0], reckoned, Isotropic(1e-4)))
             start = Values({x: (SE2, reckoned[None]), d: (R(2), np.zeros((0, 2))), m: (R(2), np.zeros((1, 2)))})
         self.smoother.update(factors, start)
         self._reckoned.append(reckoned)
         self._points.append(new)
         self._reach.append(float(np.hypot(*scan.points.T).max(initial=0.0)))
-        newest = k - candidates.HALF
-        if newest >= candidates.HALF and (newest - candidates.HALF) % candidates.STEP == 0:
+        newest = k - SUBMAP_HALF
+        if newest >= SUBMAP_HALF and (newest - SUBMAP_HALF) % SUBMAP_STEP == 0:
             self._close(newest)
         return np.asarray(self.smoother[x[k]])
 
     def judge(self) -> None:
         """Judge all accepted matches that have come; by itself that is done whenever enough have."""
-        matches = self._all
-        if matches is None or not matches.accepted.any():
+        if (matches := self.matches) is None or not matches.accepted.any():
             return
-        trusted = [factor for factor in self.smoother.graph.factors if not _closes(factor)]
+        # steps have drifts besides, so relative poses alone are closures
+        trusted = [f for f in self.smoother.graph.factors if [keys.kind for keys in f.keys] != ["x", "x"]]
         closures, _, self._kept = chosen(FactorGraph(trusted), self.smoother.values, matches)
         before, self._closures = self._closures, closures
         if closures is not None:
@@ -163,18 +158,12 @@ class OnlineClosing:
     @property
     def matches(self) -> Matches | None:
         """All candidates so far, matched when the later of the two was new; None before the first."""
-        matches = self._all
-        if matches is not None:
-            matches.kept[np.flatnonzero(matches.accepted)[: len(self._kept)]] = self._kept
-        return matches
-
-    @property
-    def _all(self) -> Matches | None:
-        """All candidates so far in one table."""
         if not self._matches:
             return None
         columns = (np.concatenate([getattr(part, column.name) for part in self._matches]) for column in fields(Matches))
-        return Matches(*columns)
+        matches = Matches(*columns)
+        matches.kept[np.flatnonzero(matches.accepted)[: len(self._kept)]] = self._kept
+        return matches
 
     def __repr__(self) -> str:
         kept = int(self._kept.sum())
@@ -198,7 +187,7 @@ class OnlineClosing:
         scans, middle = self._near(poses, newest)
         if not len(middle) or middle[-1] != newest:
             return
-        a, b = candidates.pairs(poses, scans, middle)
+        a, b = pairs(poses, scans, middle)
         i = middle[a[middle[b] == newest]]
         if not len(i):
             return
@@ -208,14 +197,14 @@ class OnlineClosing:
 
     def _near(self, poses: Array, newest: int) -> tuple[Scans, Index]:
         """The scans whose submaps may overlap with one, and the middles of these, the one itself last."""
-        around = np.arange(-candidates.HALF, candidates.HALF + 1)
-        middle = np.arange(candidates.HALF, newest + 1, candidates.STEP)
+        around = np.arange(-SUBMAP_HALF, SUBMAP_HALF + 1)
+        middle = np.arange(SUBMAP_HALF, newest + 1, SUBMAP_STEP)
         members, at = middle[:, None] + around, poses[:, :2]
         reach = (np.array(self._reach)[members] + np.linalg.norm(at[members] - at[middle, None], axis=2)).max(axis=1)
         distance = np.linalg.norm(at[middle] - at[newest], axis=1)
-        near = middle[distance <= reach + reach[-1] + 2 * candidates.CELL]
+        near = middle[distance <= reach + reach[-1] + 2 * FOOTPRINT_CELL]
         scans = self._scans(np.unique(near[:, None] + around))
-        return scans, np.intersect1d(near, candidates.centers(scans))
+        return scans, np.intersect1d(near, centers(scans))
 
     def _matched(self, poses: Array, scans: Scans, i: Index, newest: int) -> Matches:
         """The submap around a keyframe, matched with those around older ones (n,)."""
@@ -224,9 +213,4 @@ class OnlineClosing:
         j, k = np.full(len(i), newest), np.arange(len(i))
         motion = SE2.between(poses[i], poses[j])
         relative = of_motions(SE2, motion, C[k, k], C[k, -1], C[[-1] * len(i), -1])
-        return Matches.around(poses, scans, i, j, candidates.half_widths(relative))
-
-
-def _closes(factor: Factor) -> bool:
-    """Whether a factor has closures: relative poses, where steps have drifts besides."""
-    return [keys.kind for keys in factor.keys] == ["x", "x"]
+        return Matches.around(poses, scans, i, j, half_widths(relative))

@@ -1,9 +1,13 @@
-"""The points a sensor measured, keyframe by keyframe, and submaps: those of neighboring keyframes in one frame."""
+"""The points a sensor measured, keyframe by keyframe; submaps of neighboring keyframes, and which show the same place.
+
+Pairs of submaps whose footprints overlap are matched, within three sigmas of their relative pose.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse as sp
 
 from models import SE2
 from models.algebra import Array, Index
@@ -11,7 +15,9 @@ from models.errors import GraphError, OptionError
 from models.finite import finite, numbers
 from models.options import check_whole
 
-__all__ = ["Scans", "submap"]
+SUBMAP_HALF = 4  # keyframes on either side of the middle of a submap
+SUBMAP_STEP = 4  # keyframes from middle to middle
+FOOTPRINT_CELL = 5.0  # m, side of the cells in which footprints are compared
 
 
 class Scans:
@@ -134,3 +140,56 @@ def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int])
     rows = slice(scans.starts[first], scans.starts[last])
     T = SE2.between(np.broadcast_to(poses[center], (last - first, 3)), poses[first:last])
     return np.asarray(SE2.act(T[scans.keyframe[rows] - first], scans.points[rows]))
+
+
+def centers(scans: Scans) -> Index:
+    """Middle keyframes (n,) of the submaps that have points enough."""
+    k = np.arange(SUBMAP_HALF, len(scans) - SUBMAP_HALF, SUBMAP_STEP)
+    count = scans.starts[k + SUBMAP_HALF + 1] - scans.starts[k - SUBMAP_HALF]
+    return k[count >= 60]  # points enough
+
+
+def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
+    """Earlier and later submap (n,) of each pair to be matched, as rows of `middle`.
+
+    A submap is paired with those at least 20 keyframes before it whose footprint shares a quarter of the smaller one:
+    nearer ones see the same and close no loop. Of every 8 keyframes the one of largest overlap is taken, 8 at most.
+    """
+    if len(middle) < 2:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    cells = _footprints(poses, scans, middle)
+    shared = sp.coo_array(sp.triu(cells @ cells.T, k=1))
+    size = cells.sum(axis=1)
+    i, j, overlap = shared.row, shared.col, shared.data / np.minimum(size[shared.row], size[shared.col])
+    good = (overlap >= 0.25) & (middle[j] - middle[i] >= 20)
+    i, j, overlap = i[good], j[good], overlap[good]
+    order = np.lexsort((-overlap, middle[i] // 8, j))
+    i, j, overlap = i[order], j[order], overlap[order]
+    first = np.unique(np.column_stack([j, middle[i] // 8]), axis=0, return_index=True)[1]
+    i, j, overlap = i[first], j[first], overlap[first]
+    order = np.lexsort((-overlap, j))
+    i, j = i[order], j[order]
+    rank = np.arange(len(j)) - np.searchsorted(j, j)
+    return i[rank < 8].astype(np.intp), j[rank < 8].astype(np.intp)
+
+
+def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:
+    """(submaps, cells) 1 where a submap has a point in a cell of the world."""
+    cell = np.unique(np.floor(in_world(poses, scans) / FOOTPRINT_CELL).astype(np.int64), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    by_scan = sp.csr_array((np.ones(len(cell)), (scans.keyframe, cell)), shape=(len(scans), int(cell.max()) + 1))
+    around = middle[:, None] + np.arange(-SUBMAP_HALF, SUBMAP_HALF + 1)
+    rows = np.repeat(np.arange(len(middle)), around.shape[1])
+    members = sp.csr_array((np.ones(around.size), (rows, around.ravel())), shape=(len(middle), len(scans)))
+    cells = (members @ by_scan).tocsr()
+    cells.data[:] = 1.0
+    return cells
+
+
+def half_widths(relative: Array) -> Array:
+    """Half widths (n, 2), m and rad, of the search for poses, by their covariances (n, 3, 3) from their partners."""
+    variance = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]])
+    sigma = np.sqrt(np.maximum(variance, 0.0))  # below 0 by rounding, where both poses are as good as one
+    limits = (3.0, 20.0), (np.radians(3.0), np.radians(10.0))  # least and largest half width: m, rad
+    return np.column_stack([np.clip(3.0 * sigma[:, k], *limits[k]) for k in range(2)])

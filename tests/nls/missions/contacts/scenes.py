@@ -8,33 +8,16 @@ from functools import cache
 import numpy as np
 
 import sim
-from factors import BearingRange, Between, Diagonal, Isotropic, Prior
+from factors import XYH, BearingRange, Between, Diagonal, Isotropic, Prior
 from factors.sighting import Sighting
 from models import SE2
-from models.algebra import Array, Index
-from nls import FactorGraph, Marginals, Values, kinds
-from nls.analysis.chi_squared import chi2_gate
-from nls.missions.contacts import gates
-from nls.missions.contacts.anchors import Anchored, Motions
-from nls.missions.contacts.estimate import Estimate
-from nls.missions.contacts.places import Pings
+from models.algebra import Index
+from nls import FactorGraph, Values, kinds
+from nls.missions.contacts.pings import Pings
+from sim.mission import Mission
 
-__all__ = [
-    "GATE",
-    "Scene",
-    "covariances_of_poses",
-    "estimate_of",
-    "floor",
-    "in_plane",
-    "landmark_distances",
-    "poor_ranges",
-    "poses_of",
-    "sighting_distances",
-    "true_pairs",
-    "unnamed",
-]
+__all__ = ["Scene", "drifted", "floor", "in_plane", "poor_ranges"]
 
-GATE = chi2_gate(2, 0.999)
 x, l = kinds("x", "l")
 
 
@@ -63,22 +46,6 @@ class Scene:
         """The sightings, ping by ping."""
         return Pings.of(self.sightings, self.values, l, self.aperture)
 
-    def at_the_truth(self) -> Values:
-        """The true poses alone."""
-        return poses_of(self.truth)
-
-    def truth_of(self, landmarks: Index) -> Values:
-        """The true poses, and some of the true landmarks."""
-        values, numbers = self.at_the_truth(), np.unique(landmarks)
-        values.add(l, self.truth.stack("l").manifold, self.truth[l[numbers]], numbers)
-        return values
-
-    def truth_by(self, tracks: Index) -> Values:
-        """The true poses, and true landmarks by the names of their tracks, each the number of its first sighting."""
-        values, numbers = self.at_the_truth(), np.unique(tracks)
-        values.add(l, self.truth.stack("l").manifold, self.truth[l[self.true[numbers]]], numbers)
-        return values
-
 
 def poses_of(values: Values) -> Values:
     """The poses without the landmarks."""
@@ -91,14 +58,28 @@ def unnamed(sightings: Sighting) -> Sighting:
     return type(sightings)(pose, l[nothing], sightings.z, sightings.noise, sightings.offset)
 
 
+def scene_of(mission: Mission, graph: FactorGraph) -> Scene:
+    true = np.where(mission.wrong, -1, mission.contacts.keys[1].numbers)
+    start, seen = poses_of(mission.start), unnamed(mission.contacts)
+    return Scene(graph, start, seen, mission.sonar.aperture, true, mission.truth)
+
+
 @cache
 def floor(seed: int = 1, outliers: float = 0.0, noise_scale: float = 1.0) -> Scene:
     """One leg over the sea floor, there and back."""
     rng = np.random.default_rng(seed)
     mission = sim.hauv_floor(rng, legs=1, per_leg=12, outliers=outliers, noise_scale=noise_scale)
-    true = np.where(mission.wrong, -1, mission.contacts.keys[1].numbers)
-    known, start = FactorGraph(mission.graph.factors[:4]), poses_of(mission.start)
-    return Scene(known, start, unnamed(mission.contacts), mission.sonar.aperture, true, mission.truth)
+    return scene_of(mission, FactorGraph(mission.graph.factors[:4]))
+
+
+@cache
+def drifted() -> Scene:
+    """Two legs there and back, by a vehicle that hardly knows its heading."""
+    mission = sim.hauv_floor(np.random.default_rng(3), legs=2, per_leg=16)
+    odometry, *others = mission.graph.factors[:4]
+    assert isinstance(odometry, XYH)
+    z = odometry.z + 0.02 * np.random.default_rng(0).normal(size=len(odometry))[:, None] * [0, 0, 1]
+    return scene_of(mission, FactorGraph([XYH(*odometry.keys, z, Diagonal([0.01, 0.01, 0.02])), *others]))
 
 
 @cache
@@ -126,32 +107,3 @@ def poor_ranges() -> Scene:
     sightings = BearingRange(x[i], l[np.zeros(len(i), dtype=int)], z, Diagonal(bearing=0.003, range=0.3))
     values = Values({x: (SE2, X)})
     return Scene(FactorGraph([Prior(x[0], X[0], Isotropic(1e-3)), steps]), values, sightings, None, k, values)
-
-
-def estimate_of(tracks: Index, graph: FactorGraph, values: Values) -> Estimate:
-    """An estimate whose residuals nobody asks for."""
-    return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool), 1.0)
-
-
-def landmark_distances(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, Array]:
-    """As in `nls.missions.contacts.gates`, with covariances of their own."""
-    return gates.landmark_distances(pings, estimate, Anchored(pings, estimate, (landmarks, d)), d, landmarks)
-
-
-def sighting_distances(scene: Scene, c: Index, d: Index) -> tuple[Array, Array]:
-    """As in `nls.missions.contacts.gates`, by dead reckoning."""
-    pings = scene.pings
-    i, j = pings.poses[pings.ping[c]], pings.poses[pings.ping[d]]
-    motions = Motions(Marginals(scene.graph, scene.values, pairs=[(i, j)]).relative(i, j), np.arange(len(c)))
-    return gates.sighting_distances(pings, scene.values, c, d, motions)
-
-
-def covariances_of_poses(pings: Pings, estimate: Estimate) -> Array:
-    """Covariances (m, d, d) of the poses of an estimate."""
-    return pings.covariances_of_poses(Marginals(estimate.graph, estimate.values))
-
-
-def true_pairs(scene: Scene) -> tuple[Index, Index]:
-    """All pairs of sightings of one landmark, the first from the earlier ping."""
-    ping, true = scene.pings.ping, scene.true
-    return np.nonzero((true[:, None] == true) & (true >= 0) & (ping[:, None] < ping))

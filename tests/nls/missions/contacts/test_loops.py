@@ -1,150 +1,85 @@
-"""Loops of a floor that is flown there and back, by a vehicle that hardly knows its heading."""
+"""Motions between local maps: their information, and matches that the others contradict."""
 
 from __future__ import annotations
-
-from functools import cache
-from importlib import import_module
 
 import numpy as np
 import pytest
 
-import sim
-from factors import XYH, Between, Diagonal, Isotropic, Prior
-from models import SE2, SE3
-from models.algebra import Index
-from nls import FactorGraph, Values, kinds
-from nls.filters.association import pair_precision_recall
-from nls.missions.contacts import tracks as of
-from nls.missions.contacts.estimate import estimated
-from nls.missions.contacts.loops import Loop, _held, _Placed, closed
-from nls.missions.contacts.maps import LocalMap, local_maps
-from nls.missions.contacts.places import Pings
-from nls.missions.contacts.stretches import stretches
-from sim.mission import Mission
+from models import SE2, SE3, LieGroup
+from models.algebra import Array
+from nls import kinds
+from nls.analysis.chi_squared import chi2_gate
+from nls.missions.contacts.loops import LocalMap, measured_motion
 
 x, l = kinds("x", "l")
-HEADING = 0.02  # rad, sigma of a step
+GROUPS: dict[str, LieGroup] = {"plane": SE2, "space": SE3}
 
 
-@cache
-def drifted() -> tuple[Mission, Pings, FactorGraph, Values, Index]:
-    """Four legs, odometry with a poor heading, and tracks that are right in every stretch."""
-    mission = sim.hauv_floor(np.random.default_rng(3), legs=4, per_leg=20)
-    odometry, *others = mission.graph.factors[:4]
-    assert isinstance(odometry, XYH)
-    error = HEADING * np.random.default_rng(0).normal(size=len(odometry))
-    z = odometry.z + error[:, None] * [0, 0, 1]
-    graph = FactorGraph([XYH(*odometry.keys, z, Diagonal([0.01, 0.01, HEADING])), *others])
-    values = graph.optimize(Values.of([mission.start.stack("x")])).values
-    pings = Pings.of(mission.contacts, values, l, mission.sonar.aperture)
-    stretch = pings.ping * 4 // len(pings.poses)
-    tracks = of.renamed(mission.contacts.keys[1].numbers * 4 + stretch)
-    return mission, pings, graph, values, tracks
-
-
-def ate(mission: Mission, values: Values) -> float:
-    """Error of the poses, m."""
-    return mission.ate(mission.truth.replaced({"x": values[x]}))
-
-
-def maps_of(pings: Pings, graph: FactorGraph, values: Values, tracks: Index) -> list[list[LocalMap]]:
-    """The maps of four stretches."""
+def two_maps(group: LieGroup, rng: np.random.Generator) -> tuple[LocalMap, LocalMap, Array]:
+    """Maps of the same 40 landmarks, whose errors grow together with the way to the anchor, and the motion between."""
+    k, d = 40, group.point_dim
+    xi = rng.normal(size=group.dim) * ([2.0] * d + [1.0] * (group.dim - d))
+    G = group.exp(xi[None])
+    p = rng.uniform(-6, 6, (k, d))
+    p[-1] *= 3  # far out, it tells the turn
     maps = []
-    for rows, part, between, start in stretches(pings, graph, values, -(-len(pings.poses) // 4)):
-        estimate = estimated(part, between, start, of.renamed(tracks[rows]))
-        maps.append([local.renumbered(rows) for local in local_maps(part, estimate, 3)])
-    return maps
+    for seen in (group.act(G, p), p):
+        bend = np.einsum("k,a->ka", np.abs(seen[:, 0]), 0.02 * np.eye(d)[1])
+        own = np.einsum("kl,ij->klij", np.eye(k), np.diag([0.02, 0.06, 0.03][:d]) ** 2)
+        C = np.einsum("ki,lj->klij", bend, bend) + own
+        L = np.linalg.cholesky(C.swapaxes(1, 2).reshape(k * d, k * d))
+        maps.append(LocalMap(x[[0]], np.arange(k), seen + (L @ rng.normal(size=k * d)).reshape(k, d), C))
+    return maps[0], maps[1], G
 
 
-def test_loops_bring_the_poses_back_and_join_the_tracks() -> None:
-    mission, pings, graph, values, tracks = drifted()
-    joined, poses = closed(pings, graph, values, tracks, maps_of(pings, graph, values, tracks), 0.999)
-    assert ate(mission, values) > 0.25  # landmarks are half a meter apart
-    assert ate(mission, poses) < 0.6 * ate(mission, values)
-    true = mission.contacts.keys[1].numbers
-    score = pair_precision_recall(joined, true)
-    assert score.precision > 0.99
-    assert score.recall > 1.5 * pair_precision_recall(tracks, true).recall
+@pytest.mark.parametrize("name", GROUPS)
+def test_the_information_of_a_motion_is_neither_more_nor_less_than_its_error(name: str) -> None:
+    group, rng, k = GROUPS[name], np.random.default_rng(0), np.arange(40)
+    nees = []
+    for _ in range(100):
+        a, b, G = two_maps(group, rng)
+        start = group.compose(G, group.exp(0.05 * rng.normal(size=(1, group.dim))))[0]
+        motion, Omega, agree = measured_motion(group, a, b, k, k, start, chi2_gate(group.point_dim, 0.9999))
+        error = group.log(group.between(motion[None], G))[0]
+        nees.append(error @ Omega @ error)
+        assert np.count_nonzero(~agree) <= 1
+    assert 0.85 * group.dim < np.mean(nees) < 1.15 * group.dim
 
 
-def test_without_landmarks_the_poses_stay() -> None:
-    mission, pings, graph, values, tracks = drifted()
-    joined, poses = closed(pings, graph, values, tracks, [[], []], 0.999)
-    np.testing.assert_array_equal(joined, tracks)
-    assert ate(mission, poses) == ate(mission, values)
+@pytest.mark.parametrize("name", GROUPS)
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_far_match_is_compared_with_what_the_others_predict(name: str, wrong: bool) -> None:
+    """It tells most of the turn, and bends the motion its own way."""
+    group, rng, k, left_out = GROUPS[name], np.random.default_rng(2), np.arange(12), 0
+    few = np.append(np.arange(11), 39)
+    gate = chi2_gate(group.point_dim, 0.995)
+    for _ in range(40):
+        a, b, G = two_maps(group, rng)
+        a, b = (LocalMap(q.anchor, q.sightings[few], q.p[few], q.C[np.ix_(few, few)]) for q in (a, b))
+        a.p[-1] += 0.5 * wrong * rng.permuted(np.eye(group.point_dim)[0])
+        left_out += not measured_motion(group, a, b, k, k, G[0], gate)[2][-1]
+    assert left_out >= 34 if wrong else left_out <= 2
 
 
-def test_a_loop_that_does_not_fit_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    mission, pings, graph, values, tracks = drifted()
-    maps, loops = maps_of(pings, graph, values, tracks), import_module("nls.missions.contacts.loops")
-    wrong, said, tried = SE3.exp(np.array([[2.0, 0, 0, 0, 0, 0]]))[0], [], []
-
-    def never(_: object, a: int, b: int, *__: object) -> Loop | None:
-        tried.append((a, b))
-        k = np.arange(20)
-        return Loop(wrong, 1e4 * np.eye(6), k, k[::-1], np.zeros(20)) if len(tried) == 1 else None
-
-    monkeypatch.setattr(loops._Placed, "loop", never)
-    monkeypatch.setattr(loops, "announce", said.append)
-    joined, poses = closed(pings, graph, values, tracks, maps, 0.999)
-    assert [line.split()[0] for line in said] == ["0"]
-    assert tried.count(tried[0]) == 1
-    assert not any(a // 2 == b // 2 for a, b in tried)  # two maps of one stretch
-    np.testing.assert_array_equal(joined, tracks)
-    assert ate(mission, poses) < 1.01 * ate(mission, values)
+@pytest.mark.parametrize("name", GROUPS)
+def test_nothing_agrees_where_most_matches_are_wrong(name: str) -> None:
+    group, k = GROUPS[name], np.arange(40)
+    a, b, G = two_maps(group, np.random.default_rng(1))
+    motion, Omega, agree = measured_motion(group, a, b, k, k[::-1], G[0], chi2_gate(group.point_dim, 0.999))
+    assert not agree.any()
+    assert np.isfinite([*motion, *Omega.reshape(-1)]).all()
+    one = a._replace(p=0 * a.p), b._replace(p=0 * b.p)  # all at one point: no turn is told, and nothing fails
+    assert np.isfinite(measured_motion(group, *one, k, k, G[0], 1e9)[1]).all()
 
 
-def test_held_poses_have_no_loop_to_find() -> None:
-    mission, pings, graph, values, tracks = drifted()
-    maps = maps_of(pings, graph, values, tracks)
-    held = FactorGraph(graph.factors, [pings.poses])
-    _, poses = closed(pings, held, values, tracks, maps, 0.999)
-    assert ate(mission, poses) == ate(mission, values)
-
-
-def test_a_wrong_loop_is_taken_back_and_right_ones_stay() -> None:
-    """It draws the poses after it, so that its own residual is small and those of others are not."""
-    n = 12
-    truth = np.column_stack([[*range(6), *range(5, -1, -1)], [0.0] * 6 + [0.5] * 6, np.zeros(n)])
-    i, sigmas = np.arange(n - 1), np.array([0.1, 0.1, 0.01])
-    steps = Between(x[i], x[i + 1], SE2.between(truth[:-1], truth[1:]), Diagonal(sigmas))
-    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
-    loops = {}
-    for a in range(6):
-        motion = SE2.between(truth[[a]], truth[[n - 1 - a]])[0]
-        none = np.zeros(0, dtype=np.intp)
-        loops[a, n - 1 - a] = Loop(
-            motion + np.array([1.0, 0, 0]) * (a == 2), np.eye(3) / 0.02**2, none, none, np.zeros(0)
-        )
-    held, marginals = _held(graph, values, x[np.arange(n)], loops, 0.995)
-    assert [*held] == [pair for pair in loops if pair[0] != 2]
-    np.testing.assert_allclose(marginals.values[x], truth, atol=1e-6)
-
-
-def test_loops_of_one_map_share_its_errors() -> None:
-    """Three of them: the motion is known a third as well as each one says."""
-    truth, k = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]]), np.arange(3)
-    steps = Between(x[k], x[k + 1], SE2.between(truth[:-1], truth[1:]), Isotropic(10.0))
-    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
-    none = np.zeros(0, dtype=np.intp)
-    loops = {
-        (0, b): Loop(SE2.between(truth[[0]], truth[[b]])[0], np.eye(3) / 0.02**2, none, none, np.zeros(0))
-        for b in (1, 2, 3)
-    }
-    held, marginals = _held(graph, values, x[np.arange(4)], loops, 0.995)
-    assert [*held] == [*loops]
-    C = marginals.relative(x[[0, 0, 0]], x[[1, 2, 3]])
-    np.testing.assert_allclose(C, np.broadcast_to(3 * 0.02**2 * np.eye(3), C.shape), rtol=1e-3, atol=1e-6)
-
-
-def test_maps_are_aligned_in_the_frame_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    C = np.diag([0.01, 0.04]) * np.eye(3)[:, :, None, None]
-    p = np.array([[1.0, 2], [3, 4], [5, 6]])
-    first, second = (LocalMap(x[[k]], np.arange(3), p, C) for k in range(2))
-    X, seen = np.array([[0.0, 0, 0], [1, 2, np.pi / 2]]), []
-    monkeypatch.setattr(import_module("nls.missions.contacts.loops"), "aligned", lambda *args: seen.append(args))
-    assert _Placed(SE2, [first, second], X, np.zeros((2, 2, 3, 3)), 9.0).loop(0, 1, np.eye(3)) is None
-    _, a, b, *_ = seen[0]
-    np.testing.assert_allclose(a.p, [[0, 0], [2, -2], [4, -4]], atol=1e-12)
-    np.testing.assert_allclose(a.C, np.broadcast_to(np.diag([0.04, 0.01]), (3, 2, 2)), atol=1e-12)
-    np.testing.assert_array_equal(b.C, np.broadcast_to(np.diag([0.01, 0.04]), (3, 2, 2)))
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_match_that_the_others_contradict_is_left_out(name: str) -> None:
+    group, k = GROUPS[name], np.arange(40)
+    gate = chi2_gate(group.point_dim, 0.999)
+    a, b, G = two_maps(group, np.random.default_rng(1))
+    others = np.where(k < 3, (k + 1) % 3, k)  # three landmarks are taken for one another
+    motion, _, agree = measured_motion(group, a, b, k, others, G[0], gate)
+    assert not agree[:3].any()
+    assert np.count_nonzero(agree) >= 35
+    same = np.flatnonzero(agree)
+    np.testing.assert_allclose(motion, measured_motion(group, a, b, same, same, G[0], gate)[0], atol=1e-6)

@@ -1,8 +1,9 @@
-"""Missions whose contacts name no landmarks: read, solved, and refused where names are needed."""
+"""Missions whose contacts name no landmarks: read without them, solved with them, refused where names are needed."""
 
 from __future__ import annotations
 
-import sys
+import re
+import shlex
 from functools import cache
 from pathlib import Path
 
@@ -12,12 +13,15 @@ import pytest
 import nls
 import sim
 from factors import Elevation, ElevationHinge, RangeAzimuth
-from models.errors import GraphFileError, OptionError
-from nls import kinds
+from models.errors import GraphFileError, GraphWarning, OptionError
+from nls import FactorGraph, kinds
 from nls.cli import main
 from nls.filters.association import pair_precision_recall
+from nls.missions import MissionReport, associated
 from nls.missions.folder.write import mission_files
+from tests.nls.io.g2o_files import PLANE
 from tests.nls.missions.folder.mission_files import TINY, folder
+from tests.nls.missions.scans import room_files
 
 x, l = kinds("x", "l")
 
@@ -56,13 +60,56 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
 
 
-def test_it_is_read_and_every_factor_knows_its_line(tmp_path: Path) -> None:
+def test_it_is_read_without_its_contacts_which_are_counted(tmp_path: Path) -> None:
+    path = written(tmp_path / "m")
+    graph, values, report = nls.load(path)
+    assert list(values.stacks) == ["x"]
+    assert not any(isinstance(factor, RangeAzimuth | Elevation | ElevationHinge) for factor in graph.factors)
+    assert len(report.sources) == len(graph.factors)
+    count = len(names_of().splitlines()) - 1
+    assert report.counts == {"contacts_without_names": count}
+    assert f"none of its {count} contacts is in the graph" in report.notes[-1]
+    assert isinstance(report, MissionReport)
+    assert report.sonar is not None
+    assert "l" not in report.truth.stacks
+
+
+def test_no_reading_command_solves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], undrawn: None
+) -> None:
+    unnamed, named = written(tmp_path / "m"), folder(tmp_path / "named")
+    scans = room_files.write(tmp_path / "scans", room_files.room(1))
+    (tmp_path / "plane.g2o").write_text(PLANE)
+
+    def optimize(*_: object, **__: object) -> None:
+        raise AssertionError("a reader solves")
+
+    monkeypatch.setattr(FactorGraph, "optimize", optimize)
+    for file in map(str, (unnamed, named, scans, tmp_path / "plane.g2o")):
+        nls.load(file)
+        assert main(["info", file]) == 0
+        assert main(["plot", file, str(tmp_path / "out.png")]) == 0
+        assert main(["convert", file, str(tmp_path / "out.npz")]) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        assert out.count("contacts.csv names no landmarks: none of its") == 3 * (file == str(unnamed))
+    for command in ("solve", "explain"):
+        with pytest.raises(AssertionError, match="a reader solves"):
+            main([command, str(unnamed), "--debug"])
+
+
+def test_every_factor_that_association_adds_knows_its_line(tmp_path: Path) -> None:
     given, path = mission(), written(tmp_path / "m")
     head, rest = (path / "contacts.csv").read_text().split("\n", 1)
     false = "0,1.05,0.0,0.01,0.004"  # is of no landmark, so that rows and measurements are not the same
     (path / "contacts.csv").write_text("\n".join([head, false, rest]))
-    graph, values, report = nls.load(path, elevation="prior")
-    assert len(report.sources) == len(graph.factors)
+    read = nls.load(path, elevation="prior")
+    assert isinstance(read[2], MissionReport)
+    graph, values, report = associated(read[0], read[1], read[2])
+    assert (len(read[0].factors), list(read[1].stacks), len(read[2].notes)) == (4, ["x"], 1)  # as they were
+    assert (report.unnamed, report.counts) == (None, {})
+    assert associated(graph, values, report) == (graph, values, report)
+    assert len(report.sources) == len(graph.factors) == 6
     (k,) = (k for k, factor in enumerate(graph.factors) if isinstance(factor, RangeAzimuth))
     contacts = graph.factors[k]
     lines = (path / "contacts.csv").read_text().splitlines()
@@ -79,41 +126,66 @@ def test_it_is_read_and_every_factor_knows_its_line(tmp_path: Path) -> None:
         assert int(lines[number - 1].split(",")[0]) == graph.factors[j].keys[0].numbers[row]
     true = [-1] + [int(line.split(",")[1]) for line in names_of().splitlines()[1:]]
     numbers = np.full(len(true), -1)
-    numbers[[int(report.place(k, row).rsplit(":", 1)[1]) - 2 for row in range(len(contacts))]] = contacts.keys[
-        1
-    ].numbers
+    rows = [int(report.place(k, row).rsplit(":", 1)[1]) - 2 for row in range(len(contacts))]
+    numbers[rows] = contacts.keys[1].numbers
     assert min(pair_precision_recall(numbers, true)) > 0.9
-    assert "l" not in report.truth.stacks
     assert values.stack("l").numbers.tolist() == list(range(len(values.stack("l"))))
     result = graph.optimize(values)
     assert result.converged
     assert given.ate(result.values) < given.ate(given.start)
 
 
-def test_the_command_line_solves_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], undrawn: None) -> None:
-    path = written(tmp_path / "m")
-    assert main(["solve", str(path), "-o", str(tmp_path / "out")]) == 0
+def test_what_convert_advises_writes_the_graph_that_was_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], undrawn: None
+) -> None:
+    path = written(tmp_path / "a dive")
+    assert main(["convert", str(path), str(tmp_path / "read.npz")]) == 0
+    advised = re.search(r"nls (solve .* --write-graph FILE) finds", capsys.readouterr().out)
+    assert advised
+    file = str(tmp_path / "solved.json")
+    words = [file if word == "FILE" else word for word in shlex.split(advised[1])]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert "names no landmarks" in out
-    assert len((tmp_path / "out/map.csv").read_text().splitlines()) > 20
+    assert "sightings are of" in out
+    assert f"written     {file}" in out
+    graph, values, _ = nls.load(file)
+    again = graph.optimize(values)
+    np.testing.assert_allclose(again.values[x], values[x], atol=1e-6)
+    solved = np.loadtxt(tmp_path / "out/map.csv", delimiter=",", skiprows=1, usecols=(0, 1, 2, 3))
+    np.testing.assert_array_equal(solved[:, 1:], values[l[solved[:, 0].astype(int)]])
+    assert len(solved) > 20
+    assert list(nls.load(tmp_path / "read.npz")[1].stacks) == ["x"]
 
 
-def test_contacts_that_nothing_joins_leave_the_track(
-    tmp_path: Path, undrawn: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_a_graph_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr("nls.io._read", None)
+    (tmp_path / "plane.g2o").write_text(PLANE)
+    path, file = str(written(tmp_path / "m")), str(tmp_path / "plane.g2o")
+    for words, problem in (
+        ([path, "--write-graph", str(tmp_path / "out.g2o")], "a mission cannot be written as g2o"),
+        ([path, "--write-graph", str(tmp_path / "out.xyz")], "--write-graph"),
+        ([path, "--write-graph", str(tmp_path / "no/out.npz")], "--write-graph"),
+        ([file, "--write-graph", str(tmp_path / "out.npz")], "-o writes another graph"),
+    ):
+        assert main(["solve", *words]) == 2
+        assert problem in capsys.readouterr().err
+
+
+def test_contacts_that_nothing_joins_leave_the_track(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two of one pose: no landmark has three."""
     rows = "".join(line + "\n" for line in without_names(TINY["contacts"]).splitlines()[:3])
-    graph, values, report = nls.load(folder(tmp_path / "m", contacts=rows, landmarks=None))
-    assert list(values.stacks) == ["x"]
-    assert sum(len(factor) for factor in graph.factors if isinstance(factor, RangeAzimuth | ElevationHinge)) == 0
-    assert len(report.sources) == len(graph.factors)
-    assert graph.optimize(values).converged
-    assert main(["solve", str(tmp_path / "m"), "-o", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert main(["info", str(tmp_path / "m")]) == 0
-    assert "2 contacts without names" in capsys.readouterr().err
+    path = folder(tmp_path / "m", contacts=rows, landmarks=None)
+    read, start, report = nls.load(path)
+    assert isinstance(report, MissionReport)
+    graph, values, report = associated(read, start, report)
+    assert (list(values.stacks), len(graph.factors)) == (["x"], len(read.factors))
+    assert main(["solve", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "0 of 2 sightings are of 0 landmarks" in out
 
 
 def test_dives_need_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -133,5 +205,8 @@ def test_a_track_that_is_not_determined_is_said_with_the_file(tmp_path: Path) ->
     path = written(tmp_path / "m")
     text = (path / "zpr.csv").read_text().splitlines(keepends=True)
     (path / "zpr.csv").write_text("".join(text[:2] + text[3:]))
+    with pytest.warns(GraphWarning, match="1 poses have no row in"):
+        graph, values, report = nls.load(path)
+    assert isinstance(report, MissionReport)
     with pytest.raises(GraphFileError, match=r"contacts\.csv: names no landmarks.*x1: z, roll, pitch.*not determined"):
-        nls.load(path)
+        associated(graph, values, report)

@@ -11,7 +11,7 @@ from models.errors import GraphError, OptionError
 from nls import Values, kinds
 from nls.metrics import ate
 from nls.missions.scans import Closing, Matches, Round, Scans, Verdict, close, dead_reckoning
-from nls.missions.scans.closing import SELECTIONS, SETTLED
+from nls.missions.scans.closing import SELECTIONS
 from sim import Scene
 from tests.combinations import for_all
 from tests.factors.evaluated import Array, refused, same
@@ -56,9 +56,18 @@ def test_two_laps_in_a_room(closing: Closing) -> None:
     assert set(np.flatnonzero(last.kept)) <= set(np.flatnonzero(last.accepted))
 
 
+def test_any_step_that_changes_shows_in_the_rounds(closing: Closing) -> None:
+    """Submaps, pairs and windows; matches and what became of them; the optimum."""
+    counts = [(len(r.matches), int(r.matches.accepted.sum()), int(r.matches.kept.sum())) for r in closing.rounds]
+    assert counts == [(115, 77, 71), (126, 96, 96)]
+    same([r.matches.window.sum() for r in closing.rounds], [1188.5952742, 387.9212269], rtol=1e-6)
+    same([r.chi2_dof for r in closing.rounds], [0.0508367198, 0.0404731114], rtol=1e-6)
+    same([r.moved for r in closing.rounds], [1.740078026, 0.226363539], rtol=1e-6)
+
+
 def test_a_round_is_what_its_graph_says(closing: Closing) -> None:
     assert 2 <= len(closing.rounds) <= 8
-    assert closing.rounds[-1].moved < SETTLED <= closing.rounds[-2].moved
+    assert closing.rounds[-1].moved < 0.3 <= closing.rounds[-2].moved
     same(closing.rounds[-1].poses, closing.values[x])
     same(closing.rounds[-1].chi2_dof, closing.result.chi2_final / closing.result.dof)
     assert closing.rounds[1].matches.window.mean() < closing.rounds[0].matches.window.mean(), "of the better estimate"

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from nls.cli import main
 from nls.missions.scans import Drift
-from nls.missions.scans.folder import COLUMNS
-from nls.missions.scans.settings import KEYS, read_settings
+from nls.missions.scans.folder import COLUMNS, SECTIONS, read_settings
 from nls.missions.scans.solution import CLOSURES, MAP, TRAJECTORY, WORDS
 from tests.nls.io.formats_page import columns_of, files_of, section, shown_tables
 from tests.nls.missions.scans.room_files import room, write
@@ -26,7 +25,7 @@ def test_every_file_and_column_is_defined_and_no_other() -> None:
 def test_every_key_is_shown_with_its_default(tmp_path: Path) -> None:
     (text,) = re.findall(r"^```toml\n(.*?)^```$", section(TITLE), re.M | re.S)
     shown = tomllib.loads(text)
-    assert {name: tuple(keys) for name, keys in shown.items()} == KEYS
+    assert {name: tuple(keys) for name, keys in shown.items()} == SECTIONS
     assert shown["drift"] == asdict(Drift())
     (tmp_path / "mission.toml").write_text(text)
     assert read_settings(tmp_path / "mission.toml").side == -1

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls.missions.scans import Field, Match, Verdict, match
+from nls.missions.scans.correlation import YAW_STEP, scores
 from nls.missions.scans.matches import verdicts
-from nls.missions.scans.matching import FLOOR, YAW_STEP, scores
 from tests.factors.evaluated import Array, refused, same
 
+FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas of any match, m m rad
 WINDOW = (3.0, np.radians(8.0))
 S = np.arange(0, 12, 0.2)
 WALL = np.column_stack([S, 0 * S])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nls.missions.scans import Drift
-from nls.missions.scans.settings import Settings, read_settings
+from nls.missions.scans.folder import Settings, read_settings
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import radians
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ import sim
 from models.errors import GraphError, OptionError
 from models.sensors import DIDSON_HIGH, OCULUS_M750D, ImagingSonar
 from nls.missions.sonar import Detections, detect
-from nls.missions.sonar.cfar import detectors, false_alarm_rate, multiplier
+from nls.missions.sonar.detection import Detector, false_alarm_rate, multiplier
 from tests.combinations import for_all
 
 NEAR = replace(OCULUS_M750D, window=(0.5, 20.5))
+DETECTORS = get_args(Detector)
 TRAIN, GUARD = 20, 5
 
 
@@ -31,7 +33,7 @@ def rates(sonar: ImagingSonar, images: int, detector: str, false_alarms: float, 
     return counts / (images * sonar.beams * np.array([sonar.bins - 2 * reach, 2 * reach]))
 
 
-@for_all(detector=detectors(), false_alarms=[1e-2, 1e-3])
+@for_all(detector=DETECTORS, false_alarms=[1e-2, 1e-3])
 def test_the_rate_of_false_alarms_in_rayleigh_noise_is_the_stated_one(detector: str, false_alarms: float) -> None:
     """2.0 million cells, 102,000 of them with a cut window: 100 false alarms there at 1e-3."""
     middle, cut = rates(NEAR, 4, detector, false_alarms)
@@ -57,14 +59,14 @@ def test_multipliers_agree_with_the_sums_of_the_papers() -> None:
         assert both == pytest.approx(2 * (1 + T) ** -20.0)  # min and max of the two sums are the two sums
         assert false_alarm_rate("soca", 2, 1, T) == pytest.approx(2 / (2 + T))
         assert false_alarm_rate("os", 2, 2, T) == pytest.approx(4 * 3 * 2 / (4 + T) / (3 + T) / (2 + T))
-    for detector in detectors():
+    for detector in DETECTORS:
         for sides in (1, 2):
             for rate in (0.5, 1e-3, 1e-12):
                 T = multiplier(detector, sides, 20, rate)
                 assert false_alarm_rate(detector, sides, 20, T) == pytest.approx(rate, rel=1e-8)
 
 
-@for_all(detector=detectors(), guard=[0, 2])
+@for_all(detector=DETECTORS, guard=[0, 2])
 def test_windows_are_the_stated_cells(detector: str, guard: int) -> None:
     """Cell by cell, as the definition reads; a cut window is its other side."""
     sonar, train, rate = ImagingSonar("small", 3, 30, 1.0, 0.2, (1.0, 4.0)), 4, 0.3
@@ -84,7 +86,7 @@ def test_windows_are_the_stated_cells(detector: str, guard: int) -> None:
     assert 15 < len(expected) < 40
 
 
-@for_all(detector=detectors(), bin=[0, 24, 25, 300, 486, 487, 511], level=[1e-3, 1e3])
+@for_all(detector=DETECTORS, bin=[0, 24, 25, 300, 486, 487, 511], level=[1e-3, 1e3])
 def test_an_echo_is_detected_in_its_cell(detector: str, bin: int, level: float) -> None:
     image = np.random.default_rng(1).rayleigh(level, (96, 512))
     image[70, bin] = 30 * level
@@ -101,7 +103,7 @@ def test_a_second_echo_in_the_window_masks_the_first_only_for_the_mean() -> None
     image = np.random.default_rng(2).rayleigh(0.05, (96, 512))
     image[40, 200], image[40, 212] = 0.5, 2.0
     hidden = {
-        detector: 200 not in DIDSON_HIGH.bin(detect(image, DIDSON_HIGH, detector).range) for detector in detectors()
+        detector: 200 not in DIDSON_HIGH.bin(detect(image, DIDSON_HIGH, detector).range) for detector in DETECTORS
     }
     assert hidden == {"ca": True, "soca": False, "goca": True, "os": False}
 

@@ -10,7 +10,7 @@ from models.algebra import Array, Mask
 from models.sensors import spherical
 from nls import FactorGraph, Values, kinds
 from nls.missions import elevations
-from nls.missions.sonar.mirror_images import ALIKE, mirrored
+from nls.missions.sonar.elevation import mirrored
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")
@@ -44,7 +44,7 @@ def test_against_chi2_on_a_fine_grid(heave: float) -> None:
     for step in steps:
         e = spherical((q - step).reshape(-1, 3))[0][:, :2].reshape(*other.shape, 2)
         chi2 += np.square((e - spherical(p - step)[0][:, None, :2]) / SIGMAS).sum(axis=-1)
-    alike = chi2.min(axis=1) < ALIKE
+    alike = chi2.min(axis=1) < 9
     assert doubtful(graph, values, p).tolist() == (alike & (np.arange(5) != 2)).tolist()  # one is near to its image
     assert alike.all() == (heave < 1)
 

@@ -26,7 +26,7 @@ from nls import (
     kinds,
 )
 from nls.missions.sonar import TwoView, two_views
-from nls.missions.sonar.relative_pose import search
+from nls.missions.sonar.two_view import search
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")
