@@ -136,6 +136,25 @@ def test_imports_go_one_way() -> None:
     assert list(upward()) == []
 
 
+def test_storeys_import_downward() -> None:
+    """Those of `tools/rooms.py`. Missions are imported by the command line, the simulator and doors alone."""
+    from tools.rooms import STOREYS
+
+    storey_of = {room: k for k, inside in enumerate(STOREYS.values()) for room in inside}
+    upward, visitors = [], []
+    for path in (path for path in FILES if name_of(path).startswith(("nls/", "sim/"))):
+        rooms = {name.split(".")[1] for name in imports_of(path) if name.startswith("nls.")}
+        here = storey_of.get(room_of(path), 0)  # of users and of `sim`: above all
+        upward += [f"{name_of(path)} imports {room}" for room in rooms if storey_of.get(room, 9) < here]
+        visitors += [name_of(path)] * ("missions" in rooms and room_of(path) not in {"missions", "sonar", "cli", "sim"})
+    assert upward == ["nls/plot/__init__.py imports missions"]  # pictures under their public path, when they are used
+    assert visitors == ["nls/plot/__init__.py"]
+    assert set(storey_of) == {room_of(path) for path in FILES if name_of(path).startswith("nls/")} - {
+        "__init__",
+        "__main__",
+    }
+
+
 def test_the_root_of_nls_holds_no_other_modules() -> None:
     of_users, of_all = {"gauge", "graph", "posegraph", "system", "values"}, {"lazy", "stages"}
     assert {path.stem for path in (ROOT / "nls").glob("*.py")} == {"__init__", "__main__", *of_users, *of_all}
