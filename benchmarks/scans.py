@@ -8,17 +8,15 @@ Each size is measured in fresh processes with one BLAS thread.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pinv import RESULTS, child, exponent, machine, peak_memory, positive, write_page  # the script beside this one
+from harness import Table, child, exponent, make_page, peak_memory, positive
 
 SIZES = (250, 500, 1000, 2000, 4000)
 POINTS = 100  # of a keyframe
@@ -96,10 +94,10 @@ def all_at_once(count: int) -> dict[str, Any]:
     def watch(owner: Any, name: str, stage: str) -> None:
         inner = getattr(owner, name)
 
-        def timed(*arguments: Any) -> Any:
+        def timed(*arguments: Any, **options: Any) -> Any:
             begin = process_time()
             try:
-                return inner(*arguments)
+                return inner(*arguments, **options)
             finally:
                 seconds[stage] += process_time() - begin
 
@@ -155,6 +153,11 @@ def while_driving(count: int) -> dict[str, Any]:
     }
 
 
+def measure(what: str, count: str) -> dict[str, Any]:
+    """One of both."""
+    return {"whole": all_at_once, "online": while_driving}[what](int(count))
+
+
 def rmse(poses: Array, truth: Array) -> float:
     """Of the positions, the first pose being known, m."""
     return float(np.sqrt(np.square(poses[:, :2] - truth[:, :2]).sum(axis=1).mean()))
@@ -165,53 +168,37 @@ def rmse(poses: Array, truth: Array) -> float:
 
 def tables(whole: list[dict[str, Any]], online: list[dict[str, Any]]) -> list[str]:
     """Markdown: all at once, then while the vehicle drives, one row a size."""
-    n = [run["keyframes"] for run in whole]
-    columns = ("keyframes", "matched", "closures", *STAGES, "**total, s**", "memory, MB", "reckoned, m", "map, m")
-    lines = [f"## All at once, {ROUNDS} rounds", "", "| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    n = [run["keyframes"] for run in whole][-UPPER:]
+
+    def laws(runs: list[Any], names: Sequence[str]) -> list[str]:
+        return [f"{exponent(n, [run[name] for run in runs][-UPPER:]):.2f}" for name in names]
+
+    lines = Table(
+        ["keyframes", "matched", "closures", *STAGES, "**total, s**", "memory, MB", "reckoned, m", "map, m"], names=0
+    )
     for run in whole:
         cells = [f"{run['keyframes']:,}", f"{run['matched']:,}", f"{run['closures']:,}"]
         cells += [f"{run['seconds'][stage]:.3g}" for stage in STAGES] + [f"**{run['seconds']['total']:.3g}**"]
-        cells += [f"{run['bytes'] / 1e6:,.0f}", f"{run['reckoned']:.2f}", f"{run['off']:.2f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    laws = [exponent(n[-UPPER:], [run["seconds"][stage] for run in whole][-UPPER:]) for stage in (*STAGES, "total")]
-    laws.append(exponent(n[-UPPER:], [run["bytes"] for run in whole][-UPPER:]))
-    if len(n) >= UPPER:
-        lines.append("| keyframes^p | | | " + " | ".join(f"{p:.2f}" for p in laws) + " | | |")
+        lines.add(*cells, f"{run['bytes'] / 1e6:,.0f}", f"{run['reckoned']:.2f}", f"{run['off']:.2f}")
     columns = ("keyframes", "total, s", "median, ms", "p99", "worst", "mean of the last tenth", "memory, MB", "map, m")
-    lines += ["", "## While the vehicle drives", ""]
-    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    others = Table(columns, names=0)
     for run in online:
         times = [f"{run[name]:.3g}" for name in ("total", "median", "p99", "worst", "last")]
-        cells = [f"{run['keyframes']:,}", *times, f"{run['bytes'] / 1e6:,.0f}", f"{run['off']:.2f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    laws = [exponent(n[-UPPER:], [run[name] for run in online][-UPPER:]) for name in ("total", "last", "bytes")]
-    if len(n) >= UPPER:
-        lines.append("| keyframes^p | {:.2f} | | | | {:.2f} | {:.2f} | |".format(*laws))
-    return lines
+        others.add(f"{run['keyframes']:,}", *times, f"{run['bytes'] / 1e6:,.0f}", f"{run['off']:.2f}")
+    if len(n) == UPPER:
+        seconds = laws([run["seconds"] for run in whole], (*STAGES, "total"))
+        lines.append(f"| keyframes^p | | | {' | '.join([*seconds, *laws(whole, ['bytes'])])} | | |")
+        online_laws = laws(online, ("total", "last", "bytes"))
+        others.append("| keyframes^p | {} | | | | {} | {} | |".format(*online_laws))
+    return [f"## All at once, {ROUNDS} rounds", "", *lines, "", "## While the vehicle drives", "", *others]
 
 
-# --- command line -----------------------------------------------------------------------------------------------------
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help=f"{SIZES[0]} keyframes alone")
-    parser.add_argument("--largest", type=positive, default=SIZES[-1], metavar="KEYFRAMES")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for scans.md")
-    parser.add_argument("--child", nargs=2, metavar=("WHAT", "KEYFRAMES"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        what, count = options.child
-        print(json.dumps({"whole": all_at_once, "online": while_driving}[what](int(count))))
-        return 0
-    head = machine()
-    sizes = [size for size in SIZES if size <= (SIZES[0] if options.quick else options.largest)]
+def page(quick: bool, largest: float) -> list[str]:
+    """The page without its head."""
+    sizes = [size for size in SIZES if size <= (SIZES[0] if quick else largest)]
     run = partial(child, sys.executable, __file__, "--child")
     whole, online = ([run(what, size) for size in sizes] for what in ("whole", "online"))
-    lines = [
-        "# Scans to a map: time and memory",
-        "",
-        *head,
+    return [
         f"- The harbor is simulated. The vehicle goes {LAPS} times around each basin and takes a keyframe of "
         f"{POINTS} points every meter",
         "- Times are processor times of one thread. Memory is the peak of a fresh process above its memory before "
@@ -225,9 +212,11 @@ def main() -> int:
         "",
         *tables(whole, online),
     ]
-    write_page(lines, options.out / "scans.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    make_page(
+        *(__doc__, "scans.md", "Scans to a map: time and memory", page, measure),
+        quick={"action": "store_true", "help": f"{SIZES[0]} keyframes alone"},
+        largest={"type": positive, "default": SIZES[-1], "metavar": "KEYFRAMES"},
+    )

@@ -122,7 +122,7 @@ def follow(cure: str, folder: Path) -> str:
     return ""
 
 
-@for_all(name=list(CASES))
+@pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("ignore::nls.GraphWarning")
 def test_the_cause_is_named_and_its_cure_works(name: str, tmp_path: Path) -> None:
     """The error after it is within 1.5 times that of the right tables with the same constant left open."""

@@ -161,7 +161,7 @@ def test_what_convert_advises_writes_the_graph_that_was_solved(
 def test_a_graph_that_cannot_be_written_is_refused_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("nls.io._read", None)
+    monkeypatch.setattr("nls.io.graph_files._read", None)
     (tmp_path / "plane.g2o").write_text(PLANE)
     path, file = str(written(tmp_path / "m")), str(tmp_path / "plane.g2o")
     for words, problem in (
