@@ -27,11 +27,11 @@ from nls.missions.scans import (
     Matches,
     OnlineClosing,
     Scans,
-    candidates,
     close,
     dead_reckoning,
+    correlation,
     matches,
-    matching,
+    scans,
 )
 from nls.missions.scans.folder import read_scan_mission
 
@@ -50,13 +50,13 @@ OTHERS = """\
 | leadline, sonar alone, defaults | **{own:.2f}** |
 """
 PARAMETERS: list[tuple[Any, str]] = [  # by module and name: halved and doubled
-    (candidates, "PARTNERS"),
-    (candidates, "SPREAD"),
-    (matching, "INDEPENDENT"),
-    (matching, "BENT"),
-    (matches, "SCORE"),
-    (matches, "ODDS"),
-    (matches, "SPREAD"),
+    (scans, "MOST_PARTNERS"),
+    (scans, "PARTNER_SPACING"),
+    (correlation, "INDEPENDENT_POINTS"),
+    (correlation, "BENT_SUBMAP"),
+    (matches, "LEAST_SCORE"),
+    (matches, "LEAST_ODDS"),
+    (matches, "WIDEST_SPREAD"),
 ]
 
 
@@ -232,18 +232,18 @@ def page(data: Path, quick: bool) -> list[str]:
 
 
 TUNED = """\
-Chosen while looking at the truth of this mission: `matching.INDEPENDENT`, `matches.ODDS`, `matches.EDGE`,
-`matches.SPREAD`, `candidates.PARTNERS`, `candidates.SPREAD`, `Drift.stretch` and `Drift.length`. `matching.BENT` was
-chosen on simulated harbors besides. The others stayed as they were first written.
+Chosen while looking at the truth of this mission: `correlation.INDEPENDENT_POINTS`, `matches.LEAST_ODDS`,
+`matches.WIDEST_SPREAD`, the probability at the rim, `scans.MOST_PARTNERS`, `scans.PARTNER_SPACING`, `Drift.stretch` and
+`Drift.length`. `correlation.BENT_SUBMAP` was chosen on simulated harbors besides. The others stayed as they were first written.
 
 The map has two ends, near 0.7 m and near 5 m, and the tables above do not show all ways into the second. One variant
 widens the covariance of matches along a single straight wall, by the normals of their points. Three forms of it were
-tried and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with PARTNERS
-doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with PARTNERS halved and doubled.
+tried and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with the partners
+doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with the partners halved and doubled.
 
 Points of a scan outside of what the map has observed, the sectors of its keyframes, may be neutral: neither for nor
 against a pose. Tried and left out. In closures and sequential matches: 0.68 m, settled after 5 rounds; in sequential
-matches alone 0.71 m. With `matching.INDEPENDENT` 25 and `matches.SPREAD` 1.2 m besides: 0.68 m, and on simulated quays
+matches alone 0.71 m. With `INDEPENDENT_POINTS` 25 and `WIDEST_SPREAD` 1.2 m besides: 0.68 m, and on simulated quays
 the mean d2/3 of the matcher is 0.79, 1.56 without. But two of twenty simulated marinas of 160 keyframes stay 1.5 m and
 5.3 m off, 0.6 m and 0.5 m without. The cause is not known. In closures alone, without points that one keyframe saw
 alone, this mission ended unsettled at 4.80 m.

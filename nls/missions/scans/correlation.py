@@ -43,6 +43,7 @@ MOST_CELLS = 40_000_000  # of a grid: 160 MB, and 200 MB while it is made
 MOST_SCORES = 50_000_000  # of a window, with their transforms 1 GB
 INDEPENDENT_POINTS = 40.0  # in a match: with as many or fewer, every point counts
 YAW_STEP = float(np.radians(1.0))
+BENT_SUBMAP = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad: dead reckoning drifts within a submap
 Squares = npt.NDArray[np.unsignedinteger]
 
 
@@ -225,8 +226,7 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
 def match_submap(field: Field, points: Array, guess: Array, window: tuple[float, float]) -> Match:
     """As `match`, of submaps: they are bent by the drift within them, and the covariance says so."""
     fit = match(field, points, guess, window)
-    bent = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad
-    return replace(fit, covariance=fit.covariance + np.diag(bent**2))
+    return replace(fit, covariance=fit.covariance + np.diag(BENT_SUBMAP**2))
 
 
 def scores(

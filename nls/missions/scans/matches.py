@@ -19,6 +19,9 @@ from models.algebra import Array, Index, Mask
 from nls.missions.scans.correlation import INDEPENDENT_POINTS, Field, Match, match_submap
 from nls.missions.scans.scans import SUBMAP_HALF, Scans, submap
 
+LEAST_SCORE = 0.8  # log-likelihood of a point: nearly any; a high floor loses the map, not the wrong matches
+LEAST_ODDS = 1.5  # log odds of the best place against the second, in a window of 3 m
+WIDEST_SPREAD = 1.0  # m, standard deviation of the position
 KEYFRAMES_BEFORE = 6  # with which a scan is matched
 WINDOW_BEFORE = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
 x = kinds("x")[0]
@@ -58,8 +61,8 @@ def verdicts(score: Array, ratio: Array, edge: Array, spread: Array, window: Arr
     ['ACCEPTED', 'AMBIGUOUS']
     """
     odds = INDEPENDENT_POINTS * score * (1 - ratio)
-    # of a point nearly any log-likelihood will do: a high floor loses the map, not the wrong matches
-    reasons = [score < 0.8, edge > 0.3, spread > 1.0, odds < 1.5 + 2 * np.log(window / 3.0)]
+    doubt = odds < LEAST_ODDS + 2 * np.log(window / 3.0)
+    reasons = [score < LEAST_SCORE, edge > 0.3, spread > WIDEST_SPREAD, doubt]
     names = [Verdict.NO_FIT, Verdict.AT_THE_RIM, Verdict.WIDE, Verdict.AMBIGUOUS]
     return np.asarray(np.select(reasons, names, ACCEPTED), dtype=np.intp)
 

@@ -17,6 +17,8 @@ from models.options import check_whole
 
 SUBMAP_HALF = 4  # keyframes on either side of the middle of a submap
 SUBMAP_STEP = 4  # keyframes from middle to middle
+PARTNER_SPACING = 8  # keyframes of the track from which one partner of a submap is taken
+MOST_PARTNERS = 8  # of one submap
 FOOTPRINT_CELL = 5.0  # m, side of the cells in which footprints are compared
 
 
@@ -163,14 +165,14 @@ def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
     i, j, overlap = shared.row, shared.col, shared.data / np.minimum(size[shared.row], size[shared.col])
     good = (overlap >= 0.25) & (middle[j] - middle[i] >= 20)
     i, j, overlap = i[good], j[good], overlap[good]
-    order = np.lexsort((-overlap, middle[i] // 8, j))
+    order = np.lexsort((-overlap, middle[i] // PARTNER_SPACING, j))
     i, j, overlap = i[order], j[order], overlap[order]
-    first = np.unique(np.column_stack([j, middle[i] // 8]), axis=0, return_index=True)[1]
+    first = np.unique(np.column_stack([j, middle[i] // PARTNER_SPACING]), axis=0, return_index=True)[1]
     i, j, overlap = i[first], j[first], overlap[first]
     order = np.lexsort((-overlap, j))
     i, j = i[order], j[order]
     rank = np.arange(len(j)) - np.searchsorted(j, j)
-    return i[rank < 8].astype(np.intp), j[rank < 8].astype(np.intp)
+    return i[rank < MOST_PARTNERS].astype(np.intp), j[rank < MOST_PARTNERS].astype(np.intp)
 
 
 def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:

@@ -22,7 +22,6 @@ from nls.missions.checks.trials import explained, worth_trying
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.folder import read_tables
 from nls.missions.folder.table import csv_text
-from tests.combinations import for_all
 from tests.nls.missions.checks.dives import Dive, Tables
 
 Spoil = Callable[[Tables], object]
