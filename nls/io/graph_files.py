@@ -56,7 +56,7 @@ def load(
 
     Returns
     -------
-    graph, values, report : of a mission, dead reckoning as values, and a `nls.missions.folder.MissionReport`; of a scan
+    graph, values, report : of a mission, dead reckoning as values, and a `nls.missions.MissionReport`; of a scan
         mission a `nls.missions.scans.folder.ScanReport`, which has the points.
 
     Raises

@@ -6,9 +6,3 @@ and fixes under water show a clock (`clocks.clocks_by_spans`), and so does the w
 with it as a variable proves it (`trials.explained`). Scans show both of their sensor (`scan_mounting.mounting`). Graphs
 without tables have `nls.analysis.clock` and `nls.analysis.calibrations`.
 """
-
-from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, Trial
-from nls.missions.checks.inspection import implausible, of_log
-from nls.missions.checks.log import Fixes, Log
-
-__all__ = ["Cause", "Explained", "Fixes", "Implausible", "Log", "Reading", "Trial", "implausible", "of_log"]

@@ -58,7 +58,7 @@ def read_mission(
     OptionError
         No such treatment of the elevation.
     """
-    from nls.missions.checks import implausible
+    from nls.missions.checks.inspection import implausible
 
     tables, report = read_tables(folder)
     report.findings = implausible(tables, plane_of(tables.get("origin")))

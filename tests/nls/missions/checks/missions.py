@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.algebra import Array
-from nls.missions.checks import Fixes, Log
+from nls.missions.checks.log import Fixes, Log
 from nls.missions.folder.table import csv_text
 from tests.nls.missions.checks.vehicle import clean
 from tests.nls.missions.folder.mission_files import RAW

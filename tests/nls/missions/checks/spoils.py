@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from models.algebra import Array
-from nls.missions.checks import Cause, Fixes, Log, Reading
+from nls.missions.checks.findings import Cause, Reading
+from nls.missions.checks.log import Fixes, Log
 
 __all__ = ["SPOILS"]
 V = "vx_m_s, vy_m_s, vz_m_s"

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from models import SE3
-from nls.missions.checks import Cause, Fixes, Log, Reading, of_log
+from nls.missions.checks.findings import Cause, Reading
+from nls.missions.checks.inspection import of_log
+from nls.missions.checks.log import Fixes, Log
 from tests.combinations import for_all
 from tests.nls.missions.checks.spoils import SPOILS
 from tests.nls.missions.checks.vehicle import SIGMAS, clean

@@ -12,10 +12,12 @@ import pytest
 
 import nls
 from models.algebra import Array
-from nls.missions.checks import Cause, Fixes, Log, implausible
 from nls.missions.checks.agreement import of_fixes
 from nls.missions.checks.alone import tilt_of
 from nls.missions.checks.clocks import clocks_by_spans
+from nls.missions.checks.findings import Cause
+from nls.missions.checks.inspection import implausible
+from nls.missions.checks.log import Fixes, Log
 from nls.missions.folder.columns import COLUMNS, OPTIONAL
 from nls.missions.folder.table import Table
 from tests.combinations import for_all

@@ -11,7 +11,8 @@ import pytest
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.missions.checks import Cause, Implausible, implausible
+from nls.missions.checks.findings import Cause, Implausible
+from nls.missions.checks.inspection import implausible
 from nls.missions.checks.special import repeated
 from nls.missions.folder.folder import read_tables
 from nls.missions.folder.table import Table, csv_text

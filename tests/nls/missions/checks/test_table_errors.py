@@ -13,8 +13,8 @@ from models import SE3, euler
 from models.algebra import Array
 from models.sensors import spherical
 from nls.missions import MissionReport, read_mission
-from nls.missions.checks import Cause, table_errors
-from nls.missions.checks.findings import TableError
+from nls.missions.checks import table_errors
+from nls.missions.checks.findings import Cause, TableError
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
 from tests.nls.missions.folder.test_motion import ARM, T, fixes, logs, state

@@ -17,7 +17,7 @@ from models.algebra import apply
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.cli import main
-from nls.missions.checks import Cause, Implausible, Reading
+from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.trials import explained, worth_trying
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.folder import read_tables

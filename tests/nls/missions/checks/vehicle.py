@@ -8,7 +8,7 @@ from models import SE3
 from models.algebra import Array, apply
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
-from nls.missions.checks import Fixes, Log
+from nls.missions.checks.log import Fixes, Log
 
 __all__ = ["clean"]
 SIGMAS = {
