@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from factors import Factor
+from models.algebra import Array
 from nls import Values
 
-Array = npt.NDArray[np.float64]
 same = np.testing.assert_allclose
 
 
@@ -32,3 +31,12 @@ def refused(make: Callable[[], object], kind: type[Exception], named: str) -> Ex
     with pytest.raises(kind, match=named) as caught:
         make()
     return caught.value
+
+
+def same_rows(part: Factor, whole: Factor, rows: list[int], values: Values) -> None:
+    """A part of a batch is some of its rows."""
+    assert type(part) is type(whole)
+    assert part.keys == tuple(keys[rows] for keys in whole.keys)
+    (A, b), (A_all, b_all) = linearized(part, values), linearized(whole, values)
+    for mine, every in zip((*A, b), (*A_all, b_all), strict=True):
+        same(mine, every[rows], rtol=1e-12, atol=1e-13)

@@ -5,39 +5,33 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import factors
-from factors import Between, Factor, Information, Isotropic, Prior, SqrtInformation, check_jacobians
+from factors import Between, Factor, Information, Isotropic, Noise, Prior, SqrtInformation, check_jacobians
+from factors.joined import joined
 from factors.keys import Keys
 from models import SE2, SE3, SO3, LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError, NoiseModelError
 from nls import Values, kinds
 from tests.combinations import for_all
-from tests.factors.evaluated import error, linearized, same
-from tests.factors.samples import (
-    CASES,
-    Sample,
-    derivative,
-    full_noise,
-    innovation_by_hand,
-    situation,
-    states,
-    turned,
-    whiteners,
-)
-from tests.factors.samples import SAMPLES as POSE_SAMPLES
+from tests.factors import samples
+from tests.factors.evaluated import error, linearized, refused, same, same_rows
+from tests.factors.samples import CASES, Sample, derivative, full_noise, innovation_by_hand, situation, whiteners
 from tests.factors.samples_camera import CAMERA_SAMPLES
 from tests.factors.samples_plane import PLANE_SAMPLES
 from tests.factors.samples_sensors import SENSOR_SAMPLES
 from tests.factors.samples_shifted import SHIFTED_SAMPLES
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES, SONAR_SAMPLES
 
-Array = npt.NDArray[np.float64]
-SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *CAMERA_SAMPLES, *PLANE_SAMPLES, *SHIFTED_SAMPLES]
+SAMPLES = [*samples.SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *CAMERA_SAMPLES, *PLANE_SAMPLES, *SHIFTED_SAMPLES]
 every_sample = pytest.mark.parametrize("sample", SAMPLES, ids=str)
+PARTED = [sample for sample in [*SAMPLES, *ELIMINATING_SAMPLES] if not sample.name.startswith("from_function")]
 
 
 def concrete_factors() -> set[type[Factor]]:
@@ -105,6 +99,70 @@ def test_b_by_hand(sample: Sample) -> None:
         assert low <= sizes[CASES.index(case)] <= high, case
 
 
+@for_all(sample=PARTED)
+def test_what_does_not_fit_is_refused_by_name(sample: Sample) -> None:
+    """Another number of values or measurements, a number that is none, another space of each variable."""
+    X, z = situation(sample, "truth", 3, 0)
+    keys, broken = sample.factor(z, Isotropic()).keys, z.copy()
+    broken[1, -1] = np.nan
+    for wrong, named in (
+        (np.column_stack([z, np.abs(z[:, 0])]), "expected"),
+        (z[[0, 1, 2, 0]], r"\[0, 1, 2\]"),
+        (broken, "element 1 .*not finite"),
+    ):
+        refused(lambda wrong=wrong: sample.values(X).gather(sample.build(keys, wrong, Isotropic())), GraphError, named)
+    for slot in range(len(X)):
+        spaces, stacks = list(sample.manifolds), list(X)
+        spaces[slot], stacks[slot] = R(9), np.zeros((3, 9))
+        values = replace(sample, manifolds=tuple(spaces)).values(tuple(stacks))
+        refused(lambda values=values: values.gather(sample.factor(z, Isotropic())), GraphError, r"R\(9\)")
+
+
+@for_all(sample=PARTED)
+def test_parts_have_the_rows_of_the_batch_and_are_joined_to_it(sample: Sample) -> None:
+    n, case = 7, "truth" if sample in ELIMINATING_SAMPLES else "large innovation"
+    X, z = situation(sample, case, n, 11)
+    values, whole = sample.values(X), sample.factor(z, full_noise(n, sample.dim, 11))
+    for _ in ("not bound yet", "bound"):
+        part = whole[[5, 0, -1, 5]]
+        for name in ("convention", "slots", "unmoved", "relative", "components"):
+            assert getattr(part, name, None) == getattr(whole, name, None)
+        np.testing.assert_array_equal(part.z, z[[5, 0, 6, 5]])
+        assert not part.z.flags.writeable
+        same_rows(part, whole, [5, 0, 6, 5], values)
+    same_rows(part[[1]], whole, [0], values)  # a part of a part
+    (again,) = joined([values.gather(whole[rows])[0] for rows in ([0], [1, 2, 3], [4, 5, 6])])
+    same_rows(again, whole, list(range(n)), values)
+    np.testing.assert_array_equal(whole.z, z)
+    for n in (2, 3, 4, 6):  # as many as something else has rows
+        assert len(sample.factor(z[:n], Isotropic())[::-1]) == n
+
+
+NOISES: list[Callable[[int, int], Noise]] = [  # for n measurements of m numbers; n = 1: for all
+    lambda n, m: factors.Covariance(np.tile(np.eye(m), (n, 1, 1))),
+    lambda n, m: factors.Diagonal(np.ones((n, m))),
+    lambda n, m: Information(np.tile(np.eye(m), (n, 1, 1))),
+    lambda n, m: SqrtInformation(np.tile(np.eye(m), (n, 1, 1))),
+    lambda n, m: factors.Diagonal(**{f"c{k}": np.ones(n) for k in range(m)}),
+    lambda n, m: factors.Robust(NOISES[0](n, m), factors.Huber(1.0)),
+]
+
+
+def test_a_noise_of_another_size_is_refused_when_a_factor_is_made() -> None:
+    sized = {(type(sample.space), sample.dim, str(sample).split("-")[0]): sample for sample in SAMPLES}
+    for (_, m, name), sample in sized.items():
+        for n in (1, 4) if name != "ElevationHinge" else ():  # which takes none
+            z = situation(sample, "truth", n, 0)[1]
+            assert all(len(sample.factor(z, noise(count, m))) == n for noise in NOISES[:2] for count in (1, n))
+            for noise in (*(noise(n + 1, m) for noise in NOISES), Isotropic(np.ones(n + 1))):
+                with pytest.raises(NoiseModelError, match="measurements, there are"):
+                    sample.factor(z, noise)
+            for other in (m + 1 + (z.shape[1] > m), m + 3):  # a quaternion may be a vector of four numbers
+                for sizes in NOISES:
+                    with pytest.raises(NoiseModelError, match=rf"for {other} numbers, expected {m}"):
+                        sample.factor(z, sizes(1, other))
+
+
 def test_check_jacobians_accepts_every_factor() -> None:
     for sample in {str(sample).split("-")[0]: sample for sample in SAMPLES}.values():
         X, z = situation(sample, "large innovation", 3, 1)
@@ -118,8 +176,8 @@ def test_log_equals_g2o_to_first_order_with_converted_information(group: LieGrou
     half = np.where(np.isin(group.components, ("roll", "pitch", "yaw")) & (group.point_dim == 3), 0.5, 1.0)
     W = whiteners(n, group.dim, 6)
     Omega = W.mT @ W
-    X = tuple(states(group, n, "truth", rng) for _ in range(2))
-    direction = turned(group, n, 1.0, 1.0, rng)
+    X = tuple(samples.states(group, n, "truth", rng) for _ in range(2))
+    direction = samples.turned(group, n, 1.0, 1.0, rng)
     off = []
     for size in (1e-2, 1e-3, 1e-4):
         z = group.retract(group.between(*X), size * direction)

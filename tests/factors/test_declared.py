@@ -11,7 +11,6 @@ import pytest
 import scipy.sparse as sp
 
 from factors import Diagonal, Factor, Isotropic, Prior, check_jacobians
-from factors.declared import refuse_undeclared
 from factors.joined import joined
 from factors.keys import Keys
 from models import Manifold, R
@@ -20,8 +19,6 @@ from models.errors import GraphError
 from nls import FactorGraph, Incremental, Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import refused
-from tests.factors.samples import Sample, situation
-from tests.factors.test_conformity import SAMPLES
 
 x, b = kinds("x", "b")
 N = 5
@@ -162,16 +159,3 @@ def test_the_check_finds_what_the_attributes_do_not_show() -> None:
     refused(lambda: check_jacobians(drift(hidden(TIMES), None), VALUES), GraphError, named)
     named = r"^Hidden\(x.*: a batch of the first 3 of its measurements raised ValueError: .*broadcast"
     refused(lambda: check_jacobians(drift(hidden(np.full(N, 2.0)), None), VALUES), GraphError, named)
-
-
-@for_all(n=[2, 3, 4, 6, 7])
-def test_the_factors_of_the_library_declare_all_they_hold(n: int) -> None:
-    for sample in {str(sample).split("-")[0]: sample for sample in SAMPLES}.values():
-        factor = factor_of(sample, n)
-        refuse_undeclared(factor)
-        if not factor.opaque:
-            assert len(factor[::-1]) == n, sample
-
-
-def factor_of(sample: Sample, n: int) -> Factor:
-    return sample.factor(situation(sample, "truth", n, 0)[1], Isotropic(1.0))

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factors import Covariance, Diagonal, Huber, Information, Isotropic, Noise, Prior, Robust, SqrtInformation
+from factors import Covariance, Diagonal, Factor, Huber, Information, Isotropic, Noise, Prior, Robust, SqrtInformation
 from factors.noise import whiten
-from models import SE3, R
+from models import SE2, SE3, R
+from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused, same
 
-Array = npt.NDArray[np.float64]
 PLANE = ("x", "y", "yaw")
 (x,) = kinds("x")
 
@@ -261,3 +260,23 @@ def test_the_caller_may_change_arrays_afterwards() -> None:
     Sigma[:], sigmas[:] = 100.0, 100.0
     np.testing.assert_array_equal(noise.sqrt_information(1, ("x", "y")), [[1.0, 1.0]])
     np.testing.assert_array_equal(other.sqrt_information(1, ("x", "y")), [[1.0, 1.0]])
+
+
+def test_the_size_of_a_noise_may_wait_for_the_variables() -> None:
+    """Four numbers are a quaternion or a vector; three numbers of three variables may be one for each."""
+    for m in (3, 4):
+        assert len(Prior(x[0], [0.0, 0.0, 0.0, 1.0], Covariance(np.eye(m)))) == 1
+    either = Prior(x[0:3], np.zeros(3), Diagonal([1.0, 1.0]))
+    names = ("x", "yaw")
+    assert Prior(x[0], np.zeros(3), Diagonal([1.0, 1.0]), names).bind(SE2).W.shape == (1, 2)
+    for make, named in (
+        (lambda: Prior(x[0], [0.0, 0.0, 0.0, 1.0], Covariance(np.eye(5))), "for 5 numbers, expected 3 or 4"),
+        (lambda: Prior(x[0], np.zeros(3), Diagonal([1.0, 1.0, 1.0]), names), "for 3 numbers, expected 2"),
+        (
+            lambda: Factor.from_function(np.array, x[0], 2, Diagonal([1.0] * 3)),
+            r"array\(x0\): .* 3 numbers, expected 2",
+        ),
+        (lambda: either.bind(R(1)), "2 sigmas"),
+        (lambda: either.bind(SE2), "2 sigmas"),
+    ):
+        refused(make, NoiseModelError, named)

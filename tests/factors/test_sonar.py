@@ -1,17 +1,14 @@
-"""XYH, ZPR, RangeAzimuth and what is done about the elevation: what is refused, what is free, what is biased."""
+"""What is done about the elevation that a sonar does not measure: factors of a hinge, a prior, a search."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import pi, radians, sqrt
+from math import radians, sqrt
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from factors import (
-    XYH,
-    ZPR,
     Diagonal,
     Elevation,
     ElevationHinge,
@@ -21,15 +18,13 @@ from factors import (
     Isotropic,
     Noise,
     Prior,
-    RangeAzimuth,
     Robust,
     sonar_factors,
 )
-from models import SE2, SE3, R, euler
-from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError
-from models.sensors import DIDSON_HIGH, cartesian, range_azimuth
+from models import SE3, R, euler
+from models.errors import GraphError, OptionError
+from models.sensors import DIDSON_HIGH, cartesian
 from nls import FactorGraph, Values, kinds
-from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused, same
 
 Array = npt.NDArray[np.float64]
@@ -37,53 +32,6 @@ x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
 LIMIT = DIDSON_HIGH.aperture / 2
 MOUNTED = euler.to_se3(np.array([0.0, -0.6, 0.0, 0.3, 0.0, 0.1]))
-
-
-def poses(*e: list[float]) -> Array:
-    """Of Euler vectors (roll, pitch, yaw, x, y, z)."""
-    return euler.to_se3(np.array(e, dtype=float))
-
-
-@for_all(
-    case=[
-        (lambda: XYH(x[0], x[1], [1, 2], UNIT), GraphError, r"XYH\(x0, x1\): .*\(2,\)"),
-        (lambda: ZPR(x[0], [1, 2, 3, 4], UNIT), GraphError, r"ZPR\(x0\): .*\(4,\)"),
-        (lambda: XYH(x[0], x[1], [1, 2, 3], UNIT, form="tilted"), OptionError, "'tilted' .*levelled or"),
-        (lambda: ZPR(x[0], [1, 2, 3], Diagonal(x=1, pitch=1, roll=1)), NoiseModelError, r"\['z', 'pitch', 'roll'\]"),
-        (lambda: XYH(x[0], x[1], [1, 2, 3], Diagonal(x=1, y=1, z=1)), NoiseModelError, r"\['x', 'y', 'yaw'\]"),
-        (lambda: RangeAzimuth(x[0], l[0], [1, 2], Diagonal(bearing=1, range=1)), NoiseModelError, "'range', 'azimuth'"),
-        (lambda: RangeAzimuth(x[0], l[0], [1, 2, 3], UNIT), GraphError, r"RangeAzimuth\(x0, l0\): .*\(3,\)"),
-        (lambda: ElevationHinge(x[0], l[0], 7.0), OptionError, r"limit: 7.0 .*\(0, pi / 2\), rad"),
-        (lambda: ElevationHinge(x[0], l[0], "a"), OptionError, "limit: 'a'"),
-        (lambda: ElevationHinge(x[0], l[0], np.array([0.1, 0.2])), OptionError, "limit: array"),
-        (lambda: XYH(x[0], x[1], [1, 2, 3], UNIT, form=["levelled"]), OptionError, "form: "),
-        (lambda: ElevationHinge(x[0], l[0], 0.1, softness=0.0), OptionError, "ElevationHinge: softness: 0.0"),
-        (lambda: RangeAzimuth(o[0], l[0], [1.0, 0.0], UNIT), GraphError, "RangeAzimuth: o0 is in SE2, .* SE3"),
-        (lambda: Elevation(o[0], l[0], 1.0, UNIT), GraphError, "Elevation: o0 is in SE2, .* SE3"),
-        (lambda: RangeAzimuth(x[0], o[0], [1.0, 0.0], UNIT), GraphError, r"o0 is in SE2; .* R\(3\) or SE3"),
-        (lambda: Elevation(x[0], o[0], 1.0, UNIT), GraphError, r"o0 is in SE2; .* R\(3\) or SE3"),
-    ]
-)
-def test_what_does_not_fit(case: tuple[Callable[[], Factor], type[Exception], str]) -> None:
-    make, kind, named = case
-    values = Values({x: (SE3, SE3.identity(2)), l: (R(3), [5, 0, 0]), o: (SE2, [0, 0, 0])})
-    refused(lambda: values.gather(make()), kind, named)
-
-
-def test_singular_geometry_names_the_measurement() -> None:
-    """Pose x1 looks straight up, target l1 is straight below."""
-    X = poses([0] * 6, [0, pi / 2, 0, 0, 0, 0], [0] * 6, [0] * 6)
-    values = Values({x: (SE3, X), l: (R(3), [[5, 0, 0], [0, 0, 3]])})
-    for factor in (
-        XYH(x[[0, 1]], x[[2, 3]], [0, 0, 0], UNIT),
-        ZPR(x[[0, 1]], [0, 0, 0], UNIT),
-        RangeAzimuth(x[[0, 2]], l[[0, 1]], [1, 0], UNIT),
-        Elevation(x[[0, 2]], l[[0, 1]], 0.0, UNIT),
-        ElevationHinge(x[[0, 2]], l[[0, 1]], 0.1),
-    ):
-        keys = ", ".join(repr(k[[1]]) for k in factor.keys)
-        named = rf"{factor.name}\({keys}\): .*(gimbal|target is on)"
-        refused(lambda factor=factor: linearized(factor, values), SingularGeometryError, named)
 
 
 def test_treatments_of_the_elevation() -> None:
@@ -161,18 +109,3 @@ def test_a_hinge_pushes_until_the_target_is_inside_again() -> None:
         same(A_k[:2], of_elevation[:2], atol=1e-12)
         same(A_k[2:], 0.0)
     assert factor.damped
-
-
-def test_targets_seen_once_are_free_within_the_hinge_and_the_rest_is_solved() -> None:
-    """Fewer measurements than unknowns, which is no mistake where limits hold what is free."""
-    n = 3
-    z = np.stack([np.linspace(3.0, 5.0, n), np.linspace(-0.2, 0.2, n)], axis=1)
-    graph = FactorGraph(sonar_factors(x[[0] * n], l[0:n], z, None, DIDSON_HIGH))
-    graph.fix(x[0])
-    near = cartesian(np.column_stack([z + 0.1, np.full(n, 0.05)]))[0]
-    result = graph.optimize(Values({x: (SE3, SE3.identity()), l: (R(3), near)}))
-    assert result.converged
-    assert len(result.underconstrained) == n
-    assert result.dof == 0
-    assert "free: 3 directions" in result.reason
-    same(range_azimuth(result.values[l])[0], z, atol=1e-6)
