@@ -12,7 +12,6 @@ from models.algebra import Array
 from models.dead_reckoning import integrate_plane
 from models.errors import GraphError, OptionError
 from models.vehicles import ackermann
-from tests.models.differences import difference
 
 TRUCK = {"wheelbase": 2.83, "encoder": 0.76, "at": (3.78, 0.5)}
 
@@ -28,9 +27,6 @@ def test_on_a_circle_every_point_turns_about_the_same_center() -> None:
     np.testing.assert_allclose(twist[1], -twist[0])
     assert twist[2, 2] == pytest.approx(-inner / (radius + 0.76))
     np.testing.assert_allclose(twist[3:], [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    u = np.random.default_rng(1).uniform([-3.0, -0.6], [6.0, 0.6], size=(20, 2))
-    found = ackermann(u, **TRUCK)[1]
-    np.testing.assert_allclose(found, difference(lambda v: ackermann(v, **TRUCK)[0], u), atol=1e-8)
 
 
 def test_a_wheelbase_is_above_zero() -> None:

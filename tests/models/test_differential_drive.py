@@ -7,11 +7,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from models import SE2, R
 from models.algebra import Array
 from models.errors import OptionError
 from models.vehicles import differential_drive, travel_sigmas, wheel_travel
-from tests.models.differences import on_group
 
 same = np.testing.assert_allclose
 BASE = 0.7
@@ -23,10 +21,6 @@ def drives(n: int, seed: int = 0) -> tuple[Array, Array]:
     X = np.column_stack([rng.uniform(-5, 5, (n, 2)), rng.uniform(-pi, pi, n)])
     X[0, 2] = pi - 1e-9
     return X, rng.uniform(-0.7, 0.7, (n, 2)) + np.where(np.arange(n) % 3 > 0, 1.0, -1.0)[:, None]
-
-
-def minus(Y: Array, X: Array) -> Array:
-    return SE2.local(X, Y)
 
 
 def test_motion_and_travel_by_hand() -> None:
@@ -46,19 +40,6 @@ def test_travel_is_the_inverse_of_the_motion() -> None:
     h, _ = wheel_travel(X, differential_drive(X, u, BASE)[0], BASE)
     same(h, np.column_stack([u, np.zeros(50)]), atol=1e-13)
     assert np.abs(np.diff(u)).max() / BASE > 1.5
-
-
-def test_derivatives_are_central_differences() -> None:
-    for n in (1, 30):
-        X, u = drives(n, 1)
-        Y, (F_X, F_u) = differential_drive(X, u, BASE)
-        same(F_X, on_group(SE2, lambda X, u=u: differential_drive(X, u, BASE)[0], X, minus=minus), atol=2e-8)
-        same(F_u, on_group(R(2), lambda u, X=X: differential_drive(X, u, BASE)[0], u, minus=minus), atol=2e-8)
-        Y = SE2.retract(Y, np.random.default_rng(3).normal(0, 0.3, (n, 3)))
-        h, (H_X, H_Y) = wheel_travel(X, Y, BASE)
-        assert np.abs(h[:, 2]).max() > 0.05
-        same(H_X, on_group(SE2, lambda X, Y=Y: wheel_travel(X, Y, BASE)[0], X), atol=2e-8)
-        same(H_Y, on_group(SE2, lambda Y, X=X: wheel_travel(X, Y, BASE)[0], Y), atol=2e-8)
 
 
 def test_a_base_is_above_zero() -> None:

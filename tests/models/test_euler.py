@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import SE3, SO3, euler
-from models.algebra import Array
+from models import SE2, SE3, SO3, R, euler
+from models.algebra import Array, wrap
 from models.errors import OptionError, SingularGeometryError
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from tests.combinations import for_all
+from tests.models.differences import on_group
 
 every_shape = for_all(shape=[(), (1,), (3, 1, 2)])
 
@@ -61,15 +62,25 @@ def test_rate_matrix_is_the_body_rotation_of_a_change_of_angles(shape: tuple[int
     rpy = random_angles(shape, 3)
     T = euler.rate_matrix(rpy)
     assert T.shape == (*shape, 3, 3)
-    h, q = 1e-6, euler.quaternion_from_angles(rpy)
-    for k, step in enumerate(h * np.eye(3)):
-        plus, minus = euler.quaternion_from_angles(rpy + step), euler.quaternion_from_angles(rpy - step)
-        w = (SO3.log(SO3.between(q, plus)) - SO3.log(SO3.between(q, minus))) / (2 * h)
-        np.testing.assert_allclose(T[..., k], w, atol=1e-9)
+    flat, turned = rpy.reshape(-1, 3), lambda after, before: SO3.local(before, after)
+    w = on_group(R(3), euler.quaternion_from_angles, flat, minus=turned)
+    np.testing.assert_allclose(T.reshape(w.shape), w, atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(T), np.cos(rpy[..., 1]), atol=1e-14)
     eye = np.broadcast_to(np.eye(3), T.shape)
     np.testing.assert_allclose(euler.rate_matrix_inv(rpy) @ T, eye, atol=1e-12)
     np.testing.assert_allclose(T @ euler.rate_matrix_inv(rpy), eye, atol=1e-12)
+
+
+def test_euler_axes_are_the_change_of_angles_and_position() -> None:
+    X = SE3.exp(np.random.default_rng(6).normal(size=(7, 6)) * 1.3)
+
+    def change(after: Array, before: Array) -> Array:
+        return np.concatenate([wrap(after[:, :3] - before[:, :3]), after[:, 3:] - before[:, 3:]], axis=1)
+
+    np.testing.assert_allclose(SE3.euler_axes(X), on_group(SE3, euler.from_se3, X, minus=change), atol=2e-8)
+    for group in (R(3), SE2, SO3):
+        with pytest.raises(OptionError, match=r"view: 'euler' is not possible.*has no roll"):
+            group.euler_axes(group.identity(7))
 
 
 def test_vectors_of_another_length_are_refused() -> None:
@@ -88,8 +99,9 @@ def test_gimbal_lock_is_refused() -> None:
                 f(X)
         with pytest.raises(SingularGeometryError, match="element 0"):
             euler.rate_matrix_inv(batch[1])
-    with pytest.raises(SingularGeometryError, match="gimbal lock"):
-        euler.covariance_from_se3(poses[1], np.eye(6))
+    for refused in (lambda: euler.covariance_from_se3(poses[1], np.eye(6)), lambda: SE3.euler_axes(poses)):
+        with pytest.raises(SingularGeometryError, match="gimbal lock"):
+            refused()
     for pitch in (1.57, -1.57, np.pi / 2 - 1e-5):  # close to it all works
         rpy = np.array([0.1, pitch, 0.3])
         q = euler.quaternion_from_angles(rpy)

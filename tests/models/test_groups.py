@@ -305,6 +305,23 @@ def test_motion_has_the_derivative_it_says(group: LieGroup, shape: tuple[int, ..
     np.testing.assert_allclose(group.motion(X0, X0)[0], np.zeros_like(c), atol=1e-12)
 
 
+@for_all(group=GROUPS)
+def test_world_axes(group: LieGroup) -> None:
+    """Of the position; and of the rotation of the world that takes R(X) to R(X Exp(delta))."""
+    X = element(group, (7,), np.random.default_rng(23))
+    G, k = group.world_axes(X), group.position(X).shape[-1]
+    assert G.shape == (7, group.dim, group.dim)
+    moved = central(lambda d: group.position(group.retract(X, d)), group.dim, (7,))
+    np.testing.assert_allclose(G[:, :k], moved, atol=1e-9)
+    if group.point_dim:
+        turn = central(lambda d: group.rotation(group.retract(X, d)) @ group.rotation(X).mT, group.dim, (7,))
+        about = [(2, 1), (0, 2), (1, 0)] if group.point_dim == 3 else [(1, 0)]
+        np.testing.assert_allclose(G[:, k:], np.stack([turn[:, i, j] for i, j in about], axis=1), atol=1e-9)
+    assert group.body_axes is bool((G != np.eye(group.dim)).any())  # declared where they differ from the world
+    np.testing.assert_allclose(G @ G.mT, np.broadcast_to(np.eye(group.dim), G.shape), atol=1e-12)
+    np.testing.assert_array_equal(group.world_axes(X[3]), G[3])
+
+
 def test_vector_spaces_are_one_object_each() -> None:
     assert R(2) is R(2)
     assert R(np.int64(2)) is R(2)  # type: ignore[arg-type]

@@ -11,18 +11,13 @@ from models import LINE, SE2
 from models.algebra import Array, wrap
 from models.errors import GraphError
 from models.sensors import line_from_frame, line_in_frame, normalized
-from tests.models.differences import on_group
 
 same = np.testing.assert_allclose
 
 
 def other(l: Array) -> Array:
-    """The same lines by their other normals."""
+    """Lines by their other normals."""
     return np.column_stack([l[:, 0] + pi, -l[:, 1]])
-
-
-def minus(b: Array, a: Array) -> Array:
-    return LINE.local(a, b)
 
 
 def feet(l: Array) -> Array:
@@ -98,11 +93,3 @@ def test_there_and_back() -> None:
     same(wrap(found[:, 0] - l[:, 0]), 0.0, atol=1e-13)
     same(found[:, 1], l[:, 1], atol=1e-12)
     same(LINE.local(l, line_from_frame(X, normalized(h))), 0.0, atol=1e-12)
-
-
-def test_jacobians_are_the_central_differences() -> None:
-    for n in (1, 40):
-        X, l = scene(n, 5)
-        _, (H_X, H_l) = line_in_frame(X, l)
-        same(H_X, on_group(SE2, lambda X, l=l: line_in_frame(X, l)[0], X, minus=minus), atol=1e-7)
-        same(H_l, on_group(LINE, lambda l, X=X: line_in_frame(X, l)[0], l, minus=minus), atol=1e-7)
