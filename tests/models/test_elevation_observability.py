@@ -11,7 +11,7 @@ import pytest
 
 from models import SE3
 from models.algebra import Array
-from models.sensors import cartesian, point_in_frame, range_azimuth, spherical
+from models.sensors import cartesian, point_in_frame, range_azimuth
 
 same = np.testing.assert_allclose
 SIGMAS = np.array([0.01, 0.005])  # range, m; azimuth, rad
@@ -86,24 +86,3 @@ def test_motion_in_the_plane_says_nothing_at_elevation_0_and_little_beside_it(st
 def test_the_table() -> None:
     for step, row in TABLE.items():
         assert [information(step, el=el) for el in (0.0, 0.05)] == pytest.approx(row, rel=1e-3, abs=TINY), step
-
-
-def test_information_is_the_curvature_of_the_misfit_along_the_arc() -> None:
-    """Independent of every Jacobian: the misfit of both views, the other two numbers fitted, over el."""
-    truth = np.array([[4.0, 0.2, 0.05]])
-    z2, _ = second_view("heave", truth)
-
-    def misfit(el: float) -> float:
-        h = np.array([[4.0, 0.2, el]])
-        for _ in range(5):  # fit r and az
-            z, H = second_view("heave", h)
-            b = np.concatenate([(truth - h)[0, :2], (z2 - z)[0]]) / np.tile(SIGMAS, 2)
-            A = np.concatenate([np.eye(2), H[0, :, :2]]) / np.tile(SIGMAS, 2)[:, None]
-            h[0, :2] += np.linalg.lstsq(A, b)[0]
-        z, _ = second_view("heave", h)
-        return float(np.sum(np.square(np.concatenate([(truth - h)[0, :2], (z2 - z)[0]]) / np.tile(SIGMAS, 2))))
-
-    d = 1e-3
-    curvature = (misfit(0.05 + d) - 2 * misfit(0.05) + misfit(0.05 - d)) / (2 * d * d)
-    assert curvature == pytest.approx(information("heave", el=0.05), rel=1e-3)
-    assert spherical(cartesian(truth)[0])[0] == pytest.approx(truth)

@@ -46,24 +46,6 @@ def drawn(n: int, seed: int) -> tuple[Array, Array, Array]:
     return b / np.linalg.norm(b, axis=1, keepdims=True), 2 * rng.normal(size=(n, 3)), rng.uniform(0.1, 5, n)
 
 
-def test_roots_are_those_of_the_polynomial() -> None:
-    b, s, r = drawn(1000, 1)
-    found = ray_range(b, s, r)
-    for k in range(len(r)):
-        d = np.roots([1, -2 * b[k] @ s[k], s[k] @ s[k] - r[k] ** 2])
-        front = sorted(d[np.isreal(d) & (d.real > 0)].real, reverse=True)
-        assert found.roots[k] == len(front)
-        assert found.depth[: len(front), k] == pytest.approx(front, rel=1e-6)
-        assert found.missed[k] == np.iscomplex(d).any()
-    assert np.isfinite(found.depth).sum(axis=0).tolist() == found.roots.tolist()
-    assert np.bincount(found.roots).min() > 50
-    assert found.missed.sum() > 100
-    assert found.behind.sum() > 50
-    distance = np.linalg.norm(found.points - s, axis=-1)
-    there = np.isfinite(found.depth)
-    assert distance[there] == pytest.approx(np.broadcast_to(r, there.shape)[there])
-
-
 def test_derivatives_against_central_differences() -> None:
     def at(b: Array, s: Array, r: Array) -> Array:
         return ray_range(b / np.linalg.norm(b, axis=1, keepdims=True), s, r).points[int(near)]

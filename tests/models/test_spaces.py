@@ -1,4 +1,4 @@
-"""Lines of the plane: two normals of one line, and what a vehicle sees of it."""
+"""Lines of the plane, their two normals and what is seen of them; spaces of named measurements."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from models import LINE, SE2
+from models import LINE, SE2, Measured
 from models.algebra import Array, wrap
-from models.errors import GraphError
+from models.errors import GraphError, OptionError
 from models.sensors import line_from_frame, line_in_frame, normalized
 
 same = np.testing.assert_allclose
@@ -93,3 +93,41 @@ def test_there_and_back() -> None:
     same(wrap(found[:, 0] - l[:, 0]), 0.0, atol=1e-13)
     same(found[:, 1], l[:, 1], atol=1e-12)
     same(LINE.local(l, line_from_frame(X, normalized(h))), 0.0, atol=1e-12)
+
+
+SPACE = Measured("bearing", "range", "yaw")
+
+
+def test_one_space_per_names() -> None:
+    assert Measured("bearing", "range") is Measured("bearing", "range")
+    assert Measured("bearing", "range") is not Measured("range", "bearing")
+    assert repr(SPACE) == "(bearing, range, yaw)"
+    assert (SPACE.dim, SPACE.size, SPACE.components, SPACE.flat) == (3, 3, ("bearing", "range", "yaw"), True)
+
+
+def test_angles_wrap_and_numbers_do_not() -> None:
+    Y = np.array([[-3.0, 9.0, 3.0], [3.0, -9.0, 1.0]])
+    X = np.array([[3.0, 1.0, -3.0], [-3.0, 1.0, 0.0]])
+    turn = 2 * np.pi
+    expected = np.array([[turn - 6.0, 8.0, 6.0 - turn], [6.0 - turn, -10.0, 1.0]])
+    same(SPACE.local(X, Y), expected, atol=1e-15)
+    same(SPACE.retract(X, expected), Y, atol=1e-15)
+    np.testing.assert_array_equal(SPACE.exp(np.array([np.pi, 4.0, -np.pi])), [-np.pi, 4.0, -np.pi])
+    for angle in ("azimuth", "elevation", "bearing", "roll", "pitch", "yaw"):
+        same(Measured(angle).local(np.array([[3.0]]), np.array([[-3.0]])), [[turn - 6.0]])
+    for plain in ("range", "x", "u"):
+        np.testing.assert_array_equal(Measured(plain).local(np.array([[3.0]]), np.array([[-3.0]])), [[-6.0]])
+
+    before = X.copy()
+    SPACE.exp(X)
+    np.testing.assert_array_equal(X, before)
+    np.testing.assert_array_equal(SPACE.jl(X), np.tile(np.eye(3), (2, 1, 1)))
+
+
+def test_names_and_measurements_are_checked() -> None:
+    for names in ((), ("x", "x"), ("",), (3,)):
+        with pytest.raises(OptionError, match=r"Measured\(\*names\): "):
+            Measured(*names)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match=r"\(bearing, range, yaw\): .*\(2,\), expected \(n, 3\)"):
+        SPACE.stack([1.0, 2.0])
+    assert Measured("range").stack([1.0, 2.0]).shape == (2, 1)
