@@ -27,7 +27,7 @@ from nls import FactorGraph, LinearSolver, Optimizer, Values, analysis, filters
 from nls.filters import Filter
 from tests.combinations import for_all
 from tests.factors.test_conformity import ELIMINATING_SAMPLES, SAMPLES, situation
-from tests.sent import contents, distance, received, things
+from tests.sent import contents, received, things
 
 (x,) = kinds("x")
 INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SparseSolver", "_Dense"}  # none leaves its call
@@ -70,9 +70,8 @@ def subclasses(of: type) -> set[type]:
 
 def test_every_class_has_an_object(objects: dict[str, Any]) -> None:
     made = set(parts(objects, {}))
-    public = {
-        getattr(module, name) for module in (models, factors, nls, sim, filters, analysis) for name in module.__all__
-    }
+    modules = (models, factors, nls, sim, filters, analysis)
+    public = {getattr(module, name) for module in modules for name in module.__all__}
     bases = (Manifold, Noise, Kernel, Exception, LinearSolver, Optimizer, Filter)
     wanted = {c for c in public if isinstance(c, type)}.union(*map(subclasses, bases))
     missing = {c for c in wanted - made if not inspect.isabstract(c) and not issubclass(c, Factor | str)}
@@ -131,26 +130,11 @@ def test_values_from_elsewhere_work_with_a_graph_from_here(way: str) -> None:
 
 @every_copy
 def test_covariances_from_elsewhere(objects: dict[str, Any], way: str) -> None:
-    for name in (
-        "marginals",
-        "marginals of few variables",
-        "marginals, free gauge",
-        "marginals by LU",
-        "marginals by Schur",
-    ):
+    for name in (name for name in objects if name.startswith("marginals")):
         original = objects[name]
         copied = COPIES[way](original)
         assert np.array_equal(copied.covariance(x[[3, 5]], "world"), original.covariance(x[[3, 5]], "world")), name
         assert np.array_equal(copied.all(x, "body"), original.all(x, "body")), name
-
-
-@every_copy
-def test_a_function_at_the_top_of_a_module_goes_along(way: str) -> None:
-    factor = Factor.from_function(partial(distance, 0.1), x[0:3], 1)
-    values = Values({x: (R(2), [[1, 0.5], [3, 4], [0, 2]])})
-    A, b = FactorGraph([COPIES[way](factor)]).linearize(values)
-    assert b == pytest.approx(-10 * (np.linalg.norm(values[x], axis=1) - 1))
-    assert A.toarray()[1, 2:4] == pytest.approx([6, 8])
 
 
 def local(X: np.ndarray) -> np.ndarray:
