@@ -1,14 +1,15 @@
-"""`check_jacobians` and rotations that are transposed; its other causes are in `tests/factors/test_errors.py`."""
+"""`check_jacobians` names the likely cause of a wrong derivative, the wrong entry, and the worst factor of a graph."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pytest
 
 from factors import Diagonal, Factor, Isotropic, Noise, SqrtInformation, check_jacobians
-from models import SE2, SE3, R
+from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, skew
 from models.errors import GraphError, JacobianError
 from nls import FactorGraph, Values, kinds
@@ -16,7 +17,77 @@ from tests.combinations import for_all
 from tests.factors.evaluated import refused
 
 x, l = kinds("x", "l")
-PLANE = Values({x: (SE2, [[0, 0, 0.3], [1, 2, -0.5], [2, 1, 0.1]])})
+PLANE = Values({x: (SE2, [[0, 0, 0.3], [1, 2, -0.5], [2, 1, 0.1]]), l: (R(2), [[1.0, 2.0], [3.0, 4.0]])})
+
+
+def scan(L: Array) -> Array:
+    """A square, curved, not symmetric function of a point."""
+    a, b = L[:, 0], L[:, 1]
+    return np.stack([a * b, np.sin(a) + 3 * b], axis=1)
+
+
+def scan_jacobian(L: Array) -> Array:
+    a, b = L[:, 0], L[:, 1]
+    return np.stack([np.stack([b, a], axis=-1), np.stack([np.cos(a), np.full_like(a, 3.0)], axis=-1)], axis=1)
+
+
+@for_all(
+    case=[
+        (lambda J: -J, "; likely: the sign is flipped; the ratio is -1 for all entries$"),
+        (lambda J: -2 * J, r"; likely: the sign .* and .* factor 2 too many .*; the ratio is -2 for all entries$"),
+        (lambda J: 3.1 * J, "; likely: a constant factor; the ratio is 3.1 for all entries$"),
+        (lambda J: J * [1.0, 0.0], r"; likely, in column\(s\) \[1\]: a derivative is left out; the ratio is 0 "),
+        (lambda J: J.mT, "; likely: it is transposed"),
+        (lambda J: np.deg2rad(J), "; likely: it is in degrees"),
+        (lambda J: np.rad2deg(J), "; likely: degrees"),
+        (lambda J: J / 2, r"; likely: a factor 2 is missing"),
+        (lambda J: 2 * J, r"; likely: there is a factor 2"),
+        (lambda J: J * [1.0, -1.0], r"; likely, in column\(s\) \[1\]: the sign"),
+        (lambda J: J * [1.0, 2.0], r"; likely, in column\(s\) \[1\]: there is a factor 2"),
+        (lambda J: J + 0.1, r"central difference [-0-9.e]+ \+- [0-9]e-[01][0-9]$"),
+    ]
+)
+def test_check_jacobians_names_the_likely_cause(case: tuple[Callable[[Array], Array], str]) -> None:
+    mistake, cause = case
+    right = Factor.from_function(scan, l[0:2], 2, jacobians=lambda L: [scan_jacobian(L)])
+    assert check_jacobians(right, PLANE) < 1e-8
+    wrong = Factor.from_function(scan, l[0:2], 2, Isotropic(0.5), lambda L: [mistake(scan_jacobian(L))])
+    caught = refused(lambda: check_jacobians(wrong, PLANE), JacobianError, cause)
+    slot, n, row, column = caught.entry
+    assert slot == 0
+    assert caught.numeric == pytest.approx(2 * scan_jacobian(PLANE[l])[n, row, column], rel=1e-6)
+    assert caught.analytic == pytest.approx(2 * mistake(scan_jacobian(PLANE[l]))[n, row, column], rel=1e-9)
+    assert f"row {row}, component {'xy'[column]} of l{n}: analytic" in str(caught)
+
+
+def test_check_jacobians_finds_one_wrong_entry_in_a_batch() -> None:
+    def jacobians(L: Array) -> list[Array]:
+        J = scan_jacobian(L)
+        J[1, 0, 1] += 1e-4
+        return [J]
+
+    factor = Factor.from_function(scan, l[0:2], 2, jacobians=jacobians)
+    with pytest.raises(JacobianError, match=r"row 0, component y of l1") as caught:
+        check_jacobians(factor, PLANE)
+    assert caught.value.entry == (0, 1, 0, 1)
+    column = np.abs(scan_jacobian(PLANE[l])[1, :, 1]).max()
+    assert check_jacobians(factor, PLANE, rtol=1e-3) == pytest.approx(1e-4 / column, rel=1e-4)
+
+
+@for_all(group=[SE2, SE3])
+def test_check_jacobians_names_the_order_of_columns(group: LieGroup) -> None:
+    (p,), d = kinds("p"), group.point_dim
+    values = Values({p: (group, group.exp(0.3 * np.random.default_rng(0).normal(size=(2, group.dim))))})
+
+    def jacobians(X: Array, shift: int = 0) -> list[Array]:
+        J = np.zeros((len(X), d, group.dim))
+        J[:, :, :d] = group.world_axes(X)[:, :d, :d]
+        return [np.roll(J, shift, axis=2)]
+
+    assert check_jacobians(Factor.from_function(group.position, p[0:2], d, jacobians=jacobians), values) < 1e-8
+    first = Factor.from_function(group.position, p[0:2], d, jacobians=lambda X: jacobians(X, group.dim - d))
+    with pytest.raises(JacobianError, match=r"its columns are in another order \(translation comes first\)"):
+        check_jacobians(first, values)
 
 
 def in_body(X: Array, L: Array) -> Array:

@@ -7,20 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from factors import (
-    BearingRange,
-    Between,
-    Cauchy,
-    Covariance,
-    Diagonal,
-    Factor,
-    Huber,
-    Information,
-    Isotropic,
-    Prior,
-    Robust,
-    Wheels,
-)
+import factors as f
+from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Information, Isotropic, Prior, Robust, Wheels
 from factors.base import Model
 from factors.joined import joined
 from models import SE2, R
@@ -49,7 +37,7 @@ def test_the_problem_stays_the_same_in_as_few_batches_as_kinds() -> None:
     factors = [
         Between(x[0], x[1], step[0], Isotropic(0.1)),
         BearingRange(x[[0, 1]], l[[2, 3]], [[0.1, 4.0], [0.2, 6.0]], Diagonal([0.1, 0.3])),
-        Between(x[[1, 2]], x[[2, 3]], step, Covariance(full @ full.mT + np.eye(3))),
+        Between(x[[1, 2]], x[[2, 3]], step, f.Covariance(full @ full.mT + np.eye(3))),
         Prior(x[0], [0, 0, 0], Information(np.diag([4.0, 0.0, 9.0]))),
         BearingRange(x[3], l[0], [3.1, 4.0], Diagonal([0.2, 0.1])),
     ]
@@ -75,7 +63,7 @@ def test_what_differs_stays_apart() -> None:
         Wheels(x[2], x[3], u, noise, base=0.5),
         BearingRange(x[0], l[0], z, noise),
         BearingRange(x[1], l[0], z, Robust(noise, Cauchy(1.0))),
-        BearingRange(x[2], l[0], z, Robust(noise, Huber(1.0))),
+        BearingRange(x[2], l[0], z, Robust(noise, f.Huber(1.0))),
         BearingRange(x[3], l[0], z, Robust(noise, Cauchy(1.0))),
         BearingRange(x[4], x[5], z, noise),
         Between(x[4], x[5], [1, 0, 0], noise),

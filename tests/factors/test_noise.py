@@ -7,8 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factors import Covariance, Diagonal, Factor, Huber, Information, Isotropic, Noise, Prior, Robust, SqrtInformation
-from factors.noise import whiten
+from factors import (
+    Cauchy,
+    Covariance,
+    Diagonal,
+    Factor,
+    Huber,
+    Information,
+    Isotropic,
+    Noise,
+    Prior,
+    Robust,
+    SqrtInformation,
+)
+from factors.noise import square, whiten
+from factors.rescaled import rescaled
 from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
@@ -280,3 +293,30 @@ def test_the_size_of_a_noise_may_wait_for_the_variables() -> None:
         (lambda: either.bind(SE2), "2 sigmas"),
     ):
         refused(make, NoiseModelError, named)
+
+
+S = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.01]])
+NOISES = [
+    Isotropic(0.1),
+    Isotropic([0.1, 0.2]),
+    Diagonal([0.1, 0.2, 0.3]),
+    Diagonal(yaw=0.3, x=[0.1, 0.4], y=0.2),
+    Covariance(S),
+    Information(np.stack([S, 2 * S])),
+    Information(np.diag([1.0, 0.0, 4.0])),
+    SqrtInformation(np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 0.5], [0.3, 0.0, 2.0]])),
+    Robust(Covariance(S), Cauchy(2.0)),
+]
+
+
+@for_all(noise=NOISES, scale=[np.full((1, 3), 3.0), np.array([[3.0, 3.0, 0.5], [1.0, 2.0, 4.0]])])
+def test_the_information_is_that_of_scaled_errors(noise: Noise, scale: Array) -> None:
+    """Sigma becomes D Sigma D, and the type of the noise stays where it can."""
+    model = Prior(x[[0, 1]], np.zeros((2, 3)), noise).bind(SE2)
+    other = rescaled(model, scale)
+    W, V = (np.broadcast_to(square(m.W), (2, 3, 3)) for m in (model, other.bind(SE2)))
+    D_inv = 1 / np.broadcast_to(scale, (2, 3))
+    assert V.mT @ V == pytest.approx(D_inv[:, :, None] * (W.mT @ W) * D_inv[:, None, :])
+    assert other.kernel == model.factor.kernel
+    assert (type(other.noise) is type(noise)) or isinstance(noise, Isotropic)
+    assert model.factor.noise is noise

@@ -6,24 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from factors import (
-    Bearing,
-    Between,
-    Covariance,
-    Diagonal,
-    Factor,
-    Heading,
-    Huber,
-    Information,
-    Isotropic,
-    Landmark,
-    Noise,
-    Position,
-    Prior,
-    Range,
-    Robust,
-    SqrtInformation,
-)
+import factors as f
+from factors import Bearing, Between, Diagonal, Isotropic, Position, Prior, Robust
 from models import SE2, R
 from models.errors import GraphError
 from nls import Values, kinds
@@ -49,7 +33,7 @@ def test_every_kind_of_index() -> None:
 
 
 def test_a_function_has_no_parts() -> None:
-    factor = Factor.from_function(np.array, x[0:N], 3)
+    factor = f.Factor.from_function(np.array, x[0:N], 3)
     for index in (0, slice(None), np.zeros(N, dtype=bool)):
         refused(lambda index=index: factor[index], GraphError, "function cannot be sliced")
 
@@ -64,16 +48,16 @@ DIAGONALS = np.arange(1, 4)[:, None, None] * np.eye(3)
         (Diagonal([[1, 2, 3], [4, 5, 6], [7, 8, 9]]), "sigmas", [[7, 8, 9], [1, 2, 3]]),
         (Diagonal([1, 2, 3]), "sigmas", [[1, 2, 3]]),
         (Diagonal(x=[1, 2, 3], y=5, yaw=[7, 8, 9]), "named", {"x": [3, 1], "y": [5], "yaw": [9, 7]}),
-        (Covariance(DIAGONALS), "matrix", DIAGONALS[[2, 0]]),
-        (Information(DIAGONALS), "matrix", DIAGONALS[[2, 0]]),
-        (SqrtInformation(2 * np.eye(3)), "matrix", [2 * np.eye(3)]),
+        (f.Covariance(DIAGONALS), "matrix", DIAGONALS[[2, 0]]),
+        (f.Information(DIAGONALS), "matrix", DIAGONALS[[2, 0]]),
+        (f.SqrtInformation(2 * np.eye(3)), "matrix", [2 * np.eye(3)]),
     ]
 )
-def test_noise_goes_along_and_shared_noise_stays_shared(case: tuple[Noise, str, Any]) -> None:
+def test_noise_goes_along_and_shared_noise_stays_shared(case: tuple[f.Noise, str, Any]) -> None:
     """Three measurements of three numbers: the length of a shared sigma must not pass for the number of them."""
     noise, kept, alone = case
     values = Values({x: (SE2, [[0, 0, 0], [1, 2, 0.5], [-1, 0, 2]])})
-    for used in (noise, Robust(noise, Huber(0.1))):
+    for used in (noise, Robust(noise, f.Huber(0.1))):
         prior = Prior(x[[0, 1, 2]], np.ones((3, 3)), used)
         part = prior[[2, 0]]
         inner = getattr(part.noise.noise if isinstance(part.noise, Robust) else part.noise, kept)
@@ -101,10 +85,10 @@ def test_one_measurement_shared_by_all_stays_one() -> None:
 def test_plain_lists_of_numbers() -> None:
     """z (n,): told from one measurement of n numbers by what the factor measures."""
     i, z, unit = np.arange(3), [1.0, 2.0, 3.0], Isotropic(1)
-    for factor in (Range(x[i], l[0], z, unit), Heading(x[i], z, unit), Position(x[i], z, unit, ("z",))):
+    for factor in (f.Range(x[i], l[0], z, unit), f.Heading(x[i], z, unit), Position(x[i], z, unit, ("z",))):
         assert factor[1:].z.tolist() == [2.0, 3.0]
     assert Bearing(x[i], l[0], z, unit)[1:].z.tolist() == [2.0, 3.0]
-    assert Landmark(x[i], l[0], z, unit)[1:].z.tolist() == Position(x[i], z, unit)[1:].z.tolist() == z
+    assert f.Landmark(x[i], l[0], z, unit)[1:].z.tolist() == Position(x[i], z, unit)[1:].z.tolist() == z
     refused(lambda: Bearing(x[i[:2]], l[0], z[:2], unit)[0], GraphError, r"\(2,\) may be 2 measurements or one of 2")
     flat = Prior(x[i], z, unit)
     flat.bind(R(1))

@@ -8,19 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from factors import (
-    Diagonal,
-    Elevation,
-    ElevationHinge,
-    EpipolarArc,
-    Factor,
-    Huber,
-    Isotropic,
-    Noise,
-    Prior,
-    Robust,
-    sonar_factors,
-)
+import factors as f
+from factors import Elevation, ElevationHinge, EpipolarArc, Huber, Isotropic, sonar_factors
 from models import SE3, R, euler
 from models.errors import GraphError, OptionError
 from models.sensors import DIDSON_HIGH, cartesian
@@ -37,7 +26,7 @@ MOUNTED = euler.to_se3(np.array([0.0, -0.6, 0.0, 0.3, 0.0, 0.1]))
 def test_treatments_of_the_elevation() -> None:
     pose, target, z = x[[3, 1, 2]], l[[8, 8, 5]], [[5.0, 0.1], [4.0, 0.2], [3.0, -0.1]]
 
-    def made(**more: object) -> list[Factor]:
+    def made(**more: object) -> list[f.Factor]:
         return sonar_factors(pose, target, z, None, DIDSON_HIGH, offset=SE3.identity()[0], **more)
 
     (contacts,) = made(elevation="free")
@@ -61,12 +50,12 @@ def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones(
     z = np.array([[5.0, 0.1], [4.0, 0.2], [3.0, -0.1], [6.0, 0.0], [5.5, 0.05], [4.5, 0.15]])
     sigmas = np.arange(1.0, 13.0).reshape(6, 2) / 100
 
-    def made(noise: Noise | None = None, offset: object = None) -> EpipolarArc:
+    def made(noise: f.Noise | None = None, offset: object = None) -> EpipolarArc:
         (factor,) = sonar_factors(pose, target, z, noise, DIDSON_HIGH, offset, elevation="search")
         assert isinstance(factor, EpipolarArc)
         return factor
 
-    arcs = made(Diagonal(sigmas), MOUNTED)
+    arcs = made(f.Diagonal(sigmas), MOUNTED)
     assert arcs.keys == (x[[1, 1, 1]], x[[3, 7, 2]])
     same(arcs.z, np.hstack([z[[1, 1, 1]], z[[0, 4, 5]]]))
     W = arcs.noise.sqrt_information(3, EpipolarArc.measures)
@@ -77,7 +66,7 @@ def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones(
         made().noise.sqrt_information(3, EpipolarArc.measures)[-1],
         np.diag(1 / np.tile(DIDSON_HIGH.noise_sigmas, 2) / np.sqrt([3, 3, 1, 1])),
     )
-    assert made(Robust(Isotropic(0.1), Huber(2.0))).kernel == Huber(2.0)
+    assert made(f.Robust(Isotropic(0.1), Huber(2.0))).kernel == Huber(2.0)
     each = np.tile(MOUNTED, (6, 1))
     same(made(offset=each).offset, each[:3])
     each[4] = SE3.identity()[0]
@@ -91,7 +80,7 @@ def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones(
         refused(make, GraphError, named)
     (none,) = sonar_factors(x[0:3], l[0:3], z[:3], None, DIDSON_HIGH, elevation="search")
     assert len(none) == 0
-    graph = FactorGraph([none, Prior(x[0], SE3.identity()[0], UNIT)])
+    graph = FactorGraph([none, f.Prior(x[0], SE3.identity()[0], UNIT)])
     assert graph.optimize(Values({x: (SE3, SE3.identity())})).dof == 0
 
 
