@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -17,12 +16,12 @@ from factors import Between, Factor, Noise, Prior, SequentialMatch, SqrtInformat
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
+from models.algebra import Array
 from models.manifolds.measured import MeasuredNumbers
 from models.manifolds.units import ANGLES
 from nls import Values
 from tests.factors.evaluated import error
 
-Array = npt.NDArray[np.float64]
 GROUPS: list[LieGroup] = [SO2, SE2, SO3, SE3, R(2), R(3)]
 STEP = 1e-5
 NORMALS = ((0.0, 1.0), (np.pi, -1.0))

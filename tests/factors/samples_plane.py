@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import DriftingStep, Line, Wheels
 from models import LINE, SE2, Measured, R
+from models.algebra import Array
 from tests.factors.samples import Sample
 from tests.factors.samples_sensors import mounted
-
-Array = npt.NDArray[np.float64]
 
 
 def line_in_sensor(S: Array, l: Array) -> list[float]:

@@ -1,34 +1,22 @@
-"""Samples of the factors that see something: by hand through homogeneous matrices, one measurement at a time."""
+"""Samples of the factors of sensors, cameras and calibrations: by hand, through homogeneous matrices, one by one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from factors import (
-    Bearing,
-    BearingRange,
-    BetweenSensors,
-    BundleProjection,
-    Factor,
-    Heading,
-    Landmark,
-    Noise,
-    Position,
-    Prior,
-    Range,
-    ScaledRange,
-)
+import factors as f
+from factors import Bearing, BearingRange, Factor, Landmark, Noise, Range
 from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import LINE, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
-from tests.factors.samples import Sample, homogeneous, stored
-
-Array = npt.NDArray[np.float64]
+from models.algebra import Array
+from models.sensors import Camera
+from tests.factors.samples import Sample, between, homogeneous, prior, stored
 
 MOUNT = {  # a sensor ahead of and below the vehicle, tilted
     SE2: np.array([0.8, -0.3, 2.0]),
@@ -140,7 +128,7 @@ def position(group: LieGroup, components: tuple[str, ...] | None, arm: Array | N
         (group,),
         Measured(*names),
         len(names),
-        lambda keys, z, noise: Position(keys[0], z, noise, components, offset=arm),
+        lambda keys, z, noise: f.Position(keys[0], z, noise, components, offset=arm),
         truth,
     )
 
@@ -157,22 +145,19 @@ def head(group: LieGroup, name: str, around: Array) -> Sample:
         (group,),
         Measured("yaw"),
         1,
-        lambda keys, z, noise: Heading(keys[0], z, noise),
+        lambda keys, z, noise: f.Heading(keys[0], z, noise),
         lambda X: yaw_by_hand(group, X),
         around=(around,),
     )
 
 
 def prior_at(group: LieGroup, convention: str, components: tuple[str, ...] | None = None) -> Sample:
-    mount = MOUNT[group]
-    return Sample(
-        f"Prior-{group}-{convention}-offset" + (f"-{'+'.join(components)}" if components else ""),
-        (group,),
-        group,
-        len(components) if components else group.dim,
-        lambda keys, z, noise: Prior(keys[0], z, noise, components, convention, offset=mount),
-        lambda X: np.array([stored(group, homogeneous(group, x) @ homogeneous(group, mount)) for x in X]),
-        convention,
+    at_vehicle, mount = prior(group, convention, components), MOUNT[group]
+    return replace(
+        at_vehicle,
+        name=f"{at_vehicle}-offset",
+        build=lambda keys, z, noise: f.Prior(keys[0], z, noise, components, convention, offset=mount),
+        truth=lambda X: np.array([stored(group, homogeneous(group, x) @ homogeneous(group, mount)) for x in X]),
     )
 
 
@@ -181,7 +166,7 @@ def between_sensors(group: LieGroup, convention: str, variable: bool) -> Sample:
     O_j = group.inverse(group.compose(O_i, O_i))
 
     def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
-        return BetweenSensors(keys[0], keys[1], z, noise, keys[2] if variable else (O_i, O_j), convention)
+        return f.BetweenSensors(keys[0], keys[1], z, noise, keys[2] if variable else (O_i, O_j), convention)
 
     def truth(X_i: Array, X_j: Array, *O: Array) -> Array:
         out = []
@@ -204,10 +189,10 @@ def between_sensors(group: LieGroup, convention: str, variable: bool) -> Sample:
 
 def pixels(camera: Array, intrinsics: Array, X: Array) -> Array:
     out = []
-    for c, (f, k1, k2), point in zip(camera, intrinsics, X, strict=True):
+    for c, (focal, k1, k2), point in zip(camera, intrinsics, X, strict=True):
         P = Rotation.from_rotvec(c[:3]).apply(point) + c[3:]
         p = P[:2] / -P[2]
-        out.append(f * (1 + k1 * (p @ p) + k2 * (p @ p) ** 2) * p)
+        out.append(focal * (1 + k1 * (p @ p) + k2 * (p @ p) ** 2) * p)
     return np.array(out)
 
 
@@ -216,32 +201,72 @@ BUNDLE = Sample(
     (CAMERA, LENS, R(3)),
     Measured("u", "v"),
     2,
-    lambda keys, z, noise: BundleProjection(*keys, z, noise),
+    lambda keys, z, noise: f.BundleProjection(*keys, z, noise),
     pixels,
     around=(np.array([0.3, -0.2, 0.1, 0.5, 0.2, -15.0]), np.array([6.0, -0.1, 0.02]), np.array([1.0, -1.0, 0.5])),
 )
 
 
-def scaled_range(group: LieGroup, mounted: bool) -> Sample:
-    mount = MOUNT[group] if mounted else None
-
-    def truth(X: Array, L: Array, s: Array) -> Array:
-        frames = [
-            homogeneous(group, x) @ (np.eye(group.point_dim + 1) if mount is None else homogeneous(group, mount))
-            for x in X
-        ]
-        distances = [np.linalg.norm(in_frame(S, l)) for S, l in zip(frames, L, strict=True)]
-        return np.array([[r * (1 + k[0])] for r, k in zip(distances, s, strict=True)])
-
-    return Sample(
-        f"ScaledRange-{group}" + ("-offset" if mounted else ""),
-        (group, R(group.point_dim), R(1)),
-        Measured("range"),
-        1,
-        lambda keys, z, noise: ScaledRange(*keys, z, noise, offset=mount),
-        truth,
-        around=(group.identity()[0], AHEAD[group.point_dim], np.array([0.05])),
+def scaled_range(group: LieGroup, mode: str) -> Sample:
+    unscaled = sighting(Range, group, mode)
+    return replace(
+        unscaled,
+        name=f"ScaledRange-{group}-offset {mode}",
+        manifolds=(*unscaled.manifolds, R(1)),
+        build=lambda keys, z, noise: f.ScaledRange(*keys, z, noise, MOUNT[group] if mode == "fixed" else None),
+        truth=lambda X, L, s: unscaled.truth(X, L) * (1 + s),
+        around=(*(unscaled.around or ()), np.array([0.05])),
         visible=lambda X, L, s: (X, L, 0.1 * np.tanh(s)),
+    )
+
+
+BROWN = (-0.01, 0.002, 0.003, -0.002, 1e-5)  # k1 k2 p1 p2 k3
+CAMERAS = {
+    "normalized": Camera(),
+    "pixels": Camera((5.0, 6.0), (3.0, 2.0)),
+    "distorted": Camera((5.0, 6.0), (3.0, 2.0), BROWN),
+}
+
+
+def pixel(camera: Camera, p: Array) -> list[float]:
+    """The image of one point, term by term as in the manual of OpenCV's calibration."""
+    k1, k2, p1, p2, k3 = camera.distortion or (0.0,) * 5
+    x, y = p[0] / p[2], p[1] / p[2]
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    v = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return [camera.focal[0] * u + camera.center[0], camera.focal[1] * v + camera.center[1]]
+
+
+def image(name: str, mode: str, target: Manifold) -> Sample:
+    camera = CAMERAS[name]
+
+    def kind(pose: Keys, point: Keys, z: Array, noise: Noise, offset: Array | Keys | None) -> Factor:
+        return f.Projection(pose, point, z, noise, camera, offset)
+
+    name = f"Projection-{name}-{'pose' if target is SE3 else 'point'}"
+    predict = lambda S, l: pixel(camera, in_frame(S, l))  # noqa: E731
+    return mounted(name, kind, mode, Measured("u", "v"), target, predict, None, in_front=True)
+
+
+def shifted(sample: Sample, k: int) -> Sample:
+    """A sample with a calibration of k numbers, and rates that are the same for all measurements."""
+    space = sample.space
+    assert isinstance(space, LieGroup)
+    G = np.random.default_rng(k).normal(0, 0.3, (space.dim, k))
+
+    def truth(*X: Array) -> Array:
+        h = np.asarray(sample.truth(*X[:-1]), dtype=float)
+        return np.asarray(space.retract(h, (G @ X[-1][..., None])[..., 0]))
+
+    return replace(
+        sample,
+        name=f"Shifted-{sample.name}-by {k}",
+        manifolds=(*sample.manifolds, R(k)),
+        build=lambda keys, z, noise: f.Shifted(sample.build(keys[:-1], z, noise), G, keys[-1]),
+        truth=truth,
+        around=None if sample.around is None else (*sample.around, np.zeros(k)),
     )
 
 
@@ -269,7 +294,7 @@ SENSOR_SAMPLES = [
     position(SE3, ("z",), None),
     position(SE3, None, np.array([0.5, -0.2, 1.0])),
     position(SE3, ("z", "x"), np.array([0.5, -0.2, 1.0])),
-    *(scaled_range(group, mounted) for group in PLANE_AND_SPACE for mounted in (False, True)),
+    *(scaled_range(group, mode) for group in PLANE_AND_SPACE for mode in ("none", "fixed")),
     head(SE2, "level", np.array([1.0, 2.0, -3.0])),
     head(SE3, "level", SE3.identity()[0]),
     head(SE3, "tilted", TILTED),
@@ -279,4 +304,11 @@ SENSOR_SAMPLES = [
     *(between_sensors(SO3, "log", variable) for variable in (False, True)),
     between_sensors(R(2), "log", False),
     BUNDLE,
+    *(image(name, mode, R(3)) for name in CAMERAS for mode in ("none", "fixed", "variable")),
+    *(image("distorted", mode, SE3) for mode in ("none", "variable")),
+    shifted(head(SE3, "tilted", TILTED), 1),
+    shifted(shifted(head(SE2, "level", np.array([1.0, 2.0, -3.0])), 1), 2),
+    shifted(position(SE3, ("z", "x"), MOUNT[SE3][:3]), 2),
+    shifted(prior(SE2, "log", ("yaw", "x")), 1),
+    *(shifted(between(group, "log"), 2) for group in PLANE_AND_SPACE),
 ]

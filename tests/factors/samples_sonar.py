@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from factors import XYH, ZPR, DvlLeg, Elevation, ElevationHinge, EpipolarArc, Factor, Noise, RangeAzimuth
 from factors.keys import Keys
 from models import SE3, Manifold, Measured, R
+from models.algebra import Array
 from tests.factors.samples import Sample, homogeneous
 from tests.factors.samples_sensors import MOUNT, TILTED, azimuth, elevation, seen
 
-Array = npt.NDArray[np.float64]
 HERE = SE3.identity()[0]
 
 

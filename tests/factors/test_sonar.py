@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import radians, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import factors as f
@@ -16,7 +15,6 @@ from models.sensors import DIDSON_HIGH, cartesian
 from nls import FactorGraph, Values, kinds
 from tests.factors.evaluated import linearized, refused, same
 
-Array = npt.NDArray[np.float64]
 x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
 LIMIT = DIDSON_HIGH.aperture / 2
