@@ -116,7 +116,7 @@ class Factor(Traits, Abstract):
         return len(self.keys[0]) if self.keys else 0
 
     def __getitem__(self, index: int | slice | npt.ArrayLike) -> Factor:
-        """The same kind of factor with some of the measurements, by number, slice, array of numbers or mask (n,).
+        """A factor of this kind with some of the measurements, by number, slice, array of numbers or mask (n,).
 
         What all measurements share stays shared; a robust kernel stays.
 
@@ -180,6 +180,10 @@ class Factor(Traits, Abstract):
         """One measurement of the batch by type and variables, for messages: ``Between(x3, x4)``."""
         return f"{self.name}({', '.join(repr(k[[index]]) for k in self.keys)})"
 
+    def _refusal(self, problem: str) -> GraphError:
+        """The error of a factor that does not fit, to be raised: it names the factor and its variables."""
+        return GraphError(f"{self!r}: {problem}", self.keys, self.name)
+
     def chi2(self, values: Any) -> Array:
         """Squared whitened length |b_i|^2 (n,) of every measurement at some values, before any robust kernel."""
         model, X = values.gather(self)
@@ -196,7 +200,7 @@ class Factor(Traits, Abstract):
         return self.noise.kernel if isinstance(self.noise, Robust) else None
 
     def robust(self, kernel: Kernel) -> Factor:
-        """The same measurements under a robust kernel, instead of the one they may have."""
+        """The measurements under a robust kernel, instead of the one they may have."""
         robust_factor = copy(self)
         robust_factor._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
         return robust_factor

@@ -8,7 +8,6 @@ import numpy.typing as npt
 from factors.base import Factor
 from factors.keys import Keys
 from models.algebra import Array
-from models.errors import GraphError
 
 __all__ = ["constant"]
 
@@ -39,7 +38,6 @@ def constant(factor: Factor, name: str, numbers: npt.ArrayLike) -> Array:
             raise TypeError("a variable; here it must be known")
         array = np.array(numbers, dtype=float)
     except (TypeError, ValueError) as error:
-        message = f"{factor!r}: its {name} is not an array of numbers: {error}"
-        raise GraphError(message, factor.keys, factor.name) from error
+        raise factor._refusal(f"its {name} is not an array of numbers: {error}") from error
     array.setflags(write=False)
     return array

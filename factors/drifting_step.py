@@ -11,7 +11,6 @@ from factors.keys import Keys
 from factors.noise import Noise
 from models import SE2, Manifold, Measured, R
 from models.algebra import Array, wrap
-from models.errors import GraphError
 
 __all__ = ["DriftingStep"]
 
@@ -67,18 +66,12 @@ class DriftingStep(Factor):
     ) -> None:
         super().__init__([i, j, drift], z, noise)
         if self._z.ndim not in (1, 2) or self._z.shape[-1] != 3:
-            raise GraphError(
-                f"{self!r}: z has shape {self._z.shape}, expected (n, 3): x, y, m, and yaw, rad", self.keys, self.name
-            )
+            raise self._refusal(f"z has shape {self._z.shape}, expected (n, 3): x, y, m, and yaw, rad")
         ways = np.linalg.norm(np.atleast_2d(self._z)[:, :2], axis=1)
         ways = np.repeat(ways, len(self)) if len(ways) == 1 else ways  # one step that all measured
         self.length = constant(self, "length", ways if length is None else length)
         if self.length.shape != (len(self),) or not (np.isfinite(self.length) & (self.length >= 0)).all():
-            raise GraphError(
-                f"{self!r}: lengths of shape {self.length.shape}, expected ({len(self)},), numbers from 0",
-                self.keys,
-                self.name,
-            )
+            raise self._refusal(f"lengths of shape {self.length.shape}, expected ({len(self)},), numbers from 0")
 
     def sizes(self) -> tuple[int, ...]:
         return (3,)

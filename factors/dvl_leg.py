@@ -13,7 +13,6 @@ from factors.noise import Noise
 from factors.xyh import HorizontalStep
 from models import SE3, Manifold, R
 from models.algebra import Array
-from models.errors import GraphError
 from models.sensors import levelled
 
 __all__ = ["DvlLeg"]
@@ -95,11 +94,7 @@ class DvlLeg(HorizontalStep):
         self.unmoved = tuple(range(2, len(self.slots)))
         self.ways, self.at = constant(self, "ways", ways), (float(at[0]), float(at[1]))
         if self.ways.shape != (len(self), 3, 2) or not np.isfinite(self.ways).all():
-            raise GraphError(
-                f"{self!r}: its ways have shape {self.ways.shape}, expected finite numbers ({len(self)}, 3, 2)",
-                self.keys,
-                self.name,
-            )
+            raise self._refusal(f"its ways have shape {self.ways.shape}, expected finite numbers ({len(self)}, 3, 2)")
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         with named_singularity(self):

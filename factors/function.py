@@ -56,11 +56,9 @@ class FunctionFactor(Factor):
         self.slots, self.relative = (None,) * len(keys), relative
 
     def __getitem__(self, index: object) -> Factor:
-        raise GraphError(
-            f"{self!r}: a factor from a function cannot be sliced: only your function knows its data; make "
-            "one of the part you want",
-            self.keys,
-            self.name,
+        raise self._refusal(
+            "a factor from a function cannot be sliced: only your function knows its data; make "
+            "one of the part you want"
         )
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -76,11 +74,9 @@ class FunctionFactor(Factor):
                 try:
                     _Alone(io.BytesIO(), protocol).dump(function)
                 except (pickle.PicklingError, AttributeError, TypeError) as error:
-                    raise GraphError(
-                        f"{self!r}: its function cannot be pickled: {error}. Define it with `def` at the "
-                        "top of a module, its data as arguments of functools.partial; cloudpickle takes any function",
-                        self.keys,
-                        self.name,
+                    raise self._refusal(
+                        f"its function cannot be pickled: {error}. Define it with `def` at the "
+                        "top of a module, its data as arguments of functools.partial; cloudpickle takes any function"
                     ) from error
         return super().__reduce_ex__(protocol)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys
@@ -10,7 +9,7 @@ from factors.mount import check_offset
 from factors.noise import Noise
 from factors.sighting import Sighting
 from models import LINE, SE2, LieGroup, Manifold
-from models.algebra import Array, product
+from models.algebra import Array
 from models.sensors import line_from_frame, line_in_frame
 
 __all__ = ["Line"]
@@ -82,8 +81,4 @@ class Line(Sighting):
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, tuple[Array, ...]]:
         h, (H_S, H_l) = line_in_frame(self.sensor_pose(SE2, X[0], *X[2:]), X[1])
-        if self.offset is None:
-            return h, (H_S, H_l)
-        O = X[2] if len(X) == 3 else np.asarray(self.offset)
-        H_X = product(H_S, SE2.adjoint_inverse(O))
-        return h, (H_X, H_l, H_S) if len(X) == 3 else (H_X, H_l)
+        return h, self._through_mount(SE2, H_S, H_l, *X[2:])

@@ -48,22 +48,14 @@ def check_offset(
     """
     if isinstance(offset, Keys):
         if manifold is not space:
-            raise GraphError(
-                f"{factor!r}: the offset {offset[[0]]} is in {manifold}, expected {space} like the pose",
-                factor.keys,
-                factor.name,
-            )
+            raise factor._refusal(f"the offset {offset[[0]]} is in {manifold}, expected {space} like the pose")
     elif offset is not None:
         try:
             space.stack(offset)
         except GraphError as error:
-            raise GraphError(f"{factor!r}: offset: {error}", factor.keys, factor.name) from error
+            raise factor._refusal(f"offset: {error}") from error
         if len(offset) not in (1, len(factor)):
-            raise GraphError(
-                f"{factor!r}: {len(offset)} offsets for {len(factor)} measurements; give one, or one for each",
-                factor.keys,
-                factor.name,
-            )
+            raise factor._refusal(f"{len(offset)} offsets for {len(factor)} measurements; give one, or one for each")
 
 
 def pose_group(factor: Factor, manifold: Manifold, hint: str = "") -> LieGroup:
@@ -75,11 +67,7 @@ def pose_group(factor: Factor, manifold: Manifold, hint: str = "") -> LieGroup:
         Neither SE2 nor SE3.
     """
     if manifold is not SE2 and manifold is not SE3:
-        raise GraphError(
-            f"{factor!r}: {factor.keys[0][[0]]} is in {manifold}, expected a pose, SE2 or SE3{hint}",
-            factor.keys,
-            factor.name,
-        )
+        raise factor._refusal(f"{factor.keys[0][[0]]} is in {manifold}, expected a pose, SE2 or SE3{hint}")
     assert isinstance(manifold, LieGroup)
     return manifold
 

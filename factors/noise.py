@@ -89,7 +89,7 @@ class Noise(Abstract):
 
 
 class Isotropic(Noise):
-    """The same standard deviation for every component.
+    """One standard deviation for every component.
 
     Parameters
     ----------

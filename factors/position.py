@@ -13,7 +13,6 @@ from factors.mount import check_offset, fixed_offset, pose_group
 from factors.noise import Noise, component_names
 from models import LieGroup, Manifold, Measured, R
 from models.algebra import Array
-from models.errors import GraphError
 from models.sensors import point_on_body
 
 __all__ = ["Position"]
@@ -84,7 +83,7 @@ class Position(Factor):
             self._refuse_some_coordinates(group, world)
         names = world.components if self.components is None else self.components
         if not names or not set(names) <= set(world.components) or len(set(names)) < len(names):
-            raise GraphError(f"{self!r}: components {names} of {world.components}", self.keys, self.name)
+            raise self._refusal(f"components {names} of {world.components}")
         return Measured(*names)
 
     def _refuse_some_coordinates(self, group: LieGroup, world: Manifold) -> None:
@@ -94,11 +93,9 @@ class Position(Factor):
         count = 1 if one_number else shape[-1]
         if count < world.dim:
             names = world.components[:2] if count == 2 else world.components[-1:]
-            raise GraphError(
-                f"{self!r}: z has shape {shape}; a position in {group} has {world.dim} coordinates, "
-                f"{', '.join(world.components)}. Name those that are measured: components={names}",
-                self.keys,
-                self.name,
+            raise self._refusal(
+                f"z has shape {shape}; a position in {group} has {world.dim} coordinates, "
+                f"{', '.join(world.components)}. Name those that are measured: components={names}"
             )
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:

@@ -77,9 +77,7 @@ class Prior(Factor):
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         if self.offset is not None and not isinstance(manifolds[0], LieGroup):
-            raise GraphError(
-                f"{self!r}: {manifolds[0]} is no group, so nothing has an offset in it", self.keys, self.name
-            )
+            raise self._refusal(f"{manifolds[0]} is no group, so nothing has an offset in it")
         check_offset(self, self.offset, manifolds[0])
         return manifolds[0]
 

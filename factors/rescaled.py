@@ -1,4 +1,4 @@
-r"""The same measurements with other sigmas: every sigma times a scale, correlations as they were.
+r"""Measurements with other sigmas: every sigma times a scale, correlations as they were.
 
 Sigma <- D Sigma D,   W <- W D^-1,   D = diag(scale) by component
 """

@@ -80,7 +80,7 @@ class ScaledRange(Factor):
         self.offset = Range(pose, target, z, noise, offset).offset  # which refuses what is no range or offset
 
     def unscaled(self, noise: Noise | None = None) -> Range:
-        """The same measurements, with the scale taken to be 0, and another noise where one is given."""
+        """Plain ranges of these measurements, with the scale taken to be 0, and another noise where one is given."""
         assert not isinstance(self.offset, Keys)
         return Range(self.keys[0], self.keys[1], self.z, noise or self.noise, self.offset)
 

@@ -73,11 +73,9 @@ class Shifted(Factor):
         rates = constant(self, "G", G)
         self.G = rates[None] if rates.ndim == 2 else rates
         if self.G.ndim != 3 or len(self.G) not in (1, len(self)) or not np.isfinite(self.G).all():
-            raise GraphError(
-                f"{self!r}: its rates G have shape {np.shape(G)}, expected finite numbers, (m, k) or "
-                f"({len(self)}, m, k) for m measured numbers and a calibration of k",
-                self.keys,
-                self.name,
+            raise self._refusal(
+                f"its rates G have shape {np.shape(G)}, expected finite numbers, (m, k) or "
+                f"({len(self)}, m, k) for m measured numbers and a calibration of k"
             )
         self.key = self.keys[-1]
         self.slots = (*factor.slots, None)
@@ -93,9 +91,7 @@ class Shifted(Factor):
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         space, k = self.factor.space(manifolds[:-1]), self.G.shape[2]
         if not isinstance(space, LieGroup) or self.G.shape[1] != space.dim:
-            raise GraphError(
-                f"{self!r}: its rates G have {self.G.shape[1]} rows and it measures {space}", self.keys, self.name
-            )
+            raise self._refusal(f"its rates G have {self.G.shape[1]} rows and it measures {space}")
         if manifolds[-1] is not R(k):
             raise GraphError(
                 f"{self!r}: {self.key[[0]]} is in {manifolds[-1]}, expected R({k}) as G has {k} columns",

@@ -79,7 +79,7 @@ class Sighting(Factor):
         )
 
     def mounted(self, offset: npt.ArrayLike | Keys | None) -> Self:
-        """The same measurements with the sensor elsewhere on the vehicle, or there as a variable to be estimated.
+        """The measurements with the sensor elsewhere on the vehicle, or there as a variable to be estimated.
 
         Parameters
         ----------
@@ -173,11 +173,9 @@ class Sighting(Factor):
         group = pose_group(self, manifolds[0])
         points = R(group.point_dim)
         if manifolds[1] is not points and manifolds[1] is not group:
-            raise GraphError(
-                f"{self!r}: the target {self.keys[1][[0]]} is in {manifolds[1]}; from a pose of {group} it must be in "
-                f"{points} or {group}",
-                self.keys,
-                self.name,
+            raise self._refusal(
+                f"the target {self.keys[1][[0]]} is in {manifolds[1]}; from a pose of {group} it must be in "
+                f"{points} or {group}"
             )
         check_offset(self, self.offset, group, manifolds[-1])
         return self.measured(group.point_dim)
@@ -195,8 +193,11 @@ class Sighting(Factor):
             H_L = np.zeros((*H_l.shape[:-1], group.dim))
             H_L[..., : group.point_dim] = product(H_l, group.rotation(X[1]))
             H_l = H_L
+        return h, self._through_mount(group, H_S, H_l, *X[2:])
+
+    def _through_mount(self, group: LieGroup, H_S: Array, H_l: Array, *O: Array) -> tuple[Array, ...]:
+        """Jacobians by the pose, the target and a variable offset, from those by the pose of the sensor and target."""
         if self.offset is None:
-            return h, (H_S, H_l)
-        O = X[2] if len(X) == 3 else np.asarray(self.offset)
-        H_X = product(H_S, group.adjoint_inverse(O))
-        return h, (H_X, H_l, H_S) if len(X) == 3 else (H_X, H_l)
+            return H_S, H_l
+        H_X = product(H_S, group.adjoint_inverse(O[0] if O else np.asarray(self.offset)))
+        return H_X, H_l, *([H_S] if O else [])

@@ -52,16 +52,12 @@ def places(index: Any, n: int, name: str) -> Index:
 
 
 def part(factor: Any, index: Index) -> Any:
-    """The same kind of factor with the measurements at some places (k,), see `Factor.__getitem__`."""
+    """A factor of the same kind with the measurements at some places (k,), see `Factor.__getitem__`."""
     refuse_undeclared(factor)
     n, model = len(factor), factor._model
     sizes = factor.sizes() if model is None else (model.space.size,)
     if (per_row := one_each(factor.z, n, sizes)) is None:
-        raise GraphError(
-            f"{factor!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
-            factor.keys,
-            factor.name,
-        )
+        raise factor._refusal(f"z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)")
     subset = copy(factor)
     subset.keys = tuple(k[index] for k in factor.keys)
     subset._z = rows(factor.z, index, n) if per_row else factor.z

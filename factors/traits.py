@@ -31,7 +31,7 @@ class Traits:
     opaque: ClassVar[bool] = False
 
     def __str__(self) -> str:
-        """Its variables, as in messages, and its numbers.
+        """The variables of a factor, as in messages, and its numbers.
 
         Examples
         --------

@@ -10,7 +10,6 @@ from factors.keys import Keys
 from factors.noise import Noise
 from models import SE2, Manifold, Measured
 from models.algebra import Array, components, pack
-from models.errors import GraphError
 from models.vehicles import wheel_travel
 from models.vehicles.differential_drive import check_base
 
@@ -65,10 +64,8 @@ class Wheels(Factor):
         super().__init__([i, j], z, noise)
         self.base = check_base("Wheels: base", base)
         if self._z.ndim not in (1, 2) or self._z.shape[-1] not in (2, 3):
-            raise GraphError(
-                f"{self!r}: z has shape {self._z.shape}, expected (n, 2): travel of the right and of the left wheel",
-                self.keys,
-                self.name,
+            raise self._refusal(
+                f"z has shape {self._z.shape}, expected (n, 2): travel of the right and of the left wheel"
             )
         if self._z.shape[-1] == 2:
             self._z = np.concatenate([self._z, np.zeros((*self._z.shape[:-1], 1))], axis=-1)

@@ -138,7 +138,7 @@ class Advice(NamedTuple):
         return cls("robust", (kernel, f"{width:g}", kernel.lower()))
 
     def repeats(self, in_use: Collection[str]) -> bool:
-        """Whether it asks for one of these, as Python or the command line writes it."""
+        """Whether the advice asks for an option in use, as Python or the command line writes it."""
         return any(self.words(shell).endswith(f": {option}") for option in in_use for shell in (False, True))
 
     def words(self, shell: bool = False) -> str:

@@ -15,7 +15,7 @@ MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two 
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is one real number; nan and infinity are.
+    """Whether a value is one real number; nan and infinity are.
 
     Examples
     --------
@@ -27,7 +27,7 @@ def is_number(value: Any) -> bool:
 
 
 def is_whole(value: Any) -> bool:
-    """Whether it is one whole number by type.
+    """Whether a value is one whole number by type.
 
     Examples
     --------

@@ -240,5 +240,5 @@ def _inverse(D: Array) -> Array:
 
 
 def _numbers(value: Any, *lengths: int) -> bool:
-    """Whether it is a sequence of so many finite numbers."""
+    """Whether a value is a sequence of so many finite numbers."""
     return isinstance(value, Sequence) and len(value) in lengths and all(is_number(v) and np.isfinite(v) for v in value)

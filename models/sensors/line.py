@@ -69,7 +69,7 @@ def line_from_frame(X: Array, z: Array) -> Array:
 
 
 def normalized(l: Array) -> Array:
-    """The same lines (..., 2) with r >= 0, for tables, pictures and files; an estimator leaves the sign alone.
+    """Lines (..., 2) written with r >= 0, for tables, pictures and files; an estimator leaves the sign alone.
 
     Examples
     --------

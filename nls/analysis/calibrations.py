@@ -28,7 +28,7 @@ import numpy as np
 
 from factors import Factor, Isotropic, Prior, Shifted, Sighting
 from factors.keys import Keys, Kind
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import LieGroup
 from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError

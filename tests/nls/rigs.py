@@ -15,7 +15,7 @@ from factors import (
     RangeAzimuth,
     SqrtInformation,
 )
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import SE3, R
 from models.algebra import Array
 from nls import FactorGraph, Values, kinds

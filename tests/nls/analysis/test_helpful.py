@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factors import Between, BetweenSensors, Diagonal, ElevationHinge, EpipolarArc, Factor, Isotropic, Landmark, Prior
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import SE2, SE3, R
 from nls import FactorGraph, GraphError, Marginals, OptionError, SingularGeometryError, Values
 from nls.analysis import helpful_motions, observability

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from factors import Covariance, Diagonal, Factor, Isotropic, Prior, Projection, RangeAzimuth, SqrtInformation
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import SE3, R
 from models.algebra import Array
 from nls import FactorGraph, GraphError, Marginals, OptionError, UnderconstrainedError, Values, kinds

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 import sim
 from factors import Between, Heading, Isotropic, Landmark, Prior
-from factors.predicted import predicted
+from factors.replaced import predicted
 from models import SE2, R
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
