@@ -162,8 +162,8 @@ FORMATS = {
         ),
         _native("npz", _begins(rb"PK\x03\x04", "an archive of arrays")),
         _native("json", _begins(rb"\s*\{", "a JSON object")),
-        _estimate("tum", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_tum"),
-        _estimate("kitti", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_kitti"),
+        _estimate("tum", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_trajectory"),
+        _estimate("kitti", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_trajectory"),
         _estimate("csv", "positions; a table of all values", "nls.io.table:values_text"),
         _estimate("ply", "positions; a table of all values", "nls.missions.charts.ply:cloud_text"),
         _mission("scan mission", "mission with sonar scans", "nls.missions.scans.folder:read_scan_mission")._replace(

@@ -217,10 +217,9 @@ def save(
         raise OptionError("path", path, "the name of a file first, then the graph and its values")
     data, notes = rendered(path, graph, values, report, dialect, renumber)
     write_bytes(path, data)
-    for note in (
-        notes if FORMATS[formats.format_of(path, dialect)].measurements else ()
-    ):  # of others nobody expects more
-        warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
+    if FORMATS[formats.format_of(path, dialect)].measurements:  # of others nobody expects more
+        for note in notes:
+            warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
 
 
 def rendered(

@@ -20,9 +20,8 @@ Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_gr
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,19 +31,19 @@ from factors.between import Between
 from factors.conventions import check_convention
 from factors.keys import Keys
 from factors.landmark import Landmark
-from factors.noise import Covariance, square
 from factors.prior import Prior
 from factors.range import Range
-from models import SE2, SE3, LieGroup, R
+from models import SE2, SE3, R
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.records import at_origin, fixed_offsets, turns
+from nls.io.dialects import POINT2, POINT3, POSE2, POSE3
+from nls.io.records import NONE, Element, Lines, Record, at_origin, fixed_offsets, note_turns
 from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused_lines import appended, note_comments, set_aside, without_comments
-from nls.io.weights import HALF, covariance, refuse_robust
+from nls.io.weights import entries, matrix, noise_of
 from nls.values import Values
 
 FILE = "a PyFactorGraph file"
@@ -52,56 +51,27 @@ DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
 
-class Tag(NamedTuple):
-    """One kind of line: its measurement, and how many names stand before it."""
-
-    factor: Callable[..., Factor] | None  # None for a vertex
-    space: LieGroup  # of the vertex or the measured value
-    names: int
-    timed: bool = True
-
-    @property
-    def noise(self) -> int:
-        """Numbers of covariance."""
-        return 0 if self.factor is None else self.space.dim * (self.space.dim + 1) // 2
-
-    @property
-    def words(self) -> int:
-        """Words of a line after its tag."""
-        return self.timed + self.names + self.space.size + self.noise
-
-    @property
-    def columns(self) -> str:
-        """The numbers after the tag, in words."""
-        columns = ["time"] * self.timed + ["name", "name"][: self.names] + [f"{self.space.size} numbers"]
-        return " ".join(columns + [f"{self.noise} of covariance"] * (self.factor is not None))
+def _records(X: Element, pose: bytes, l: Element, point: bytes) -> dict[bytes, Record]:
+    """The records of a dimension, whose poses and points have these names."""
+    group, distance = X.space, Element(R(1), "range")
+    records = (
+        Record(b"VERTEX_" + pose, group, ("pose",), X),
+        Record(b"VERTEX_" + point, group, ("point",), l),
+        Record(b"VERTEX_%s:PRIOR" % pose, group, ("pose",), X, Prior),
+        Record(b"VERTEX_%s:PRIOR" % point, group, ("point",), l, Prior),
+        Record(b"EDGE_" + pose, group, ("pose", "pose"), X, Between),
+        Record(b"EDGE_%s_%s" % (pose[:3], point), group, ("pose", "point"), l, Landmark),
+        Record(b"EDGE_RANGE", group, ("either", "either"), distance, Range),
+    )
+    return {record.tag: record for record in records}
 
 
-class Batch(NamedTuple):
-    """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
-
-    tag: str
-    kinds: tuple[str, ...]
-    numbers: list[Numbers]
-    lines: Index
-    times: Array
-    table: Array
+PLANE, SPACE = _records(POSE2, b"SE2", POINT2, b"XY"), _records(POSE3, b"SE3:QUAT", POINT3, b"XYZ")
 
 
-def _tags(group: LieGroup, pose: str, space: LieGroup, point: str) -> dict[str, Tag]:
-    """The tags of a dimension, whose poses and points have these names."""
-    return {
-        f"VERTEX_{pose}": Tag(None, group, 1),
-        f"VERTEX_{point}": Tag(None, space, 1, timed=False),
-        f"VERTEX_{pose}:PRIOR": Tag(Prior, group, 1),
-        f"VERTEX_{point}:PRIOR": Tag(Prior, space, 1),
-        f"EDGE_{pose}": Tag(Between, group, 2),
-        f"EDGE_{pose[:3]}_{point}": Tag(Landmark, space, 2),
-        "EDGE_RANGE": Tag(Range, R(1), 2),
-    }
-
-
-PLANE, SPACE = _tags(SE2, "SE2", R(2), "XY"), _tags(SE3, "SE3:QUAT", R(3), "XYZ")
+def _timed(record: Record) -> bool:
+    """Whether a time stands before the names: always but for points."""
+    return record.factor is not None or record.slots == ("pose",)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -126,73 +96,72 @@ def read_pyfg(
     """
     check_convention(convention)
     text = Text(data, path)
-    words, comments = without_comments(text)
-    tags = {printable(tag): lines for tag, lines in words.items()}
+    tags, comments = without_comments(text)
     dialect = _dialect(text, tags)
     report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
-    report.tags = {tag: len(lines) for tag, lines in tags.items()}
-    known = {name.encode(): tag.words for name, tag in dialect.items()}
-    unknown = {tag: lines for tag, lines in words.items() if tag not in known}
+    report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
+    known = {tag: record.words + _timed(record) for tag, record in dialect.items()}
+    unknown = {tag: lines for tag, lines in tags.items() if tag not in known}
     set_aside(text, unknown, known, ignore_tags, report, first=FIRST)
     note_comments(report, len(comments))
 
     graph, values, first = FactorGraph(), Values(), dict[str, int]()
-    angles: tuple[list[tuple[str, Index, Array]], ...] = [], []  # of measurements, of vertices
-    batches = ((tag, batch) for name, tag in dialect.items() for batch in _batches(text, name, tag, tags.get(name)))
-    for tag, batch in batches:
-        lines = batch.lines
-        angles[tag.factor is None].extend([(batch.tag, lines, batch.table[:, 2:3])] * (tag.space is SE2))
-        if tag.factor is not None:
-            factor = _factor(text, tag, batch, values, convention)
-            report.factor_times.append((graph.add(factor), batch.times))
+    vertices: list[Lines] = []
+    edges: list[Lines] = []
+    blocks = (block for tag, record in dialect.items() if tag in tags for block in _blocks(text, record, tags[tag]))
+    for kinds, block, times in blocks:
+        lines = block.at
+        if block.record.factor is not None:
+            edges.append(block)
+            factor = _factor(text, kinds, block, values, convention)
+            report.factor_times.append((graph.add(factor), times))
             report.sources.append(Source(path, lines + 1))
             continue
-        (kind,), (number,) = batch.kinds, batch.numbers
+        vertices.append(block)
+        (kind,), (number,), space = kinds, block.ids, block.record.element.space
         if kind in first:
-            spaces = f"{values.stacks[kind].manifold} and in {tag.space}"
+            spaces = f"{values.stacks[kind].manifold} and in {space}"
             raise text.error(f"kind {kind} is in {spaces}, expected one", max(first[kind], int(lines[0])))
         first[kind] = int(lines[0])
         text.once(number, lines, f"vertex {kind}")
-        values.stacks |= Values({kind: (tag.space, batch.table, number)}).stacks
-        if tag.space in (SE2, SE3) and batch.times.any():  # a graph without times is written with times of 0
-            report.vertex_times[kind] = batch.times
-    report.notes += turns(angles[True])
-    for message in turns(angles[False]):
-        report.warn(message)
+        values.stacks |= Values({kind: (space, block.X, number)}).stacks
+        if _timed(block.record) and times.any():  # a graph without times is written with times of 0
+            report.vertex_times[kind] = times
+    note_turns(report, vertices, edges)
     return graph, values, report
 
 
-def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
-    """The tags of the dimension of a file."""
-    dialects = [d for d in (PLANE, SPACE) if any(tag in tags and tag != "EDGE_RANGE" for tag in d)]
-    if len(dialects) == 1:
-        return dialects[0]
-    if not dialects:
-        expected = ", ".join(list(PLANE)[:2] + list(SPACE)[:2])
+def _dialect(text: Text, tags: dict[bytes, Index]) -> dict[bytes, Record]:
+    """The records of the dimension of a file."""
+    plane, space = ([int(tags[tag][0]) for tag in d if tag in tags and tag != b"EDGE_RANGE"] for d in (PLANE, SPACE))
+    if plane and space:
+        line = max(min(plane), min(space))
+        raise text.error("mixes the plane and space; expected one dimension in a file", line)
+    if not plane and not space:
+        expected = ", ".join(tag.decode() for tag in [*PLANE][:2] + [*SPACE][:2])
         raise text.error(f"no vertices; expected lines such as {expected}", int(next(iter(tags.values()), [0])[0]))
-    line = max(min(int(tags[tag][0]) for tag in d if tag in tags and tag != "EDGE_RANGE") for d in dialects)
-    raise text.error("mixes the plane and space; expected one dimension in a file", line)
+    return PLANE if plane else SPACE
 
 
-def _batches(text: Text, name: str, tag: Tag, lines: Index | None) -> Iterator[Batch]:
-    """Lines of a tag, one batch per combination of kinds; nothing of a tag that is not there."""
-    if lines is None:
-        return
-    lead = 1 + tag.timed + tag.names
-    wide = tag.space.size + tag.noise
-    count = text.first[lines + 1] - text.first[lines] - 1
-    expected = f"expected {tag.words}: {tag.columns}"
-    text.refuse(count != tag.words, lines, lambda k: f"{count[k]} words after {name}, {expected}")
-    times = text.words(lines, 1, 1)[:, 0] if tag.timed else np.zeros(len(lines))
-    names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
-    table = text.words(lines, lead, wide)
-    if (invalid := tag.space.invalid(table[:, : tag.space.size])) is not None:
+def _blocks(text: Text, record: Record, lines: Index) -> Iterator[tuple[tuple[str, ...], Lines, Array]]:
+    """Kinds of variables, lines and times (n,) of a tag, one block per combination of kinds."""
+    timed, size, entries = _timed(record), record.element.space.size, len(record.places[0])
+    count, words = text.first[lines + 1] - text.first[lines] - 1, record.words + timed
+    columns = ["time"] * timed + ["name"] * len(record.slots) + [f"{size} numbers"]
+    columns += [f"{entries} of covariance"] * (record.factor is not None)
+    problem = f"words after {record.tag.decode()}, expected {words}: {' '.join(columns)}"
+    text.refuse(count != words, lines, lambda k: f"{count[k]} {problem}")
+    times = text.words(lines, 1, 1)[:, 0] if timed else np.zeros(len(lines))
+    names = [_names(text, lines, 1 + timed + k) for k in range(len(record.slots))]
+    table = text.words(lines, 1 + timed + record.lead, size + entries)
+    if (invalid := record.element.space.invalid(table[:, :size])) is not None:
         raise text.error(invalid[1], int(lines[invalid[0]]))
     pairs, pair_of = np.unique(np.stack([kind for kind, _ in names], axis=1), axis=0, return_inverse=True)
     for k, pair in enumerate(pairs):
         mine = np.flatnonzero(pair_of.reshape(-1) == k)
-        kinds = tuple(word.decode() for word in pair.tolist())
-        yield Batch(name, kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
+        ids, numbers = [number[mine] for _, number in names], table[mine]
+        block = Lines(record, lines[mine], ids, NONE, numbers[:, :size], numbers)
+        yield tuple(word.decode() for word in pair.tolist()), block, times[mine]
 
 
 def _names(text: Text, lines: Index, column: int, longest: int = 40) -> tuple[npt.NDArray[np.bytes_], Numbers]:
@@ -222,37 +191,25 @@ def _names(text: Text, lines: Index, column: int, longest: int = 40) -> tuple[np
     return kind, number
 
 
-def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str) -> Factor:
+def _factor(text: Text, kinds: tuple[str, ...], block: Lines, values: Values, convention: str) -> Factor:
     """One batch of measurements between variables of these kinds."""
-    assert tag.factor is not None
-    lines, table = batch.lines, batch.table
-    keys = [Keys(kind, number) for kind, number in zip(batch.kinds, batch.numbers, strict=True)]
+    record, lines, z = block.record, block.at, block.X
+    keys = [Keys(kind, number) for kind, number in zip(kinds, block.ids, strict=True)]
     for k in keys:
-        known = values.stacks[k.kind].numbers if k.kind in values.stacks else np.zeros(0, dtype=np.int64)
+        known = values.stacks[k.kind].numbers if k.kind in values.stacks else NONE
         if (missing := ~np.isin(k.numbers, known)).any():
             at = int(np.argmax(missing))
             raise text.error(f"{k[[at]]!r} is measured, but no vertex line gives it", int(lines[at]))
-    if tag.names == 2 and keys[0].kind == keys[1].kind:
+    if len(keys) == 2 and kinds[0] == kinds[1]:
         text.refuse(keys[0].numbers == keys[1].numbers, lines, lambda k: f"joins {keys[0][[k]]!r} to itself")
-    size, d = tag.space.size, tag.space.dim
-    Sigma = np.empty((len(lines), d, d))
-    upper = np.triu_indices(d)
-    Sigma[:, upper[0], upper[1]] = Sigma[:, upper[1], upper[0]] = table[:, size:]
-    if _halved(tag.space, convention):
-        Sigma /= HALF[:, None] * HALF
-    options = {"convention": convention} if tag.factor in (Between, Prior) else {}
-    z = table[:, :size] if size > 1 else table[:, 0]
-    if tag.factor is Range and (below := z < 0).any():
-        raise text.error("a range is at least 0 m", int(lines[np.argmax(below)]))
+    if record.factor is Range:
+        text.refuse(z[:, 0] < 0, lines, lambda _: "a range is at least 0 m")
     with text.at_lines(lines):
-        factor = tag.factor(*keys, z, Covariance(Sigma), **options)
+        Sigma = np.ascontiguousarray(matrix(record, block.numbers[:, z.shape[1] :], "covariance"))
+        noise = noise_of(record, "covariance", Sigma, z, convention)
+        factor = record.build(keys, z if z.shape[1] > 1 else z[:, 0], noise, [], convention)
         values.gather(factor)
     return factor
-
-
-def _halved(space: LieGroup, convention: str) -> bool:
-    """Whether the residual is that of half a rotation vector."""
-    return space is SE3 and convention in ("g2o", "graphslam")
 
 
 def pyfg_text(
@@ -281,8 +238,8 @@ def pyfg_text(
     dialect = SPACE if space else PLANE
     out = []
     for stack in sorted(values.stacks.values(), key=lambda stack: stack.manifold not in (SE2, SE3)):  # poses first
-        name = next((n for n, tag in dialect.items() if tag.factor is None and tag.space is stack.manifold), None)
-        if name is None or not (stack.kind.isascii() and stack.kind.isalpha()):
+        vertices = (r for r in dialect.values() if r.factor is None and r.element.space is stack.manifold)
+        if (record := next(vertices, None)) is None or not (stack.kind.isascii() and stack.kind.isalpha()):
             message = f"{path}: variables {stack.kind} in {stack.manifold} have no line in {FILE}"
             raise GraphError(message, advice=[NATIVE])
         numbers = stack.numbers
@@ -293,36 +250,29 @@ def pyfg_text(
         times = known.vertex_times.get(stack.kind, np.zeros(len(numbers)))
         if len(times) != len(numbers):
             raise GraphError(f"{path}: the report has {len(times)} times for the {len(numbers)} variables {stack.kind}")
-        out += _lines(name, times if dialect[name].timed else None, [Keys(stack.kind, numbers)], stack.X)
+        out += _lines(record, times, [Keys(stack.kind, numbers)], stack.X)
     for factor in graph.factors:
-        name, table = _measured(str(path), factor, values, dialect)
+        record, table = _measured(str(path), factor, values, dialect)
         times = factor_times.get(id(factor), np.zeros(len(factor)))
-        out += _lines(name, times, list(factor.keys), table)
+        out += _lines(record, times, list(factor.keys), table)
     out += appended(report, form)
     return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape"), []
 
 
-def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:
-    """Tag and table (n, columns) of a factor: measured value and covariance."""
+def _measured(path: str, factor: Factor, values: Values, dialect: dict[bytes, Record]) -> tuple[Record, Array]:
+    """Record and table (n, columns) of a factor: measured value and covariance."""
     model, _ = values.gather(factor)
-    name = next((n for n, t in dialect.items() if t.factor is type(factor) and t.space.size == model.space.size), None)
+    same = (r for r in dialect.values() if r.factor is type(factor) and r.element.space.size == model.space.size)
     plain = getattr(factor, "components", None) is None and at_origin(fixed_offsets(factor))
-    if name is None or not plain or len(factor.keys) != dialect[name].names:
+    if (record := next(same, None)) is None or not plain or len(factor.keys) != len(record.slots):
         raise unwritable(path, factor, FILE, ranges=True)
-    d = model.space.dim
-    W = square(model.W)
     try:
-        refuse_robust(factor)
-        Sigma = factor.noise.matrix if isinstance(factor.noise, Covariance) else covariance(factor, W)
+        return record, np.hstack([model.z, entries(record, "covariance", factor, model.W, model.z)])
     except GraphError as error:
         raise named(path, factor, error) from error
-    if _halved(dialect[name].space, factor.convention):
-        Sigma = Sigma * (HALF[:, None] * HALF)
-    upper = np.triu_indices(d)
-    return name, np.hstack([model.z, np.broadcast_to(Sigma, (len(factor), d, d))[:, upper[0], upper[1]]])
 
 
-def _lines(tag: str, times: Array | None, keys: list[Keys], table: Array) -> list[str]:
+def _lines(record: Record, times: Array, keys: list[Keys], table: Array) -> list[str]:
     """Text lines."""
-    stamps = [] if times is None else [map(repr, times.tolist())]
-    return rows(tag, [*stamps, *([f"{k.kind}{number}" for number in k.numbers.tolist()] for k in keys)], table)
+    names = [[f"{k.kind}{number}" for number in k.numbers.tolist()] for k in keys]
+    return rows(record.tag.decode(), [map(repr, times.tolist()), *names][not _timed(record) :], table)

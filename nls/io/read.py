@@ -27,24 +27,21 @@ from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import choose
 from nls.io.formats import Reading, refuse_needless
+from nls.io.parameters import Offsets, Switches
 from nls.io.records import (
     KINDS,
-    UNIT_ROUNDED,
-    Dialect,
     Lines,
     Record,
     among,
-    by_number,
-    joined,
+    note_rounded,
+    note_turns,
     read_lines,
     spaces_of,
-    turns,
 )
 from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles, by_role, present
-from nls.io.switches import Switches
 from nls.io.text import Text, printable
-from nls.io.unused_lines import keep, note_comments, set_aside, without_comments
+from nls.io.unused_lines import note_comments, set_aside, without_comments
 from nls.io.variable_names import id_text, with_letters
 from nls.io.weights import matrix, noise_of, repaired
 from nls.posegraph import says_poses
@@ -115,7 +112,7 @@ def read_graph(
     apart = format.apart or any(block.record.apart for block in edges)
     edges = present(text, vertices, edges, report, apart) if drop_absent else edges
     named = [block for block in read if not block.record.slots]
-    offsets = _Offsets(text, [block for block in named if not block.record.switched], group)
+    offsets = Offsets(text, [block for block in named if not block.record.switched], group)
     switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
     roles = Roles(text, vertices, edges, unknown, apart)
     bound: list[tuple[Factor, Lines]] = []
@@ -123,10 +120,10 @@ def read_graph(
         for block in edges:
             switched = block.record.switched
             _note_use(block, report)
-            noises = _matrices(text, block, format, repair_information, report)
+            noises = _matrices(text, block, format.matrix, repair_information, report)
             parameters = switches if switched else offsets
             for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
-                factor = _factor(text, block, mine, noises, parameters, roles, format, convention, group, report)
+                factor = _factor(text, block, mine, noises, format.matrix, parameters, roles, group, report)
                 bound.append((factor, block))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
     graph = FactorGraph([factor for factor, _ in bound])
@@ -136,10 +133,8 @@ def read_graph(
         report.vertices_given = False
         with stage("read chain"):
             values = started(text, bound, roles, group, report) if start else unstarted(roles, group)
-    _note_rounded(read, report)
-    for part_of, say in ((vertices, report.notes.append), (edges, report.warn)):
-        for message in turns((block.record.tag.decode(), block.at, block.angles) for block in part_of):
-            say(message)
+    note_rounded(report, read)
+    note_turns(report, vertices, edges)
     offsets.keep_unused(report)
     switches.keep_unused(report)
     if format.fix and b"FIX" in tags:
@@ -160,42 +155,9 @@ def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record
     return next(iter(first), SE2)
 
 
-class _Offsets:
-    """The parameters of a file: fixed poses of sensors on the vehicle."""
-
-    def __init__(self, text: Text, lines: list[Lines], group: LieGroup) -> None:
-        self.text, self.group = text, group
-        self.others = joined([block.at for block in lines if block.record.group is not group])
-        lines = [block for block in lines if block.record.group is group]
-        self.tag = f"PARAMS_{group.name}OFFSET"
-        self.ids, order = by_number(text, lines, "parameter")
-        self.X = np.concatenate([group.identity(0), *(block.X for block in lines)])[order]
-        self.at = joined([block.at for block in lines])[order]
-        self.unused = np.ones(len(self.ids), dtype=bool)
-
-    def of(self, block: Lines) -> Array:
-        """Offsets (n, k, size) the lines of an edge name."""
-        parameters = block.parameters
-        missing = ~among(parameters, self.ids)
-
-        def problem(k: int) -> str:
-            return f"the edge needs parameter {parameters[k][missing[k]][0]}, which no {self.tag} line has"
-
-        self.text.refuse(np.any(missing, axis=1), block.at, problem)
-        index = np.searchsorted(self.ids, parameters)
-        self.unused[index] = False
-        return self.X[index]
-
-    def keep_unused(self, report: LoadReport) -> None:
-        """Keep the parameters no edge names as text: a graph has no place for them."""
-        if len(lines := np.sort(joined([self.at[self.unused], self.others]))):
-            report.notes.append(f"{several(len(lines), 'parameter')} that no edge uses")
-            keep(self.text, lines, report)
-
-
-def _matrices(text: Text, block: Lines, format: Dialect, repair: bool, report: LoadReport) -> Array:
+def _matrices(text: Text, block: Lines, entries: str, repair: bool, report: LoadReport) -> Array:
     """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
-    M = matrix(block.record, block.numbers[:, block.record.element.width :], format.matrix)
+    M = matrix(block.record, block.numbers[:, block.record.element.width :], entries)
     if repair:
         M, changed = repaired(M)
         if changed.any():
@@ -217,21 +179,20 @@ def _factor(
     block: Lines,
     mine: Index | slice,
     matrices: Array,
-    offsets: _Offsets | Switches,
+    entries: str,
+    offsets: Offsets | Switches,
     roles: Roles,
-    format: Dialect,
-    convention: str,
     group: LieGroup,
     report: LoadReport,
 ) -> Factor:
     """One batch of measurements of these lines."""
-    record, at = block.record, block.at[mine]
+    record, at, convention = block.record, block.at[mine], report.convention
     keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, block.ids, strict=True)]
     z, numbers = block.X[mine], block.numbers[mine]
     all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
     M = matrices[mine] * all_offsets[:, :, 1:2] ** 2 if record.switched else matrices[mine]
     with text.at_lines(at):
-        noise = noise_of(record, format.matrix, M, numbers[:, : record.element.width], convention)
+        noise = noise_of(record, entries, M, numbers[:, : record.element.width], convention)
         if isinstance(offsets, Switches):
             noise = Robust(noise, DCS(float(offsets.phi[mine][0])))
         shared: list[Array] = []
@@ -267,15 +228,6 @@ def _note_use(block: Lines, report: LoadReport) -> None:
     if block.link_types.size:
         named = ", ".join(f"{kind:g} ({count})" for kind, count in sorted(Counter(block.link_types[:, 0]).items()))
         report.warn(f"{name} lines end in a type of a link, {named}: not used, and only a g2o file gets it back")
-
-
-def _note_rounded(read: list[Lines], report: LoadReport) -> None:
-    rounded = joined([block.rounded for block in read])
-    if len(rounded):
-        report.warn(
-            f"the length of {several(len(rounded), 'quaternion')} is off by more than {UNIT_ROUNDED:g}, first on line "
-            f"{rounded.min() + 1}: kept as written, and used as rotations; write more digits"
-        )
 
 
 def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record]) -> list[Keys]:

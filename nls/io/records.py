@@ -25,7 +25,9 @@ from factors.noise import Noise
 from factors.prior import Prior
 from models import SE2, SE3, LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, Numbers
+from models.listing import several
 from models.manifolds.euler import GIMBAL_LOCK, from_se3, to_se3
+from nls.io.report import LoadReport
 from nls.io.text import Text
 
 KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by what measurements use them as
@@ -77,7 +79,7 @@ class Record:
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.
     used : False where the error of the measurement ignores its parameter.
-    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.switches`.
+    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.parameters`.
     foreign : whether it is a tag of other programs that is written only where lines were read with it.
     apart : whether its points have a numbering of their own.
     entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.
@@ -126,11 +128,6 @@ class Record:
         ]
         n = len(self.places[0])
         return " ".join([*names, self.element.columns]) + (f" and {n} entr{'ies' if n > 1 else 'y'}" if n else "")
-
-    @property
-    def chart(self) -> str:
-        """The coordinates of the matrix: ``plain``, ``quaternion`` (its vector part) or ``angles``."""
-        return "angles" if self.element.angles else "quaternion" if self.element.space.dim == 6 else "plain"
 
     def build(self, keys: list[Keys], z: Array, noise: Noise, offsets: list[Array], convention: str) -> Factor:
         """The factor of lines with these variables, values and offsets."""
@@ -251,14 +248,6 @@ class Lines(NamedTuple):
         return self.numbers[:, self.record.element.width + len(self.record.places[0]) :]
 
     @property
-    def rounded(self) -> Index:
-        """Lines whose quaternion has a length that is not 1 up to the rounding of six digits."""
-        if self.record.element.space is not SE3 or self.record.element.angles:
-            return self.at[:0]
-        off: Mask = np.abs(np.sqrt(np.square(self.X[:, 3:]).sum(axis=1)) - 1) > UNIT_ROUNDED
-        return self.at[off]
-
-    @property
     def angles(self) -> Array:
         """(n, k) the angles among the numbers of the element, rad."""
         element = self.record.element
@@ -343,33 +332,35 @@ def among(numbers: Numbers, known: Numbers) -> Mask:
     return np.asarray(known[np.minimum(np.searchsorted(known, numbers), len(known) - 1)] == numbers)
 
 
-def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
-    """A note on angles of more than a turn: nothing, or one sentence.
+def note_rounded(report: LoadReport, blocks: Iterable[Lines]) -> None:
+    """Warn of quaternions whose length is not 1 up to the rounding of six digits."""
+    lines = NONE
+    for at, element, X in ((block.at, block.record.element, block.X) for block in blocks):
+        if element.space is SE3 and not element.angles:
+            off = np.abs(np.sqrt(np.square(X[:, 3:]).sum(axis=1)) - 1) > UNIT_ROUNDED
+            lines = np.concatenate([lines, at[off]])
+    if len(lines):
+        report.warn(
+            f"the length of {several(len(lines), 'quaternion')} is off by more than {UNIT_ROUNDED:g}, first on line "
+            f"{lines.min() + 1}: kept as written, and used as rotations; write more digits"
+        )
 
-    Parameters
-    ----------
-    angles_by_tag : by tag the lines (n,), counted from 0, and their angles (n, k), rad.
 
-    Examples
-    --------
-    >>> (note,) = turns([("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
-    >>> print(*note.split("; "), sep="\\n")
-    1 line has an angle of more than a turn, first on line 9 (EDGE_SE2): 90
-    angles are radians: do they count turns, or are these degrees?
-    """
-    first: list[tuple[int, str, float]] = []
-    count = 0
-    for tag, lines, angles in angles_by_tag:
-        beyond = np.flatnonzero((np.abs(angles) > 6.3).any(axis=1))  # 2 pi, also where it was rounded to two digits
-        count += len(beyond)
-        if len(beyond):
-            k = beyond[np.argmin(lines[beyond])]
-            first.append((int(lines[k]) + 1, tag, float(angles[k, np.argmax(np.abs(angles[k]))])))
-    if not count:
-        return []
-    line, tag, angle = min(first)
-    have = "1 line has" if count == 1 else f"{count} lines have"
-    return [
-        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do they "
-        "count turns, or are these degrees?"
-    ]
+def note_turns(report: LoadReport, vertices: Iterable[Lines], edges: Iterable[Lines]) -> None:
+    """Say that angles are of more than a turn: of vertices in a note, of edges in a warning."""
+    for blocks, say in ((vertices, report.notes.append), (edges, report.warn)):
+        count, first = 0, list[tuple[int, str, float]]()
+        for block in blocks:
+            beyond = np.flatnonzero((np.abs(block.angles) > 6.3).any(axis=1))  # 2 pi, also rounded to two digits
+            count += len(beyond)
+            if len(beyond):
+                k = beyond[np.argmin(block.at[beyond])]
+                angle = block.angles[k, np.argmax(np.abs(block.angles[k]))]
+                first.append((int(block.at[k]) + 1, block.record.tag.decode(), float(angle)))
+        if first:
+            line, tag, angle = min(first)
+            have = "1 line has" if count == 1 else f"{count} lines have"
+            say(
+                f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do "
+                "they count turns, or are these degrees?"
+            )

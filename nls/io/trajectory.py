@@ -24,36 +24,28 @@ from models.listing import several
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
+from nls.io.formats import suffix_of
 from nls.io.report import LoadReport
 from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import note_comments
 from nls.values import Stack, Values
 
-__all__ = ["load_kitti", "load_tum", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
+__all__ = ["load_trajectory", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
 
 
-def load_tum(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
-    """No measurements, the poses of a TUM trajectory as variables x, and a report with their times.
+def load_trajectory(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
+    """No measurements, the poses of a file as variables x, and a report with their times; the name says the format.
 
     Raises
     ------
     GraphFileError
-        As for `read_tum`.
+        As for `read_tum` and `read_kitti`.
     """
-    times, X, comments = _tum(path)
-    return _loaded(path, "tum", convention, X, comments, {"x": times})
-
-
-def load_kitti(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
-    """No measurements, the poses of a KITTI trajectory as variables x, and a report; errors of `read_kitti`."""
-    return _loaded(path, "kitti", convention, *_kitti(path), {})
-
-
-def _loaded(
-    path: str | Path, form: str, convention: str, X: Array, comments: int, times: dict[str, Array]
-) -> tuple[FactorGraph, Values, LoadReport]:
-    """The poses and the report on them."""
-    report = LoadReport(str(path), form, "3-D", convention, {"poses": len(X)}, reason="by its name", vertex_times=times)
+    form = suffix_of(path)[1:]
+    times, X, comments = _tum(path) if form == "tum" else _kitti(path)
+    report = LoadReport(str(path), form, "3-D", convention, {"poses": len(X)}, reason="by its name")
+    if times is not None:
+        report.vertex_times["x"] = times
     note_comments(report, comments)
     return FactorGraph(), Values({"x": (SE3, X)}), report
 
@@ -124,12 +116,12 @@ def read_kitti(path: str | Path) -> Array:
     GraphFileError
         With the line: another count of numbers, a word that is no number, a matrix that is no rotation.
     """
-    return _kitti(path)[0]
+    return _kitti(path)[1]
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a matrix that overflows is no rotation, and is refused
-def _kitti(path: str | Path) -> tuple[Array, int]:
-    """Poses and how many comments."""
+def _kitti(path: str | Path) -> tuple[None, Array, int]:
+    """No times, poses and how many comments."""
     text, lines, table, comments = plain_table(path, 12, "the upper 3 x 4 of a pose, row by row", "pose")
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
@@ -141,7 +133,7 @@ def _kitti(path: str | Path) -> tuple[Array, int]:
         return f"no rotation matrix: {why}"
 
     text.refuse(~rotations | (np.linalg.det(R) < 0), lines, problem)
-    return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
+    return None, np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 
 def write_kitti(path: str | Path, poses: npt.ArrayLike) -> None:
@@ -222,14 +214,15 @@ def trajectory_text(
     timed = stack.kind in known
     times = known[stack.kind] if timed else stack.numbers.astype(float)
     order = np.argsort(times, kind="stable")
-    if form == "tum" and not timed and (np.diff(times[order]) == 0).any():
-        message = f"{path}: the numbers of the poses stand for times, and are too large to tell them apart as such"
-        raise GraphError(message, advice=[Advice("table"), Advice("native")])
     X = np.array(stack.X)[order]
-    data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
-    notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]
-    if timed and form == "kitti":
-        notes.append("a kitti file holds no times")
+    if form == "kitti":
+        data, notes = kitti_text(path, X), ["a kitti file holds no times"] * timed
+    else:
+        if not timed and (np.diff(times[order]) == 0).any():
+            message = f"{path}: the numbers of the poses stand for times, and are too large to tell them apart as such"
+            raise GraphError(message, advice=[Advice("table"), Advice("native")])
+        data = tum_text(path, times[order], X)
+        notes = ["the file has no times: the numbers of the poses stand for them"] * (not timed)
     if left := len(values) - len(stack):
         notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
     return data, notes

@@ -6,15 +6,16 @@ factor's convention. Where they differ, e_f = S e to first order:
     chart         e_f                            S for log (gtsam)         S for g2o, graphslam
     plain         as the residual                I                         I
     quaternion    (t, vector part)               diag(I, I/2) (gtsam: I)   I
+    rotation      (t, rotation vector)           I                         diag(I, 2 I)
     angles        (t, roll, pitch, yaw)          diag(I, T^-1)             diag(I, 2 T^-1)
 
 with T of `models.manifolds.euler` at the measured angles, phi = T d(roll, pitch, yaw) and v = phi / 2. Then
 
-    information I_e = S' I S,    square root R_e = R S
+    information I_e = S' I S,    square root R_e = R S,    covariance C = S C_e S'
 
-so that all conventions agree to first order (`gtsam` reads a quaternion's information as GTSAM does). No format here
-has a covariance of poses in space. A translation stays as it is. Like other readers of these files, this one does not
-apply the difference between the axes of the two poses to it.
+so that all conventions agree to first order (`gtsam` reads a quaternion's information as GTSAM does). A covariance of
+poses in space is about the rotation vector, an information about the quaternion. A translation stays as it is. Like
+other readers of these files, this one does not apply the difference between the axes of the two poses to it.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ import numpy as np
 from factors.base import Factor
 from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation, square
 from factors.robust import Robust
+from models import SE3
 from models.algebra import Array, Mask
 from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
-from nls.io.records import Dialect, Record
+from nls.io.records import Record
 
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,
@@ -35,6 +37,7 @@ NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] 
     "covariance": Covariance,
 }
 HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
+HALVED = {"information": ("log",), "covariance": ("g2o", "graphslam")}  # conventions whose rotation is not the file's
 
 
 def matrix(record: Record, numbers: Array, kind: str) -> Array:
@@ -54,15 +57,15 @@ def matrix(record: Record, numbers: Array, kind: str) -> Array:
 
 def noise_of(record: Record, kind: str, M: Array, measured: Array, convention: str) -> Noise:
     """The noise of a factor from matrices (n, m, m) of a kind and the measured numbers (n, width) of the lines."""
-    if record.chart == "quaternion" and convention == "log":
-        M = M / (HALF[:, None] * HALF)
-    elif record.chart == "angles":
+    if record.element.angles:
         S, _ = _turn(measured[:, 3:], convention)
         M = M @ S if kind == "square root" else _symmetric(S.mT @ M @ S)
+    elif record.element.space is SE3 and convention in HALVED[kind]:
+        M = M / (HALF[:, None] * HALF)
     return NOISES[kind](M)
 
 
-def entries(record: Record, format: Dialect, factor: Factor, W: Array, measured: Array) -> Array:
+def entries(record: Record, kind: str, factor: Factor, W: Array, measured: Array) -> Array:
     """Matrix entries (n, k) of the lines of a factor with the whitener W; the inverse of `noise_of`.
 
     Raises
@@ -70,8 +73,11 @@ def entries(record: Record, format: Dialect, factor: Factor, W: Array, measured:
     GraphError
         A robust kernel, or a covariance that does not exist.
     """
-    kind, m, noise = format.matrix, record.element.space.dim, factor.noise
-    refuse_robust(factor)
+    m, noise = record.element.space.dim, factor.noise
+    if isinstance(noise, Robust):
+        raise GraphError(
+            f"{factor!r} has a robust kernel, which files of this kind have no place for", factor.keys, factor.name
+        )
     W = square(W)
     M: Array
     if type(noise) is NOISES[kind] and not (kind == "square root" and np.tril(noise.matrix, -1).any()):
@@ -80,44 +86,20 @@ def entries(record: Record, format: Dialect, factor: Factor, W: Array, measured:
         M = W.mT @ W
     elif kind == "square root":
         M = _upper(W)
+    elif np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
+        W_inv = np.linalg.inv(W)
+        M = W_inv @ W_inv.mT
     else:
-        M = covariance(factor, W)
-    if record.chart == "quaternion" and factor.convention == "log":
-        M = M * (HALF[:, None] * HALF)
-    elif record.chart == "angles":
-        _, S_inv = _turn(measured[:, 3:], factor.convention)
-        M = _upper(M @ S_inv) if kind == "square root" else _symmetric(S_inv.mT @ M @ S_inv)
-    rows, columns = record.places
-    return np.broadcast_to(M, (len(factor), m, m))[:, rows, columns]
-
-
-def refuse_robust(factor: Factor) -> None:
-    """Refuse a robust kernel.
-
-    Raises
-    ------
-    GraphError
-    """
-    if isinstance(factor.noise, Robust):
-        raise GraphError(
-            f"{factor!r} has a robust kernel, which files of this kind have no place for", factor.keys, factor.name
-        )
-
-
-def covariance(factor: Factor, W: Array) -> Array:
-    """Covariances (n, m, m) of a factor with the whiteners W (n, m, m): Sigma = (W'W)^-1.
-
-    Raises
-    ------
-    GraphError
-        There is none.
-    """
-    if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
         raise GraphError(
             f"{factor!r} has no covariance: it measures nothing in some direction", factor.keys, factor.name
         )
-    W_inv = np.linalg.inv(W)
-    return np.asarray(W_inv @ W_inv.mT)
+    if record.element.angles:
+        _, S_inv = _turn(measured[:, 3:], factor.convention)
+        M = _upper(M @ S_inv) if kind == "square root" else _symmetric(S_inv.mT @ M @ S_inv)
+    elif record.element.space is SE3 and factor.convention in HALVED[kind]:
+        M = M * (HALF[:, None] * HALF)
+    rows, columns = record.places
+    return np.broadcast_to(M, (len(factor), m, m))[:, rows, columns]
 
 
 def repaired(Omega: Array) -> tuple[Array, Mask]:

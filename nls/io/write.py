@@ -22,10 +22,10 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.dialects import TAGGED
+from nls.io.parameters import PRIOR, VERTEX
 from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, joined, spaces_of
 from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
-from nls.io.switches import PRIOR, VERTEX
 from nls.io.text import rows
 from nls.io.unused_lines import appended
 from nls.io.variable_names import VertexIds
@@ -201,7 +201,7 @@ class _Content:
         if numbers is None:
             try:
                 measured = record.element.encode(model.z)
-                numbers = np.hstack([measured, entries(record, self.format, factor, model.W, measured)])
+                numbers = np.hstack([measured, entries(record, self.format.matrix, factor, model.W, measured)])
             except SingularGeometryError as error:
                 message = f"{self.path}: {factor!r}: {error}"
                 raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error

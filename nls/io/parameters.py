@@ -1,6 +1,7 @@
-r"""Switchable edges of vertigo, read as closures under the kernel `factors.robust.DCS`.
+r"""The parameters of a file, which edges name besides vertices: fixed poses of sensors, and switches.
 
-A switch s scales the residual of its edge, and a prior keeps it near a value gamma, with information xi:
+Switchable edges of vertigo are read as closures under the kernel `factors.robust.DCS`. A switch s scales the residual
+of its edge, and a prior keeps it near a value gamma, with information xi:
 
     s^2 chi2 + xi (gamma - s)^2,   that is with u = s / gamma   u^2 (gamma^2 chi2) + gamma^2 xi (1 - u)^2
 
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from models import LieGroup
 from models.algebra import Array, Index
 from models.listing import several, some
 from nls.io.records import NONE, Lines, among, by_number, joined
@@ -24,6 +26,37 @@ from nls.io.text import Text
 from nls.io.unused_lines import keep
 
 VERTEX, PRIOR = b"VERTEX_SWITCH", b"EDGE_SWITCH_PRIOR"
+
+
+class Offsets:
+    """Fixed poses of sensors on the vehicle."""
+
+    def __init__(self, text: Text, lines: list[Lines], group: LieGroup) -> None:
+        self.text, self.group = text, group
+        self.others = joined([block.at for block in lines if block.record.group is not group])
+        lines = [block for block in lines if block.record.group is group]
+        self.ids, order = by_number(text, lines, "parameter")
+        self.X = np.concatenate([group.identity(0), *(block.X for block in lines)])[order]
+        self.at = joined([block.at for block in lines])[order]
+        self.unused = np.ones(len(self.ids), dtype=bool)
+
+    def of(self, block: Lines) -> Array:
+        """Offsets (n, k, size) the lines of an edge name."""
+        parameters = block.parameters
+        missing = ~among(parameters, self.ids)
+
+        def problem(k: int) -> str:
+            number = parameters[k][missing[k]][0]
+            return f"the edge needs parameter {number}, which no PARAMS_{self.group.name}OFFSET line has"
+
+        self.text.refuse(np.any(missing, axis=1), block.at, problem)
+        index = np.searchsorted(self.ids, parameters)
+        self.unused[index] = False
+        return self.X[index]
+
+    def keep_unused(self, report: LoadReport) -> None:
+        """Keep the parameters no edge names as text: a graph has no place for them."""
+        _keep(self.text, joined([self.at[self.unused], self.others]), "parameter", " that no edge uses", report)
 
 
 class Switches:
@@ -87,6 +120,12 @@ class Switches:
     def keep_unused(self, report: LoadReport) -> None:
         """Keep lines of switches and priors that no edge names as text."""
         named = np.sort(self.named)
-        if len(lines := np.sort(joined(block.at[~among(block.ids[0], named)] for block in self.lines))):
-            report.notes.append(f"{several(len(lines), 'line')} of switches that no edge uses")
-            keep(self.text, lines, report)
+        lines = joined(block.at[~among(block.ids[0], named)] for block in self.lines)
+        _keep(self.text, lines, "line", " of switches that no edge uses", report)
+
+
+def _keep(text: Text, lines: Index, noun: str, why: str, report: LoadReport) -> None:
+    """Keep lines of parameters as text, and say so in a note."""
+    if len(lines):
+        report.notes.append(f"{several(len(lines), noun)}{why}")
+        keep(text, np.sort(lines), report)
