@@ -31,16 +31,6 @@ from nls.io.table import EMPTY
 from nls.missions.folder.report import MissionReport
 from nls.values import Values
 
-__all__ = [
-    "Determination",
-    "covariances",
-    "determinations",
-    "or_empty",
-    "position_checks",
-    "sigma_at_the_end",
-    "undetermined",
-]
-
 LEFT = 0.9  # of the sigma: 81 % of the variance
 YAW = 2  # column of XYH
 (x,) = kinds("x")
@@ -112,11 +102,8 @@ def position_checks(graph: FactorGraph, values: Values, dof: int) -> int:
 def _turns(factor: XYH, values: Values) -> int:
     """Rows of a batch of steps that measure the yaw, and neither x nor y."""
     W = values.gather(factor)[0].W
-    if W.ndim == 2:
-        rows = int((W[:, YAW] != 0).sum())
-    else:
-        rows = int(((W[:, :, YAW] != 0) & (W[:, :, :YAW] == 0).all(axis=2)).sum())
-    return rows * (len(factor) if len(W) == 1 else 1)
+    yaws = W[:, YAW] != 0 if W.ndim == 2 else (W[:, :, YAW] != 0) & (W[:, :, :YAW] == 0).all(axis=2)
+    return int(yaws.sum()) * (len(factor) if len(W) == 1 else 1)
 
 
 def sigma_at_the_end(marginals: Marginals, report: MissionReport) -> float:

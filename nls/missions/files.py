@@ -131,8 +131,8 @@ class MissionFiles:
         """track.png: dead reckoning, solution and truth from above, and how far each is off."""
         from nls.missions.pictures.mission import track
 
-        solution = self.solution
-        return track(self.values, solution.dead, self.report.truth, solution.marginals, solution.tracks)
+        own = self.solution
+        return track(self.values, own.dead, self.report.truth, own.marginals, own.tracks)
 
     def landmarks(self) -> Any:
         """landmarks.png: the map, and how well the elevations are known."""

@@ -86,17 +86,14 @@ class Elevations:
         """Covariances (n, 3, 3) of the landmarks along the axes of the world, with what the aperture says of them."""
         was, now = np.square(self.before), np.square(self.sigma)
         grown = np.where(now > was, now - was, 0.0)
-        arc, bow = (
-            np.sqrt(k)[:, None] * self.range[:, None] * v
-            for k, v in ((grown, self.along), (0.75 * grown**2, self.ahead))
-        )
+        parts = (grown, self.along), (0.75 * grown**2, self.ahead)
+        arc, bow = (np.sqrt(k)[:, None] * self.range[:, None] * v for k, v in parts)
         Sh = np.matvec(Sigma, self.along)
         known = np.where(now < was, 1 - np.divide(now, was, out=np.ones_like(now), where=was > 0), 0.0)
         own = dot(self.along, Sh)  # 0 of a landmark that is held
         less = np.sqrt(known / np.where(own > 0, own, 1.0))[:, None] * Sh
-        return np.asarray(
-            Sigma + sum(sign * v[:, :, None] * v[:, None, :] for sign, v in ((1, arc), (1, bow), (-1, less)))
-        )
+        changes = (sign * v[:, :, None] * v[:, None, :] for sign, v in ((1, arc), (1, bow), (-1, less)))
+        return np.asarray(Sigma + sum(changes))
 
 
 def elevations(

@@ -147,9 +147,8 @@ class SolvedMission(Solution):
         marginals = super().marginals
         if marginals is None:
             return None
-        seen_once = (
-            determination.undetermined(marginals, l) if self.report.sonar and l.name in self.values.stacks else l[[]]
-        )
+        mapped = self.report.sonar and l.name in self.values.stacks
+        seen_once = determination.undetermined(marginals, l) if mapped else l[[]]
         if len(seen_once):
             self.report.notes.append(
                 f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "

@@ -15,7 +15,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
     """Lines of a mission, or of several dives."""
     out = [
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
-        f"{mission['contacts']} contacts" + (f" by the sonar {mission['sonar']}" if mission["sonar"] else ""),
+        f"{mission['contacts']} contacts" + (f" by the sonar {mission['sonar']}" if mission["sonar"] else "")
     ]
     out += _unchecked(mission)
     if mission["judge"] is not None:

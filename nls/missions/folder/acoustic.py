@@ -74,13 +74,11 @@ class Acoustics:
     def shift(self) -> None:
         """Put the factors of usbl.csv under a `Shifted` of each of its calibrations that is a variable."""
         factors, calibrations = self._mission.graph.factors, self._mission.calibrations
-        for k, source in enumerate(self._report.sources if self._shifts else ()):
-            if source.path != self._tables["usbl"].path:
-                continue
-            for name in self._shifts:
-                factor, size = factors[k], 1 + calibrations.value(name)
-                G = np.array([-1.0, 0.0, 0.0]) if name == USBL_YAW else factor.z * [0.0, 0.0, 1.0] / size
-                factors[k] = calibrations.shifted(factor, name, np.broadcast_to(G, factor.z.shape))
+        for name in self._shifts:
+            for k in self._mission.of_table("usbl"):
+                z = factors[k].z
+                G = np.array([-1.0, 0, 0]) if name == USBL_YAW else z * [0.0, 0, 1] / (1 + calibrations.value(name))
+                factors[k] = calibrations.shifted(factors[k], name, np.broadcast_to(G, z.shape))
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
@@ -111,22 +109,19 @@ class Acoustics:
         if not used.all():
             rest = f"of {len(ids)} beacons that nothing measures, the first is {ids[~used][0]}: not used"
             self._report.notes.append(f"beacons.csv has {int((~used).sum())} {rest}")
-        if not used.any():
-            return
-        rows = np.flatnonzero(used)
-        value, first = np.zeros((len(rows), 3)), 2 if components else 0
-        value[:, first:] = z[rows]
-        self.places[np.searchsorted(self.numbers, ids[rows]), first:] = z[rows]
-        prior = Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components)
-        self._mission.add(prior, table.source(rows))
+        if used.any():
+            rows, first = np.flatnonzero(used), 2 if components else 0
+            self.places[np.searchsorted(self.numbers, ids[rows]), first:] = z[rows]
+            value = np.pad(z[rows], ((0, 0), (first, 0)))
+            prior = Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components)
+            self._mission.add(prior, table.source(rows))
 
     def _ranges(self, table: Table, poses: Numbers, rows: Mask, depth: Array) -> None:
         calibrations = self._mission.calibrations
         beacon, mount = table.integers("beacon"), _mount(table)
         if one_of(table, ("range_m", "sigma_range_m"), ("travel_time_s", "sigma_travel_time_s")):
-            for name in ("turn_around_s", "ways"):
-                if table.has(name):
-                    raise table.at_names(f"has range_m and {name}, which is of travel_time_s; leave it out")
+            for name in filter(table.has, ("turn_around_s", "ways")):
+                raise table.at_names(f"has range_m and {name}, which is of travel_time_s; leave it out")
             table.measured("range_m")  # within what a meter may be
             z, sigmas = table.positive("range_m")[:, 0], table.positive("sigma_range_m")[:, 0]
         else:
@@ -146,11 +141,9 @@ class Acoustics:
         ways = table.integers("ways") if table.has("ways") else np.full(len(t), 2)
         expected = "expected 1, or 2 where the sound went there and back"
         table.refuse_rows(~np.isin(ways, (1, 2)), lambda k: f"ways is {ways[k]}; {expected}")
-        table.refuse_rows(wait < 0, lambda k: f"turn_around_s is {float(wait[k])!r}; expected seconds, 0 or more")
-        more = "s are the turn-around; expected more than that"
-        table.refuse_rows(
-            t - wait <= 0, lambda k: f"travel_time_s is {float(t[k])!r}, of which {float(wait[k])!r} {more}"
-        )
+        table.refuse_numbers(wait < 0, wait, "seconds, 0 or more", "turn_around_s")
+        more, short = "s are the turn-around; expected more than that", t - wait <= 0
+        table.refuse_rows(short, lambda k: f"travel_time_s is {float(t[k])!r}, of which {float(wait[k])!r} {more}")
         c: Array | float = 1500.0  # m/s
         if (profile := self._tables.get("sound-speed")) is None:
             self._report.notes.append(f"there is no sound-speed.csv: travel times at {c:g} m/s")
@@ -160,7 +153,7 @@ class Acoustics:
             if (unknown := np.isnan(to)).any():
                 reason = "the speed of sound is taken at the depth of the vehicle"
                 self._report.notes.append(f"no depth of beacon {beacon[unknown][0]} in beacons.csv: {reason}")
-            c = Profile(profile).mean(at, np.where(unknown, at, to))
+            c = mean_speed(profile, at, np.where(unknown, at, to))
         return c * (t - wait) / ways, c * sigma / ways
 
     def _usbl(self, table: Table, poses: Numbers, rows: Mask) -> None:
@@ -168,8 +161,7 @@ class Acoustics:
         table.positive("range_m")
         z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
         steep = ~(np.abs(z[:, 1]) <= np.pi / 2)
-        expected = "expected radians, -pi/2 to pi/2, down is positive"
-        table.refuse_rows(steep, lambda k: f"elevation_rad is {float(z[k, 1])!r}; {expected}")
+        table.refuse_numbers(steep, z[:, 1], "radians, -pi/2 to pi/2, down is positive", "elevation_rad")
         noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
         z[:, 0] += calibrations.value(USBL_YAW)
         for ranges in (z, noise):
@@ -179,10 +171,9 @@ class Acoustics:
             to_beacons = BearingRange(x[poses[:, 0]], b[table.integers("beacon")], z, Diagonal(noise), mount)
             return self._mission.add_rows(table, rows, to_beacons)
         if mount is not None:
-            raise table.at_names(
-                "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
-                "and arm_z_m out, or 0, or write positions of the transponder to fixes.csv, which has a lever arm"
-            )
+            center = "whose transponder is taken to be at its center; leave arm_x_m, arm_y_m and arm_z_m out, or 0"
+            cure = "or write positions of the transponder to fixes.csv, which has a lever arm"
+            raise table.at_names(f"the ship measured the vehicle, {center}, {cure}")
         place, rows = self._ship(table, poses[:, 0], rows)
         self._mission.graph.fix(s[np.arange(len(self.ship))])
         return self._mission.add_rows(table, rows, BearingRange(s[place], x[poses[:, 0]], z, Diagonal(noise)))
@@ -241,8 +232,8 @@ def _mount(table: Table) -> Array | None:
     return mount
 
 
-class Profile:
-    """The speed of sound over depth, as straight lines between the rows of sound-speed.csv.
+def mean_speed(table: Table, a: Array, b: Array) -> Array:
+    """Harmonic mean (n,) of the speeds of sound between depths a and b (n,), m/s, by sound-speed.csv.
 
     A sound that goes straight from depth a to depth b needs, over each meter of depth, a time in proportion to 1/c(z):
 
@@ -254,42 +245,29 @@ class Profile:
 
     Source: H. Medwin, C. Clay, Fundamentals of Acoustical Oceanography, 1998, section 3.3.
 
-    Parameters
-    ----------
-    table : of the file.
-
     Raises
     ------
     GraphFileError
         Depths that do not rise, a speed that no water has.
     """
+    zs, c = table.rising("z_m"), table.measured("sound_speed_m_s")[:, 0]
+    wrong = (c < 300) | (c > 3000)  # m/s: of sound in air, and faster than in any water
+    table.refuse_numbers(wrong, c, "m/s, near 1500 in water", "sound_speed_m_s")
+    change = np.diff(c)
+    mean = change / np.where(change == 0, 1.0, np.log1p(change / c[:-1]))  # no cancellation where it is small
+    S_rows = np.append(0.0, np.cumsum(np.diff(zs) / np.where(change == 0, c[:-1], mean)))
 
-    def __init__(self, table: Table) -> None:
-        self.z, self.c = table.rising("z_m"), table.measured("sound_speed_m_s")[:, 0]
-        wrong = (self.c < 300) | (self.c > 3000)  # m/s: of sound in air, and faster than in any water
-        expected = "expected m/s, near 1500 in water"
-        table.refuse_rows(wrong, lambda k: f"sound_speed_m_s is {float(self.c[k])!r}; {expected}")
-        change = np.diff(self.c)
-        mean = change / np.where(change == 0, 1.0, np.log1p(change / self.c[:-1]))  # no cancellation where it is small
-        self._mean = np.where(change == 0, self.c[:-1], mean)  # g / ln(c_1 / c_0), times the thickness
-        self._S = np.append(0.0, np.cumsum(np.diff(self.z) / self._mean))
-
-    def mean(self, a: Array, b: Array) -> Array:
-        """Harmonic mean (n,) of the speeds between depths a and b (n,), m/s."""
-        away = np.abs(b - a) > 1e-3  # m: depths that are one
-        S = self._time(b) - self._time(a)
-        return np.where(away, (b - a) / np.where(away, S, 1.0), np.interp(a, self.z, self.c))
-
-    def _time(self, z: Array) -> Array:
+    def time(z: Array) -> Array:
         """S(z) (n,), s, from the first row."""
-        z, c, zs = np.asarray(z, dtype=float), self.c, self.z
         k = np.clip(np.searchsorted(zs, z, side="right") - 1, 0, max(len(zs) - 2, 0))
         inside = np.clip(z, zs[0], zs[-1])
-        at = np.interp(inside, zs, c)
-        change = at - c[k]
+        change = np.interp(inside, zs, c) - c[k]
         slowness = np.where(change == 0, 1 / c[k], np.log1p(change / c[k]) / np.where(change == 0, 1.0, change))
-        S = self._S[k] + (inside - zs[k]) * slowness
+        S = S_rows[k] + (inside - zs[k]) * slowness
         return np.asarray(S + np.minimum(z - zs[0], 0.0) / c[0] + np.maximum(z - zs[-1], 0.0) / c[-1])
+
+    away = np.abs(b - a) > 1e-3  # m: depths that are one
+    return np.where(away, (b - a) / np.where(away, time(b) - time(a), 1.0), np.interp(a, zs, c))
 
 
 # --- beacons that several dives know ----------------------------------------------------------------------------------

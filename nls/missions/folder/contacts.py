@@ -62,8 +62,7 @@ def _measured(mission: Assembly, timeline: Timeline, k: Numbers, elevation: str)
     table.positive("range_m")
     z = table.measured(*CONTACT)
     r, azimuth = z.T
-    expected = "expected radians, -pi to pi"
-    table.refuse_rows(~(np.abs(azimuth) <= np.pi), lambda k: f"azimuth_rad is {float(azimuth[k])!r}; {expected}")
+    table.refuse_numbers(~(np.abs(azimuth) <= np.pi), azimuth, "radians, -pi to pi", "azimuth_rad")
     near, far = report.sonar.window
     sigmas = table.positive(*suffixed(CONTACT))
     slack_r, slack_azimuth = SLACK * sigmas.T

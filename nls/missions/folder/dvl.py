@@ -143,7 +143,7 @@ def velocities(mission: Assembly, attitude: Attitude, mount: Array, noise: dict[
     sigma = np.full(len(t), noise["sigma_v_m_s"])
     if dvl.has("sigma_v_m_s"):
         sigma = np.where(valid, dvl.measured("sigma_v_m_s")[:, 0], sigma)
-        dvl.refuse_rows(~(sigma > 0), lambda k: f"sigma_v_m_s is {float(sigma[k])!r}; expected a number above 0")
+        dvl.refuse_numbers(~(sigma > 0), sigma, "a number above 0", "sigma_v_m_s")
     if dvl.has(*WATER_TRACK[:3]):
         v, valid, sigma = _through_water(dvl, v, valid, sigma, _orientation(t, attitude, mount), notes)
     return Velocities(t, _turned(v, calibrations.value(YAW)) / (1 + calibrations.value(SCALE)), valid, sigma, bottom)

@@ -46,8 +46,7 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
     if one_of(table, ("x_m", "y_m"), GEODETIC):
         return table.measured("x_m", "y_m")
     lat_lon = table.measured(*GEODETIC)
-    lat = lat_lon[:, 0]
-    table.refuse_rows(np.abs(lat) > 90, lambda k: f"lat_deg is {float(lat[k])!r}; expected degrees, -90 to 90")
+    table.refuse_numbers(np.abs(lat_lon[:, 0]) > 90, lat_lon[:, 0], "degrees, -90 to 90", "lat_deg")
     if plane is None:
         first = ",".join(repr(number) for number in lat_lon[0].tolist())
         cure = f"write origin.csv with one row of lat_deg,lon_deg, such as {first}"

@@ -45,6 +45,10 @@ class Assembly:
         self.graph.add(factor)
         self.report.sources.append(source)
 
+    def of_table(self, name: str) -> list[int]:
+        """The numbers of the factors that were read from a table."""
+        return [k for k, source in enumerate(self.report.sources) if source.path == self.tables[name].path]
+
     def add_rows(self, table: Table, rows: Mask, factor: Factor) -> None:
         """Add a factor of all rows for those that count, in parts for each robust kernel; note their lines.
 
@@ -107,8 +111,9 @@ def noise_of(table: Table, used: dict[str, str]) -> dict[str, float]:
     for name in noise:
         if name not in MAY_BE_0:
             table.positive(name)
-        elif (number := float(table.measured(name)[0, 0])) < 0:
-            raise table.at(0, f"{name} is {number!r}; expected 0 or above")
+        else:
+            number = table.measured(name)
+            table.refuse_numbers(number < 0, number, "0 or above", name)
     for name, user in used.items():
         if name not in noise:
             raise table.at(0, f"there is no column {name}, which {user}.csv needs")

@@ -185,13 +185,13 @@ class Table(Text):
         return numbers
 
     def with_numbers(self, names: Sequence[str], numbers: Array) -> Table:
-        """The same table with other numbers (n, k) in some of its columns; lines and text stay."""
+        """A table with other numbers (n, k) in some of its columns; lines and text stay."""
         other = copy(self)
         other._other = self._other | dict(zip(names, numbers.T, strict=True))
         return other
 
     def part(self, rows: Index | Mask | slice) -> Table:
-        """The same table with some of its rows."""
+        """The table of some of its rows."""
         other = copy(self)
         other.lines = self.lines[rows]
         other._other = {name: numbers[rows] for name, numbers in self._other.items()}
@@ -211,10 +211,9 @@ class Table(Text):
         """
         numbers = self.floats(*names)
         limits = [next(limit for end, _, _, *limit in OF_ENDS if name.endswith(end)) for name in names]
-        bad = ~(np.abs(numbers) <= np.array([limit for limit, _ in limits]))
-        if rows is not None:
-            bad &= rows[:, None]
-        self._refuse(bad, numbers, names, [str(expected) for _, expected in limits])
+        bad = ~(np.abs(numbers) <= [limit for limit, _ in limits])
+        counts = True if rows is None else rows[:, None]
+        self.refuse_numbers(bad & counts, numbers, [str(expected) for _, expected in limits], *names)
         return numbers
 
     def within(self, limit: float, expected: str, *names: str) -> Array:
@@ -225,7 +224,7 @@ class Table(Text):
         GraphFileError
         """
         numbers = self.floats(*names)
-        self._refuse(np.abs(numbers) > limit, numbers, names, [expected] * len(names))
+        self.refuse_numbers(np.abs(numbers) > limit, numbers, expected, *names)
         return numbers
 
     def attitude(self, *names: str) -> Array:
@@ -237,10 +236,8 @@ class Table(Text):
         """
         angles = self.measured(*names)
         upright = np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
-        pitch = np.array([name == "pitch_rad" for name in names])
-        self._refuse(
-            (np.abs(angles) > upright) & pitch, angles, names, ["radians, between -pi/2 and pi/2"] * len(names)
-        )
+        bad = (np.abs(angles) > upright) & [name == "pitch_rad" for name in names]
+        self.refuse_numbers(bad, angles, "radians, between -pi/2 and pi/2", *names)
         return angles
 
     def positive(self, *names: str) -> Array:
@@ -251,15 +248,17 @@ class Table(Text):
         GraphFileError
         """
         numbers = self.floats(*names)
-        self._refuse(~(numbers > 0), numbers, names, ["a number above 0"] * len(names))
-        self._refuse((numbers < SMALLEST) | (numbers > LARGEST), numbers, names, [" to ".join(BOUNDS)] * len(names))
+        self.refuse_numbers(~(numbers > 0), numbers, "a number above 0", *names)
+        self.refuse_numbers((numbers < SMALLEST) | (numbers > LARGEST), numbers, " to ".join(BOUNDS), *names)
         return numbers
 
-    def _refuse(self, bad: Mask, numbers: Array, names: Sequence[str], expected: Sequence[str]) -> None:
-        """An error for the first of the numbers (n, k) that is bad."""
+    def refuse_numbers(self, bad: Mask, numbers: Array, expected: str | Sequence[str], *names: str) -> None:
+        """Refuse the first of the numbers of columns, (n, k) or of one (n,), that is bad; says what is expected."""
         if bad.any():
             k, column = divmod(int(np.argmax(bad)), len(names))
-            raise self.at(k, f"{names[column]} is {float(numbers[k, column])!r}; expected {expected[column]}")
+            came = float(numbers.reshape(bad.shape[0], -1)[k, column])
+            right = expected if isinstance(expected, str) else expected[column]
+            raise self.at(k, f"{names[column]} is {came!r}; expected {right}")
 
     def integers(self, name: str) -> Numbers:
         """Whole numbers (n,) of one column.
@@ -328,11 +327,9 @@ class Table(Text):
         """Cells of one column as text, without the quotation marks around them."""
         cells = self._cells([name])[:, 0]
         words = [self._data[s - PAD : e - PAD] for s, e in zip(self.starts[cells], self.ends[cells], strict=True)]
-        quoted = [len(word) > 1 and word[:1] == word[-1:] == b'"' for word in words]
-        return [
-            printable(word[1:-1].replace(b'""', b'"') if within else word)
-            for word, within in zip(words, quoted, strict=True)
-        ]
+        quoted = (len(word) > 1 and word[:1] == word[-1:] == b'"' for word in words)
+        pairs = zip(words, quoted, strict=True)
+        return [printable(word[1:-1].replace(b'""', b'"') if within else word) for word, within in pairs]
 
     def source(self, rows: Index | slice = slice(None)) -> Source:
         """The source of a factor whose measurements stand in these rows."""

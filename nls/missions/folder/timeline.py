@@ -33,7 +33,6 @@ from nls.values import Values
 
 SAME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
-NUMBERED = ("anchor", "truth", *TIMED)  # files that may name poses
 CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
 
@@ -47,9 +46,7 @@ def measured_times(tables: dict[str, Table], calibrations: Calibrations) -> Time
         Times and poses both, or neither; a delay of a row that is of a pose.
     """
     times: Times = {}
-    for name in TIMED:
-        if (table := tables.get(name)) is None:
-            continue
+    for name, table in ((name, tables[name]) for name in TIMED if name in tables):
         timed, numbered = (("time_i_s", "time_j_s"), ("i", "j")) if name == "closures" else (("time_s",), ("i",))
         if not one_of(table, timed, numbered):
             if table.has("delay_s"):
@@ -93,7 +90,7 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
     """
     if not times:
         return b
-    for name in NUMBERED:
+    for name in ("anchor", "truth", *TIMED):  # files that may name poses
         if (table := tables.get(name)) is not None and table.has("i"):
             cure = "write poses.csv, with i and time_s of every pose"
             raise table.at_names(f"names poses by i, but the times of {next(iter(times))}.csv add poses; {cure}")
@@ -266,10 +263,9 @@ def shift_clocks(mission: Assembly, timeline: Timeline, start: Values, ship: Arr
         if x.name not in moving:
             moving[x.name] = twists(start[x], timeline.at(start.stack(x).numbers))
         factors = mission.graph.factors
-        for k, source in enumerate(mission.report.sources):
-            if source.path == mission.tables[name].path:
-                G = -total(rates_by_time(factors[k], start, moving))
-                factors[k] = mission.calibrations.shifted(factors[k], clock, G)
+        for k in mission.of_table(name):
+            G = -total(rates_by_time(factors[k], start, moving))
+            factors[k] = mission.calibrations.shifted(factors[k], clock, G)
 
 
 def rates_by_time(factor: Factor, values: Values, moving: dict[str, Array]) -> dict[str, Array]:

@@ -89,7 +89,7 @@ def _places(values: Values) -> tuple[Array, Array]:
 
 
 def _aligned(values: Values, truth: Values) -> tuple[Array, Array]:
-    """The same, moved onto the truth."""
+    """Positions of cameras and points, moved onto the truth."""
     cameras, points = _places(values)
     T = align(np.concatenate(_places(truth)), np.concatenate([cameras, points]))[None]
     return SE3.act(T, cameras), SE3.act(T, points)

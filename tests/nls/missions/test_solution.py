@@ -28,7 +28,6 @@ def test_at_an_optimum_with_solver_and_gauge() -> None:
     result = GRAPH.optimize(START)
     for gauge, sentence in (("first", "x0 held"), ("free", "free")):
         marginals, note = Solution(GRAPH, START, result, REPORT, QR(), gauge).covariances
-        assert marginals is not None
         assert note == ""
         assert marginals.gauge.startswith(sentence)
         np.testing.assert_array_equal(marginals.values[x], result.values[x])

@@ -27,7 +27,7 @@ def subsea() -> Scene:
 
 
 def charted() -> Scene:
-    """The same world, its landmarks seen as points."""
+    """The world of `subsea`, its landmarks seen as points."""
     scene = subsea()
     graph = FactorGraph([f for f in scene.graph.factors if not isinstance(f, BearingRange)])
     (sightings,) = (f for f in scene.graph.factors if isinstance(f, BearingRange))

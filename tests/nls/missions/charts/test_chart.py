@@ -21,7 +21,7 @@ def test_the_bottom_below_the_vehicle() -> None:
     report.vertex_times["x"] = np.array([30.0, 10.0, 20.0])
     report.soundings = np.array([[9.0, 1.0], [10.0, 1.0], [15.0, 7.5], [30.0, 2.0], [31.0, 2.0]])
     chart = chart_of(Values({x: (SE3, X)}), None, report)
-    assert (chart.name, chart.track.numbers.tolist(), chart.times.tolist()) == ("dive", [1, 2, 0], [10.0, 20.0, 30.0])  # type: ignore[union-attr]
+    assert (chart.name, chart.track.numbers.tolist(), chart.times.tolist()) == ("dive", [1, 2, 0], [10.0, 20.0, 30.0])
     assert chart.bottom == pytest.approx(np.array([[0, 0, 3], [5, 0, 10], [20, 0, 6]]))
     assert b"comment kind: 0 bottom\n" in points_text(chart)
     cells = set(depths_text(chart).decode().split("-9999.0\n", 1)[1].split())

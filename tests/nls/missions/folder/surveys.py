@@ -108,7 +108,6 @@ class Survey:
             texts["calibration"] = csv_text(COLUMNS["calibration"], list(calibration), numbers).decode()
         texts["anchor"] = self.anchor([0], 0.01)
         graph, values, report = nls.load(folder(path, {**texts, **(replace or {})}))
-        assert isinstance(report, MissionReport)
         if fixes:
             i = np.arange(0, LENGTH - 1, fixes)
             z = self.p[(3 + i) * RATE, :2] + self.noise(SIGMA["fix"], len(i), 2)

@@ -11,17 +11,18 @@ import nls
 from factors import BearingRange, Prior, Range, ScaledRange, Shifted
 from models import SE3, euler
 from models.sensors import direction
-from nls.missions.folder.columns import ANGLES, COLUMNS, PLACE
+from nls.missions.folder.columns import ANGLES, COLUMNS, PLACE, USBL, suffixed
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import TINY, folder
+from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
 from tests.nls.missions.folder.test_fixes import solved
 
 x, b, s = nls.kinds("x", "b", "s")
-COLUMNS_SHIP = (*ANGLES, *PLACE)
 T = np.arange(2.3, 79.0, 2.5)
 HEARD = np.array([3, 5, 9])[np.arange(len(T)) % 3]
 RANGE = "time_s,beacon,range_m,sigma_range_m"
+DIRECTION = ",".join((*USBL, *suffixed(USBL)))
+SHIP = ",".join(("time_s", *ANGLES, *PLACE))
 SIGMA = np.full((len(T), 1), 0.2)
 IDS = np.array(list(BEACONS))
 PLACES = np.array(list(BEACONS.values()))
@@ -48,14 +49,12 @@ def test_beacons_of_unknown_place_are_found_from_ranges(truth: Positioned, tmp_p
     names = RANGE + ",arm_x_m,arm_y_m,arm_z_m"
     ranges = csv(names, T, HEARD, truth.ranges(T, HEARD, arm), SIGMA, np.tile(arm, (len(T), 1)))
     for beacons in (None, DEPTHS):
-        path = tmp_path / ("depths" if beacons else "unknown")
-        _, result, report = solved(path, truth, ranges=ranges, fixes=FIX, beacons=beacons)
+        _, result, report = solved(tmp_path, truth, ranges=ranges, fixes=FIX, beacons=beacons)
         assert result.values[b] == pytest.approx(PLACES, abs=1e-5)
         assert any("beacons 3, 5, 9 are not in beacons.csv" in note for note in report.notes) == (beacons is None)
-    _, _, report = nls.load(folder(path, {}, fixes=None, poses=truth.poses))
-    assert not any("no anchor.csv" in note for note in report.notes)  # the fixes are still there
-    (path / "fixes.csv").unlink()
-    _, _, report = nls.load(path)
+    assert not any("no anchor.csv" in note for note in report.notes)
+    (tmp_path / "fixes.csv").unlink()
+    _, _, report = nls.load(folder(tmp_path, {}, poses=truth.poses))
     assert "there is no anchor.csv: x and y of x0 are held at 0" in report.notes  # depths alone are no place
 
 
@@ -87,7 +86,7 @@ def test_travel_times(truth: Positioned, tmp_path: Path) -> None:
 
     graph, _, report = solved(tmp_path / "m", truth, ranges=file(1500.0), beacons=KNOWN)
     assert "there is no sound-speed.csv: travel times at 1500 m/s" in report.notes
-    assert graph.factors[4].noise.sigmas[:2, 0] == pytest.approx([0.15, 0.075])  # type: ignore[attr-defined]
+    assert graph.factors[4].noise.sigmas[:2, 0] == pytest.approx([0.15, 0.075])
     z, c = np.array([0.0, 5.0, 12.0]), np.array([1500.0, 1490.0, 1460.0])
     fine = np.linspace(0, 1, 20001)[:, None]
     depths = truth.places(T)[:, 2] * (1 - fine) + np.array([BEACONS[k][2] for k in HEARD]) * fine
@@ -100,15 +99,11 @@ def test_travel_times(truth: Positioned, tmp_path: Path) -> None:
 def test_a_speed_of_sound_that_is_wrong_is_a_variable_or_a_number(truth: Positioned, tmp_path: Path) -> None:
     ranges = csv(RANGE, T, HEARD, 1.02 * truth.ranges(T, HEARD), SIGMA)
     variable, held = ("name,value,sigma\nsound_speed_scale," + text for text in ("0,0.05\n", "0.02,0\n"))
-    place = folder(tmp_path / "m", truth.files, ranges=ranges, beacons=KNOWN, calibration=variable)
-    graph, start, _ = nls.load(place)
-    values = graph.optimize(start).values
-    scale = values[nls.Keys("sound_speed_scale", 0)]
+    graph, start, _ = nls.load(folder(tmp_path / "m", truth.files, ranges=ranges, beacons=KNOWN, calibration=variable))
+    scale = graph.optimize(start).values[nls.Keys("sound_speed_scale", 0)]
     assert scale == pytest.approx(0.02, abs=2e-4)  # its prior is at 0
     assert sum(isinstance(factor, ScaledRange) for factor in graph.factors) == 1
     solved(tmp_path / "held", truth, ranges=ranges, beacons=KNOWN, calibration=held)
-    idle = folder(tmp_path / "idle", truth.files, calibration=held)
-    assert_refused(2, "no measurement of this mission has a sound_speed_scale", nls.load, idle)
 
 
 def usbl(frames: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -117,30 +112,30 @@ def usbl(frames: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.column_stack([np.linalg.norm(p, axis=1), direction(p)[0]])
 
 
+def along(t: np.ndarray, track: np.ndarray) -> np.ndarray:
+    """Poses of a ship at the times of the measurements."""
+    return euler.to_se3(np.column_stack([np.interp(T, t, column) for column in track.T]))
+
+
 def test_usbl_of_the_vehicle_and_of_a_ship(truth: Positioned, tmp_path: Path) -> None:
-    measured = "range_m,bearing_rad,elevation_rad,sigma_range_m,sigma_bearing_rad,sigma_elevation_rad"
     sigmas, arm = np.tile([0.2, 0.01, 0.01], (len(T), 1)), np.array([0.5, 0.2, -0.4])
     antenna = SE3.compose(truth.at(T), np.append(arm, [0, 0, 0, 1.0])[None])
     z = usbl(antenna, np.array([BEACONS[k] for k in HEARD]))
     assert (z[:, 2] > 0).all()  # the beacons are below
     rows = (T, HEARD, z, sigmas, np.tile(arm, (len(T), 1)))
-    file = csv(f"time_s,beacon,{measured},arm_x_m,arm_y_m,arm_z_m", *rows)
+    file = csv(f"time_s,beacon,{DIRECTION},arm_x_m,arm_y_m,arm_z_m", *rows)
     solved(tmp_path / "beacons", truth, usbl=file, beacons=KNOWN)
     _, result, _ = solved(tmp_path / "unknown", truth, usbl=file, fixes=FIX)
     assert result.values[b] == pytest.approx(PLACES, abs=1e-5)
 
     t_s = np.array([0.0, 30.0, 75.0])
-    track = np.array(
-        [[0.1, 0.0, 3.0, 90.0, -40.0, 1.0], [0.0, 0.1, 3.5, 120.0, -60.0, 1.2], [0, 0, 2.9, 150, -50, 0.8]]
-    )
-    ship = csv("time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m", t_s, track)
-    frames = euler.to_se3(np.column_stack([np.interp(T, t_s, column) for column in track.T]))
-    file = csv(f"time_s,{measured}", T, usbl(frames, truth.places(T)), sigmas)
+    track = np.array([[0.1, 0, 3.0, 90, -40, 1.0], [0, 0.1, 3.5, 120, -60, 1.2], [0, 0, 2.9, 150, -50, 0.8]])
+    ship = csv(SHIP, t_s, track)
+    frames = along(t_s, track)
+    file = csv(f"time_s,{DIRECTION}", T, usbl(frames, truth.places(T)), sigmas)
     graph, _, report = solved(tmp_path / "ship", truth, usbl=file, ship=ship)
-    assert any(
-        "usbl.csv:32: the first row of 1 that are left out, of 31: not within the times of ship.csv" in n
-        for n in report.notes
-    )
+    left_out = "usbl.csv:32: the first row of 1 that are left out, of 31: not within the times of ship.csv"
+    assert left_out in " ".join(report.notes)
     assert isinstance(graph.factors[3], BearingRange)
     assert [len(keys) for keys in graph.fixed] == [30]
     (tmp_path / "ship" / "ship.csv").unlink()
@@ -155,9 +150,7 @@ def test_everything_at_once(truth: Positioned, tmp_path: Path) -> None:
     state = euler.from_se3(SE3.compose(SE3.inverse(truth.at(pairs[:, 0])), truth.at(pairs[:, 1])))
     names = "time_i_s,time_j_s,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
     closures = csv(names, pairs, state[:, [3, 4, 2]], np.full((5, 3), 0.1))
-    graph, result, _ = solved(
-        tmp_path, truth, ranges=ranges, fixes=fixes, beacons=beacons, closures=closures, calibration=None
-    )
+    graph, result, _ = solved(tmp_path, truth, ranges=ranges, fixes=fixes, beacons=beacons, closures=closures)
     assert result.values[b] == pytest.approx(PLACES, abs=1e-5)
     assert len(graph.factors) == 7
 
@@ -170,9 +163,8 @@ def test_a_beacon_that_nothing_places_is_named(truth: Positioned, tmp_path: Path
 
 
 def test_files_without_effect_are_noted(tmp_path: Path) -> None:
-    _, _, report = nls.load(
-        folder(tmp_path / "m", TINY, beacons=KNOWN, **{"sound-speed": "z_m,sound_speed_m_s\n0,1500\n"})
-    )
+    unused = {"beacons": KNOWN, "sound-speed": "z_m,sound_speed_m_s\n0,1500\n"}
+    _, _, report = nls.load(folder(tmp_path / "m", **unused))
     assert "sound-speed.csv is not used: nothing in this mission needs it" in report.notes
     assert any("beacons.csv" in note for note in report.notes)
 
@@ -181,24 +173,19 @@ def test_files_without_effect_are_noted(tmp_path: Path) -> None:
 def test_a_late_clock_is_a_variable(file: str, truth: Positioned, tmp_path: Path) -> None:
     """Times that are late by 0.3 s, of which 0.2 s are known; the track turns little in the 0.1 s that are left."""
     late = T + 0.3
-    angles = "range_m,bearing_rad,elevation_rad,sigma_range_m,sigma_bearing_rad,sigma_elevation_rad"
     ship_at = np.array([[0.0, 0.1, 0.2, 90.0, -40.0, 1.0], [0.0, 0.1, 0.6, 180.0, -80.0, 1.0]])
-    frames = euler.to_se3(np.column_stack([np.interp(T, [0.0, 90.0], column) for column in ship_at.T]))
+    frames = along([0.0, 90.0], ship_at)
     sigmas = np.tile([0.02, 0.001, 0.001], (len(T), 1))
     files = {
         "fixes": csv("time_s,x_m,y_m,sigma_x_m,sigma_y_m", late, truth.places(T)[:, :2], np.full((len(T), 2), 0.02)),
         "ranges": csv(RANGE, late, HEARD, truth.ranges(T, HEARD), 0.1 * SIGMA),
-        "usbl": csv(f"time_s,{angles}", late, usbl(frames, truth.places(T)), sigmas),
+        "usbl": csv(f"time_s,{DIRECTION}", late, usbl(frames, truth.places(T)), sigmas),
     }
-    more = {
-        "ranges": {"beacons": KNOWN},
-        "usbl": {"ship": csv(",".join(["time_s", *COLUMNS_SHIP]), [0.0, 90.0], ship_at)},
-    }
+    more = {"ranges": {"beacons": KNOWN}, "usbl": {"ship": csv(SHIP, [0.0, 90.0], ship_at)}}.get(file, {})
     calibration = f"name,value,sigma\n{file}_clock_s,0.2,1.0\n"
-    anchor_files: dict[str, str] = {file: files[file], "calibration": calibration, **more.get(file, {})}
-    graph, start, report = nls.load(folder(tmp_path / "m", truth.files, **anchor_files))
-    shifted = [factor for factor in graph.factors if isinstance(factor, Shifted)]
-    assert len(shifted) == 1
-    assert report.place(graph.factors.index(shifted[0]), 0).endswith(f"{file}.csv:2")
+    place = folder(tmp_path / "m", truth.files, calibration=calibration, **{file: files[file]}, **more)
+    graph, start, report = nls.load(place)
+    (shifted,) = (k for k, factor in enumerate(graph.factors) if isinstance(factor, Shifted))
+    assert report.place(shifted, 0).endswith(f"{file}.csv:2")
     values = graph.optimize(start).values
     assert values[nls.Keys(f"{file}_clock_s", 0)] == pytest.approx(0.3, abs=0.01)

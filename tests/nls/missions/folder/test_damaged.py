@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import nls
-from models.errors import LeadlineError, SingularGeometryError
+from models.errors import SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, ResourceLimitError
 from nls.missions.folder.columns import COLUMNS
 from tests.combinations import for_all
@@ -48,10 +48,10 @@ ROV = {
 }
 LOG = raw()
 SETS: dict[str, dict[str, str | None]] = {
-    "tiny": {**TINY},
-    "rest": {name: TINY[name] for name in ("anchor", "contacts", "sonar")},
-    "raw": {**LOG},
-    "placed": {**PLACED},
+    "tiny": TINY,
+    "rest": {"anchor": TINY["anchor"], "contacts": TINY["contacts"], "sonar": TINY["sonar"]},
+    "raw": LOG,
+    "placed": PLACED,
     "gyro": LOG
     | {
         "ahrs": "time_s,roll_rad,pitch_rad\n0,0,0\n40,0,0\n",
@@ -77,9 +77,7 @@ tiny.odometry | * | - | - | m: has no odometry.csv
 tiny.sonar | * | - | - | m: has contacts.csv and no sonar.csv
 tiny.contacts | * | - | - | m: has sonar.csv and no contacts.csv
 tiny.contacts | * | >contact | - | ; is it contact.csv?
-tiny.contacts | * | >Contacts | - | ; is it Contacts.csv?
 tiny.sonar | * | >Sonar_ | - | ; is it Sonar .csv?
-tiny.zpr | * | >ZPR | - | ; is it ZPR.csv? names are written as here
 rest.sonar | * | - | - | m: is a folder, but no mission: a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv,
 tiny.dvl | * | time_s | - | m: has odometry.csv and dvl.csv
 tiny.ahrs | * | time_s | - | go into zpr.csv, columns yaw_rad and sigma_yaw_rad
@@ -89,7 +87,6 @@ tiny.zpr | * | i\tz_m\tpitch_rad\troll_rad | 1 | these are separated by tabs
 tiny.zpr | * | 0,5.0332,0.0005,-0.0007,0.01,0.002,0.002 | 1 | the first line must name the columns: i,z_m
 tiny.zpr | * |  | 1 | is empty; expected a first line i,z_m
 tiny.zpr | * | PK\x03\x04\x00 | 1 | has a zero byte
-tiny.contacts | * | # nothing\n\n | 1 | is empty
 tiny.landmarks | * | landmark,x_m,y_m,z_m | 1 | has no row
 tiny.anchor | 0.0001\n | 0.0001\n0,1,1,1,1,1,1\n | 3 | pose 0 was given before, on line 2
 tiny.truth | * | i,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n7,0,0,0,0,0,0 | 2 | pose 7 and all others are
@@ -100,15 +97,11 @@ tiny.poses | * | i,time_s\n0,1\n1,2\n2,3\n3,4\n4,5 | 6 | i 4
 tiny.zpr | roll_rad | heel_rad | 1 | 'heel_rad'; expected i,z_m
 tiny.zpr | roll_rad | z_m | 1 | repeated column 'z_m'
 tiny.zpr | roll_rad | roll_roll_roll_roll_roll_roll_roll_roll_roll_ | 1 | 'roll_roll_roll_roll_roll_roll_roll_ro...'
-tiny.zpr | i,z_m | i;z_m | 1 | 'i;z_m'
 tiny.zpr | 0,5.0332,0.0005,-0.0007,0.01,0.002,0.002 | 0;5,0332 | 2 | 2 cells, expected 7: i,z_m
 tiny.zpr | 0,5.0332,0.0005,-0.0007,0.01,0.002,0.002 | 0;5.0332;0.0005 | 2 | separated by semicolons
 tiny.contacts | 0,11,4.7457,0.0625,0.01,0.004 | 0,11,4.7457,0.0625,0.01,0.004,7 | 2 | 7 cells, expected 6: i,landmark
-tiny.contacts | 0,11,4.7457,0.0625,0.01,0.004 | 0,11,4.7457,0.0625,0.01 | 2 | 5 cells, expected 6
 tiny.contacts | 4.7457 |  | 2 | range_m is empty
 tiny.contacts | 4.7457 | nan | 2 | 'nan' is not a number [0,11,nan,0.0625,0.01,0.004]
-tiny.contacts | 4.7457 | 4.7 m | 2 | '4.7 m' is not a number
-tiny.contacts | 4.7457 | 1e999 | 2 | '1e999' is beyond
 tiny.contacts | 4.7457 | -4.7457 | 2 | range_m is -4.7457; expected a number above 0
 tiny.contacts | 0.0625 | 5.9 | 2 | azimuth_rad is 5.9; expected radians, -pi to pi
 tiny.contacts | 0.01,0.004 | 0.01,1e-320 | 2 | sigma_azimuth_rad is 1e-320; expected 1e-12
@@ -126,7 +119,6 @@ tiny.anchor | \n0, | \n9, | 2 | i 9
 tiny.sonar | ,1.0,6.0, | ,6.0,1.0, | 2 | window: (6.0, 1.0)
 tiny.sonar | ,96, | ,0, | 2 | beams: 0
 tiny.sonar | frequency" | frequency | 2 | quotation mark
-raw.dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,2 | 4 | valid is '2'; expected 0 or 1
 raw.dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,true | 4 | valid is 'true'
 raw.dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,1.5 | 4 | valid is '1.5'
 raw.dvl | 0.5,1.0 | 0.25,1.0 | 4 | time_s 0.25 does not rise over 0.25 before it; delete one
@@ -134,16 +126,12 @@ raw.dvl | 0.5,1.0 | 0.125,1.0 | 4 | time_s 0.125 does not rise over 0.25 before 
 raw.dvl | 0.5,1.0 | 0.5,1e308 | 4 | vx_m_s is 1e+308; expected meters per second, within 1e9
 raw.ahrs | 0.5,0.0 | 9.5,0.0 | 5 | time_s 0.75 does not rise over 9.5
 raw.ahrs | 0.5,0.0,0.0 | 0.5,0.0,2.0 | 4 | pitch_rad is 2.0
-raw.depth | 1.0,2.1 | 1.0,deep | 4 | 'deep' is not a number
 raw.noise | 0.01, | 0.0, | 2 | sigma_v_m_s is 0.0; expected a number above 0
 raw.noise | 0.002,0.05 | -0.1,0.05 | 2 | scale is -0.1; expected 0 or above
 raw.noise | 0.05\n | 0.05\n1,1,1,1,1,1,1\n | 3 | a second row
 raw.ahrs | * | - | - | m: has no ahrs.csv
-raw.depth | * | - | - | m: has no depth.csv
-raw.noise | * | - | - | m: has no noise.csv
 raw.depth | * | time_s,z_m\n0,1\n0.5,1 | dvl:- | the logs have less than a second in common: dvl.csv 0.0 to
 raw.poses | * | i,time_s\n2,-1\n3,4 | 2 | pose 2 is at -1.0 s, not within all logs: dvl.csv 0.0 to 30.0 s, ahrs.csv
-raw.poses | * | i,time_s\n2,1\n3,31 | 3 | pose 3 is at 31.0 s
 raw.poses | * | i,time_s\n2,1 | 2 | one pose
 raw.truth | * | roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n0,0,0,0,0,0 | 2 | has neither i nor time_s
 raw.truth | * | i,time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n0,0,0,0,0,0,0,0 | 2 | has both i and time_s
@@ -185,7 +173,6 @@ raw.fixes | * | time_s,x_m,y_m,sigma_x_m,sigma_y_m,z_m\n1,5,6,1,1,1 | 1 | has z_
 placed.fixes | time_s | i | 1 | has delay_s and no time_s
 placed.usbl | i,range_m | kernel,range_m | 1 | has neither; expected either time_s or i
 placed.fixes | x_m,y_m | x_m,lat_deg | 1 | has x_m and lat_deg; expected either x_m and y_m or lat_deg and lon_deg
-placed.fixes | x_m,y_m | lat_deg,lon_deg | 2 | km from origin.csv
 placed.fixes | huber:1.345 | hubert | 2 | kernel is 'hubert'; expected one such as huber:1.345
 placed.fixes | huber:1.345 | huber:-1 | 2 | kernel is 'huber:-1'
 placed.fixes | \n2.5, | \n2.6, | 3 | no pose is at 2.1 s; the nearest is pose 1 at 2.0 s. Add a pose at this time to pos
@@ -229,8 +216,9 @@ def changed(case: list[str], path: Path) -> Path:
 
 @for_all(case=DAMAGED)
 def test_a_damaged_file(case: list[str], tmp_path: Path) -> None:
-    (tmp_path / str(DAMAGED.index(case))).mkdir()
-    place = changed(case, tmp_path / str(DAMAGED.index(case)) / "m")
+    above = tmp_path / str(DAMAGED.index(case))
+    above.mkdir()
+    place = changed(case, above / "m")
     file, _, line = case[3].rpartition(":")
     error = assert_refused(None if line == "-" else int(line), case[4], nls.load, place)
     own = str(place / f"{file or case[0].split('.')[1]}.csv")
@@ -258,81 +246,58 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes\n.txt").write_text("")
+    assert_refused(None, "; it is empty", nls.load, tmp_path / "empty")
+    assert_refused(None, "; it has notes\\n.txt", nls.load, tmp_path / "other")
     m = folder(tmp_path / "m", zpr=None)
-
-    def refused(place: Path, message: str) -> None:
-        with pytest.raises(GraphFileError, match=message):
-            nls.load(place)
-
-    refused(tmp_path / "empty", "empty: is a folder, but no mission: .*; it is empty")
-    refused(tmp_path / "other", r"other: is a folder, but no mission: .*; it has notes\\n\.txt")
-    (m / "zpr.csv").mkdir()
-    refused(m, r"zpr\.csv: is a folder")
-    (m / "zpr.csv").rmdir()
-    os.mkfifo(m / "zpr.csv")  # which is not waited for
-    refused(m, r"zpr\.csv: is a pipe")
-    (m / "zpr.csv").unlink()
-    (m / "zpr.csv").symlink_to(tmp_path / "gone.csv")
-    refused(m, r"zpr\.csv: cannot be read: No such file")
+    file = m / "zpr.csv"
+    for make, remove, problem in (
+        (file.mkdir, file.rmdir, "is a folder"),
+        (lambda: os.mkfifo(file), file.unlink, "is a pipe"),  # which is not waited for
+        (lambda: file.symlink_to(tmp_path / "gone.csv"), file.unlink, "cannot be read: No such file"),
+    ):
+        make()
+        assert_refused(None, f"zpr.csv: {problem}", nls.load, m)
+        remove()
 
 
-def read_or_refused(path: Path) -> bool:
-    """A graph of finite numbers, or an error of the library that names a file."""
-    refused: LeadlineError | None = None
+def refusal(path: Path) -> str:
+    """The error of the library; empty where there is a graph of finite numbers."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
         warnings.simplefilter("ignore", GraphWarning)
         try:
             graph, values, report = nls.load(path)
         except (GraphFileError, ResourceLimitError) as error:
-            refused = error
-        if refused is not None:
-            assert str(refused).startswith(str(path))
-            return False
-        assert all(np.isfinite(stack.X).all() for stack in values.stacks.values())
-        assert str(report)
-        try:
-            assert np.isfinite(graph.chi2(values))
-        except (EvaluationError, SingularGeometryError) as error:  # too far off, or at the sonar
-            refused = error
-    return True
+            return str(error)
+    assert all(np.isfinite(stack.X).all() for stack in values.stacks.values())
+    assert str(report)
+    with suppress(EvaluationError, SingularGeometryError):  # too far off, or at the sonar
+        assert np.isfinite(graph.chi2(values))
+    return ""
 
 
 EDIT = st.tuples(
-    st.sampled_from(sorted(TINY)),
-    st.sampled_from(["drop", "twice", "cut", "cell", "byte"]),
-    st.integers(0, 10**6),
-    st.sampled_from(WORDS + NUMBERS),
+    st.sampled_from(sorted(TINY)), st.integers(0, 4), st.integers(0, 10**6), st.sampled_from(WORDS + NUMBERS)
 )
 
 
 @given(edits=st.lists(EDIT, min_size=1, max_size=3))
 @settings(max_examples=75, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_damage_of_any_kind(edits: list[tuple[str, str, int, str]], tmp_path: Path) -> None:
+def test_damage_of_any_kind(edits: list[tuple[str, int, int, str]], tmp_path: Path) -> None:
     files = dict(TINY)
     for name, act, place, word in edits:
         lines = files[name].splitlines() or [""]
-        k = place % len(lines)
-        cells = lines[k].split(",")
-        j = place // len(lines) % len(cells)
-        if act == "drop":
-            lines = lines[:k] + lines[k + 1 :]
-        elif act == "twice":
-            lines.insert(k, lines[k])
-        elif act == "cut":
-            lines[k] = lines[k][: 3 * j]
-        elif act == "cell":
-            lines[k] = ",".join([*cells[:j], word, *cells[j + 1 :]])
-        else:
-            lines[k] = lines[k][:j] + chr(place % 300) + lines[k][j + 1 :]
+        row, k = divmod(place, len(lines))
+        line, cells = lines[k], lines[k].split(",")
+        j = row % len(cells)
+        other = ",".join([*cells[:j], word, *cells[j + 1 :]])
+        byte = line[:j] + chr(place % 300) + line[j + 1 :]
+        lines[k : k + 1] = ([], [line, line], [line[: 3 * j]], [other], [byte])[act]
         files[name] = "\n".join(lines)
-    read_or_refused(folder(tmp_path / "m", files))
+    assert (refusal(folder(tmp_path / "m", files)) or str(tmp_path)).startswith(str(tmp_path))
 
 
-def test_the_undamaged_folder_is_read_and_every_file_has_its_columns(tmp_path: Path) -> None:
-    assert read_or_refused(folder(tmp_path / "m"))
-    for name, text in {**TINY, **raw()}.items():
-        assert tuple(text.splitlines()[0].split(",")) == RAW[name]
+def test_the_undamaged_folders_are_read(tmp_path: Path) -> None:
+    assert not refusal(folder(tmp_path / "m"))
     graph, values, _ = nls.load(folder(tmp_path / "placed", PLACED))
     assert [factor.name for factor in graph.factors[3:]] == [
         *("Position", "Position", "Between", "Prior", "ScaledRange", "BearingRange", "Prior")

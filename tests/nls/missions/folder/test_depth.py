@@ -11,6 +11,7 @@ import nls
 from factors import ZPR
 from models.pressure import depth_unesco
 from tests.nls.missions.folder.mission_files import folder
+from tests.nls.missions.folder.positioned import csv
 from tests.nls.missions.folder.test_velocity import T, log
 
 PRESSURE = 101325.0 + 1025.0 * 9.80665 * 30.0
@@ -18,14 +19,14 @@ ORIGIN = {"origin": "lat_deg,lon_deg\n60,5\n"}
 
 
 def files(water: str = "", tide: str = "", pressure: float = PRESSURE) -> dict[str, str]:
-    out = log({"valid": 1})
-    del out["depth"]
-    out["pressure"] = "time_s,pressure_pa\n" + "".join(f"{float(t)!r},{pressure!r}\n" for t in T)
-    return out | ({"water": water} if water else {}) | ({"tide": f"time_s,tide_m\n{tide}"} if tide else {})
+    out = log({"valid": 1}) | {"pressure": csv("time_s,pressure_pa", T, np.full(len(T), pressure))}
+    out |= {"water": water} if water else {}
+    out |= {"tide": f"time_s,tide_m\n{tide}"} if tide else {}
+    return out
 
 
 def depths(path: Path, tables: dict[str, str]) -> tuple[np.ndarray, str]:
-    graph, _, report = nls.load(folder(path, tables))
+    graph, _, report = nls.load(folder(path, tables, depth=None))
     return next(f for f in graph.factors if isinstance(f, ZPR)).z[:, 0], "\n".join(report.notes)
 
 

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import XYH
 from models import SE3
-from nls import GraphFileError
 from nls.missions.folder.timeline import poses_of_rows
 from tests.nls.io.g2o_files import assert_refused
 from tests.nls.missions.folder.mission_files import NOISE, folder, raw, tables
@@ -53,11 +51,12 @@ def test_rows_without_bottom_lock_at_the_ends_are_left_out(tmp_path: Path) -> No
 
 def test_logs_too_short_and_too_long(tmp_path: Path) -> None:
     t = np.arange(0.0, 3.1, 0.5)
-    for count in (0, 1):
-        with pytest.raises(GraphFileError, match=rf"dvl\.csv: {count} of 7 rows are valid; expected two"):
-            nls.load(folder(tmp_path / "m", log(t, np.arange(7) < count)))
-    with pytest.raises(GraphFileError, match=r"dvl\.csv: the logs last 1\.7e\+12 s"):
-        nls.load(folder(tmp_path / "m", log(np.array([0.0, 1e12, 1.7e12]))))
+    for files, words in (
+        (log(t, np.arange(7) < 0), "0 of 7 rows are valid; expected two"),
+        (log(t, np.arange(7) < 1), "1 of 7 rows are valid; expected two"),
+        (log(np.array([0.0, 1e12, 1.7e12])), "the logs last 1.7e+12 s"),
+    ):
+        assert_refused(None, f"dvl.csv: {words}", nls.load, folder(tmp_path / "m", files))
 
 
 def test_poses_denser_than_the_rows_of_a_log_say_no_more_than_these(tmp_path: Path) -> None:
@@ -65,8 +64,8 @@ def test_poses_denser_than_the_rows_of_a_log_say_no_more_than_these(tmp_path: Pa
     t = np.arange(0.0, 30.1, 0.25)
     poses = "i,time_s\n" + "".join(f"{k},{s!r}\n" for k, s in enumerate(t.tolist()))
     _, zpr, heading = nls.load(folder(tmp_path / "m", files, poses=poses))[0].factors[:3]
-    assert np.median(heading.noise.sigma) == pytest.approx(0.01 * 2, rel=0.05)  # type: ignore[attr-defined]
-    assert np.median(zpr.noise.sigmas, axis=0) == pytest.approx([0.05 * 2, 0.002 * 2, 0.002 * 2], rel=0.05)  # type: ignore[attr-defined]
+    assert np.median(heading.noise.sigma) == pytest.approx(0.01 * 2, rel=0.05)
+    assert np.median(zpr.noise.sigmas, axis=0) == pytest.approx([0.05 * 2, 0.002 * 2, 0.002 * 2], rel=0.05)
 
 
 def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_path: Path) -> None:
@@ -75,7 +74,6 @@ def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_pat
         files = raw()
         files["noise"] = files["noise"].replace("0.002,0.01,0.05", f"0.002,{sigma_yaw},0.05")
         graph, _, _ = nls.load(folder(tmp_path / sigma_yaw, files))
-        assert isinstance(graph.factors[0], XYH)
         found.append(graph.factors[0].noise.sqrt_information(len(graph.factors[0]), ("x", "y", "yaw")))
         assert not found[-1][:, 2].any()
         assert not found[-1][:, :, 2].any()

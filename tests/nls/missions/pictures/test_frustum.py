@@ -18,7 +18,7 @@ POINTS = SE3.act(POSE[None], np.array([[4.0, 0.5, 0.2], [3.0, -0.4, -0.1], [4.0,
 
 def test_frustum_and_arcs() -> None:
     axes = frustum(SONAR, POSE, POINTS).axes[0]
-    assert axes.zaxis.get_inverted()  # type: ignore[attr-defined]
+    assert axes.zaxis.get_inverted()
     rims, arcs = (c for c in axes.collections if isinstance(c, Line3DCollection))
     local = [SE3.act(SE3.inverse(POSE[None]), np.array(rim)) for rim in rims._segments3d]
     r = np.linalg.norm(np.concatenate(local[:4]), axis=1)
@@ -31,6 +31,6 @@ def test_frustum_and_arcs() -> None:
         z, _ = range_azimuth(both)
         np.testing.assert_allclose(z, np.tile(z[-1], (len(z), 1)), atol=1e-12)
         assert np.linalg.norm(np.array(arc) - point, axis=1).min() < 0.03  # and passes through the point
-    drawn = {line.get_label(): np.stack(line.get_data_3d(), axis=1) for line in axes.lines}  # type: ignore[attr-defined]
+    drawn = {line.get_label(): np.stack(line.get_data_3d(), axis=1) for line in axes.lines}
     np.testing.assert_allclose(drawn["out of view"], POINTS[2:])
     np.testing.assert_allclose(drawn["sonar"], POSE[None, :3])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -21,45 +19,44 @@ x, l, b = nls.kinds("x", "l", "b")
 Solved = tuple[nls.FactorGraph, nls.Values, nls.Values, MissionReport]
 
 
-@pytest.fixture
-def solved(tmp_path: Path) -> Solved:
+VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Solved:
     """Graph, dead reckoning, solution and report of the tiny mission."""
-    graph, values, report = nls.load(folder(tmp_path / "m"))
-    assert isinstance(report, MissionReport)
+    graph, values, report = nls.load(folder(tmp_path_factory.mktemp("tiny")))
     return graph, values, graph.optimize(values).values, report
 
 
 def test_the_track_from_above(solved: Solved) -> None:
     graph, dead, values, report = solved
-    errors = {
-        name: track_of(each, report.truth, report, "truth")
-        for name, each in (("dead reckoning", dead), ("solution", values))
-    }
-    above, along = track(values, dead, report.truth, nls.Marginals(graph, values), errors).axes
+    estimates, marginals = {"dead reckoning": dead, "solution": values}, nls.Marginals(graph, values)
+    errors = {name: track_of(each, report.truth, report, "truth") for name, each in estimates.items()}
+    above, along = track(values, dead, report.truth, marginals, errors).axes
     drawn = {str(line.get_label()): line.get_xydata() for line in above.lines}
-    for name, each in (("dead reckoning", dead), ("truth", report.truth), ("solution", values)):
+    for name, each in (estimates | {"truth": report.truth}).items():
         assert np.array_equal(drawn[name], SE3.position(each[x])[:, [1, 0]])  # a chart: north up, east to the right
     assert not above.yaxis_inverted()
     assert (above.get_xlabel(), above.get_ylabel()) == ("y, east [m]", "x, north [m]")
     (outlines,) = [each for each in above.collections if isinstance(each, PolyCollection)]
     assert len(outlines.get_paths()) == 4  # of poses, not of landmarks
     assert "ellipse of every x" in legend_of(above)[-1]
-    title = above.figure.get_suptitle()  # type: ignore[union-attr]
+    title = above.figure.get_suptitle()
     assert title.startswith(f"After {errors['solution'].distance:.3g} m: dead reckoning ")
     assert title.endswith(f", solution {errors['solution'].end:.2g} m from the truth")
     *judged, expected = along.lines
     for line, name in zip(judged, errors, strict=True):
         assert np.array_equal(line.get_xydata(), np.column_stack([errors[name].along, errors[name].error]))
     assert [line.get_label() for line in judged] == [f"{name}, against the truth" for name in errors]
-    marginals, numbers = nls.Marginals(graph, values), errors["solution"].numbers
-    sigma = [np.sqrt(np.trace(marginals.covariance(x[int(k)], frame="world")[:3, :3])) for k in numbers]
+    sigma = np.sqrt([np.trace(marginals.covariance(x[k], frame="world")[:3, :3]) for k in range(4)])
     np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
     assert expected.get_label() == "solution, by its covariance"
-    without = track(values, dead, None, nls.Marginals(graph, values))  # no truth: the error to be expected
+    without = track(values, dead, None, marginals)  # no truth: the error to be expected
     (expected,) = without.axes[1].lines
     np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
     way = np.linalg.norm(np.diff(SE3.position(values[x]), axis=0), axis=1).sum()
-    assert expected.get_xdata()[-1] == pytest.approx(way)  # type: ignore[index]
+    assert expected.get_xdata()[-1] == pytest.approx(way)
     assert without.get_suptitle() == f"After {way:.3g} m: the solution is expected to be {sigma[-1]:.2g} m off"
     alone = track(values, dead)
     assert [line.get_label() for line in alone.axes[0].lines] == ["dead reckoning", "solution"]
@@ -67,8 +64,14 @@ def test_the_track_from_above(solved: Solved) -> None:
 
 
 def legend_of(axes: Axes) -> list[str]:
-    (legend,) = axes.figure.legends  # type: ignore[union-attr]
+    (legend,) = axes.figure.legends
     return [text.get_text() for text in legend.get_texts()]
+
+
+def lines_of(axes: Axes) -> np.ndarray:
+    """Ends (n, 2, 2) of the lines that are drawn as one."""
+    (lines,) = [each for each in axes.collections if isinstance(each, LineCollection)]
+    return np.asarray(lines.get_segments())
 
 
 def test_ellipses_are_turned_with_the_map(solved: Solved) -> None:
@@ -101,9 +104,8 @@ def test_landmarks_and_the_arcs_they_may_be_on(solved: Solved) -> None:
     assert all(float(label.get_text()) >= 0 for label in bar.get_yticklabels())  # plain numbers
     assert beside.yaxis_inverted()
     assert not above.yaxis_inverted()
-    for axes, rows in ((above, [1, 0]), (beside, [1, 2])):
-        (lines,) = [each for each in axes.collections if isinstance(each, LineCollection)]
-        segments = np.array(lines.get_segments())
+    for axes, rows in zip((above, beside), VIEWS, strict=True):
+        segments = lines_of(axes)
         assert segments.mean(axis=1) == pytest.approx(values[l][:, rows])
         half = (found.range * found.sigma)[:, None] * found.along[:, rows]
         assert segments[:, 1] - segments[:, 0] == pytest.approx(2 * half)
@@ -111,8 +113,7 @@ def test_landmarks_and_the_arcs_they_may_be_on(solved: Solved) -> None:
         assert np.asarray(dots.get_array()) == pytest.approx(np.degrees(found.sigma))
         assert np.array_equal(axes.lines[0].get_xydata(), report.truth[l][:, rows])
         drawn = np.concatenate([segments.reshape(-1, 2), report.truth[l][:, rows], SE3.position(values[x])[:, rows]])
-        for limits, numbers in zip((axes.get_xlim(), sorted(axes.get_ylim())), drawn.T, strict=True):
-            assert limits[0] < numbers.min() < numbers.max() < limits[1]
+        assert_within(drawn, axes)
 
     most = landmark_map(values, found).axes[2].get_ylim()[1]
     assert most == pytest.approx(np.degrees(found.sigma.max()))
@@ -128,13 +129,12 @@ def test_a_mission_as_it_was_read(solved: Solved) -> None:
     assert beside.yaxis_inverted()
     assert not above.yaxis_inverted()
     path, points = SE3.position(dead[x]), dead[l]
-    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+    for ax, rows in zip((above, beside), VIEWS, strict=True):
         landmarks, track_line, first = (np.asarray(line.get_xydata()) for line in ax.lines)
         assert np.array_equal(landmarks, points[:, rows])
         assert np.array_equal(track_line, path[:, rows])
         assert np.array_equal(first, path[:1, rows])
-        (lines,) = [each for each in ax.collections if isinstance(each, LineCollection)]
-        drawn = {tuple(np.round(segment.reshape(-1), 9)) for segment in np.asarray(lines.get_segments())}
+        drawn = {tuple(np.round(segment.reshape(-1), 9)) for segment in lines_of(ax)}
         (contacts,) = [factor for factor in graph.factors if factor.name == "RangeAzimuth"]
         pose, landmark = contacts.keys[:2]
         ends = np.column_stack([SE3.position(dead[pose])[:, rows], dead[landmark][:, rows]])
@@ -158,9 +158,7 @@ def test_a_mission_before_and_after(solved: Solved, factor: float) -> None:
             for line, expected in zip(ax.lines, alone.lines, strict=True):
                 assert np.array_equal(line.get_xydata(), expected.get_xydata())
                 assert (line.get_marker(), line.get_label()) == (expected.get_marker(), expected.get_label())
-            points = np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines])
-            assert (limits(ax)[0] < points).all()  # nothing is cut off
-            assert (points < limits(ax)[1]).all()
+            assert_within(np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines]), ax)
     before_size, size = (np.ptp(limits(ax), axis=0) for ax in maps[::2])
     times = float((before_size / size)[0])
     assert before_size == pytest.approx(times * size)
@@ -177,22 +175,19 @@ def limits(ax: Axes) -> np.ndarray:
     return np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
 
 
-def test_beacons_are_drawn(solved: Solved) -> None:
+def assert_within(points: np.ndarray, ax: Axes) -> None:
+    """Nothing is cut off."""
+    low, high = limits(ax)
+    assert ((low < points) & (points < high)).all()
+
+
+def test_beacons_and_a_mission_without_landmarks(solved: Solved) -> None:
     graph, dead, _, _ = solved
     beacons = np.array([[30.0, -20.0, 5.0], [40.0, 10.0, 6.0]])
-    values = dead.copy()
-    values.add(b, R(3), beacons)
-    above, beside = plan(graph, values).axes
-    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+    alone = nls.FactorGraph(graph.factors[:2])
+    figure = plan(alone, nls.Values.of([dead.stack(x), *nls.Values({b: (R(3), beacons)}).stacks.values()]))
+    for ax, rows in zip(figure.axes, VIEWS, strict=True):
         (drawn,) = [line for line in ax.lines if line.get_label() == "2 beacons"]
         assert np.array_equal(drawn.get_xydata(), beacons[:, rows])
-        assert (limits(ax)[0] < beacons[:, rows]).all()
-        assert (beacons[:, rows] < limits(ax)[1]).all()
-
-
-def test_a_mission_without_landmarks(solved: Solved) -> None:
-    graph, dead, _, _ = solved
-    poses = nls.Values.of([dead.stack(x)])
-    alone = nls.FactorGraph([factor for factor in graph.factors if {key.kind for key in factor.keys} == {"x"}])
-    figure = plan(alone, poses)
+        assert_within(beacons[:, rows], ax)
     assert "lines of sight" not in legend_of(figure.axes[0])
