@@ -22,7 +22,6 @@ from models.visible import visible
 from nls.io.files import write_folder
 from nls.missions.folder.columns import COLUMNS, needed
 from nls.missions.folder.table import csv_text
-from nls.missions.folder.write import refuse_mixed
 from nls.missions.importing.bags import Bag, is_bag, refuse_no_log
 from nls.missions.importing.dates import NANOSECONDS, iso, parse_zero
 from nls.missions.importing.mapping import Mapping, Section
@@ -116,6 +115,8 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
     GraphFileError
         The folder holds files of another mission, or cannot be written.
     """
+    from nls.missions.folder.write import refuse_mixed  # imported here: it loads all of the graph
+
     inputs = {Path(path).resolve() for path in read}
     for name in imported.files:
         if Path(folder, name).resolve() in inputs:
