@@ -28,21 +28,8 @@ JUMPS = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1
 SINGLE = ("z_m", "pressure_pa", "range_m", "travel_time_s", "azimuth_rad", "bearing_rad", "elevation_rad")
 RATES = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 GROUPS = (VELOCITY, RATES, ANGLES, ("x_m", "y_m"), GEODETIC, *((name,) for name in SINGLE))  # measured together
-TABLES = [
-    "dvl",
-    "ahrs",
-    "gyro",
-    "depth",
-    "pressure",
-    "fixes",
-    "path",
-    "zpr",
-    "odometry",
-    "ranges",
-    "usbl",
-    "contacts",
-    "ship",
-]
+SENSORS = ("dvl", "ahrs", "gyro", "depth", "pressure")
+TABLES = (*SENSORS, "fixes", "path", "zpr", "odometry", "ranges", "usbl", "contacts", "ship")
 POSITIVE = ("range_m", "travel_time_s")
 OFTEN, MANY = 3, 15  # rows of one number: of a fix or of the largest range, of a sensor
 SLOW = 0.05  # m/s of a vehicle that moves
@@ -113,7 +100,7 @@ def meant(column: str, value: float) -> list[float]:
 
 
 def _far(y: Array, rows: Mask, others: Mask, columns: list[str], zero: bool) -> Mask:
-    """Those of some rows (n,) that are far from the other ones before and after, in a column or more."""
+    """Which of some rows (n,) are far from the other ones before and after, in a column or more."""
     known, index = np.flatnonzero(others), np.arange(len(y))
     if len(known) < 2:
         return np.zeros(len(y), dtype=bool)
