@@ -161,16 +161,6 @@ def of_track(tables: dict[str, Table], fixes: Fixes | None) -> list[Implausible]
     return [*out, *_steps(tables["odometry"], tables.get("poses"))] if "odometry" in tables else out
 
 
-def of_ship(ship: Table) -> Iterator[Implausible]:
-    """Attitude of a ship: roll and pitch, turns, and a heading that never changes."""
-    file, t, (roll, pitch, yaw) = "ship.csv", ship.rising("time_s"), ship.floats(*ANGLES).T
-    yield from alone.tilt_of(file, "roll_rad", roll)
-    yield from alone.tilt_of(file, "pitch_rad", pitch)
-    yield from alone.turn_of(file, t, yaw)
-    if np.ptp([roll, pitch], axis=1).any():
-        yield from alone.stuck_of(file, "yaw_rad", yaw)
-
-
 def _course(path: Table) -> Iterator[Implausible]:
     """The path goes elsewhere than its heading says: a column of its places has another sign, or two are exchanged."""
     step, yaw = np.diff(path.floats("x_m", "y_m"), axis=0), path.floats("yaw_rad")[1:, 0]

@@ -28,11 +28,7 @@ def alone(log: Log) -> Iterator[Implausible]:
         yield from step_of(file, t)
     yield from _speeds(log)
     yield from _locks(log)
-    for k, column in enumerate(ANGLES[:2]):
-        yield from tilt_of("ahrs.csv", column, log.rpy[:, k])
-    yield from turn_of("ahrs.csv", log.t_a, log.rpy[:, 2])
-    if np.ptp(log.rpy[:, :2], axis=0).any():  # which stand still with it where a course is made up
-        yield from stuck_of("ahrs.csv", "yaw_rad", log.rpy[:, 2])
+    yield from attitude_of("ahrs.csv", log.t_a, log.rpy)
     yield from depth_of("depth.csv", log.z, log.t_z)
     if np.ptp(log.thinned().way()[:, 2]) > 1.0:
         yield from stuck_of("depth.csv", "z_m", log.z)
@@ -44,6 +40,15 @@ def alone(log: Log) -> Iterator[Implausible]:
         yield from scatter_of("ahrs.csv", name, log.rpy[:, k], of)
     yield from scatter_of("depth.csv", "z_m", log.z, of)
     yield from scatter_of("dvl.csv", "vx_m_s", log.v[rows, 0], of, "sigma_v_m_s")
+
+
+def attitude_of(file: str, t: Array, rpy: Array) -> Iterator[Implausible]:
+    """Roll and pitch, turns, and a heading that never changes, of angles (n, 3) at times (n,)."""
+    for k, column in enumerate(ANGLES[:2]):
+        yield from tilt_of(file, column, rpy[:, k])
+    yield from turn_of(file, t, rpy[:, 2])
+    if np.ptp(rpy[:, :2], axis=0).any():  # which stand still with it where a course is made up
+        yield from stuck_of(file, "yaw_rad", rpy[:, 2])
 
 
 def _speeds(log: Log) -> Iterator[Implausible]:

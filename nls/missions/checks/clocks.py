@@ -22,22 +22,19 @@ from nls.missions.folder.table import Table
 
 TRACK = ("dvl", "ahrs", "depth", "pressure", "gyro", "path")
 TIMED = (*TRACK, "fixes", "ranges", "usbl", "contacts", "ship")
-LEAPS = (18.0, 37.0, 19.0)  # s: GPS - UTC, TAI - UTC, TAI - GPS
+LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}  # s
+PERIODS = {7 * DAY: "week", DAY: "day", 3600.0: "hour", 1800.0: "half-hour"}  # between clocks of two zones
 SAME_CLOCK = 3.0  # s by which two clocks may differ
 
 
 def clocks_by_spans(tables: dict[str, Table]) -> list[Implausible]:
     """Tables whose clock is off, and a depth that has the pressure of the air; lines are rows of the table."""
-    timed = [
-        name
-        for name in (*TRACK, "fixes", "ranges", "usbl", "contacts", "ship")
-        if name in tables and tables[name].has("time_s")
-    ]
+    timed = [name for name in TIMED if name in tables and tables[name].has("time_s")]
     times = {name: tables[name].floats("time_s")[:, 0] for name in timed}
-    track = np.array([[t.min(), t.max()] for name, t in times.items() if name in TRACK])
+    every = np.array([[t.min(), t.max()] for t in times.values()])
+    track = every[: len(times.keys() & {*TRACK})]  # its tables come first
     if not len(track):
         return []
-    every = np.array([[t.min(), t.max()] for t in times.values()])
     span = max([np.sort(track, axis=0)[len(track) // 2], *track], key=lambda span: _agreement(every, span))
     out = [entry for name, t in times.items() for entry in _apart(f"{name}.csv", t, span)]
     if len(track) > 2:
@@ -64,7 +61,7 @@ def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
         return
     if own[0] < span[1] and own[1] > span[0] and np.abs(np.diff(own - span)) > SAME_CLOCK:
         return
-    for period in (7 * DAY, DAY, 3600.0, 1800.0):  # between clocks of two zones
+    for period in PERIODS:
         late = float(np.round(np.mean(own - span) / period) * period)
         overlap = min(own[1] - late, span[1]) - max(own[0] - late, span[0])
         apart = np.abs(own - span - late).max() < SAME_CLOCK or own[0] > span[1] or own[1] < span[0]
@@ -91,13 +88,8 @@ def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterato
         return inside, np.interp(t - late, t_z, z) - top
 
     inside, depth = deep(0.0)
-    unit = air_in(top)
-    if (
-        unit
-        and inside.sum() >= few
-        and (depth[inside] < dry_to * unit).all()
-        and (z - top > wet_from * unit).mean() > 0.2
-    ):
+    unit, enough = air_in(top), inside.sum() >= few
+    if unit and enough and (depth[inside] < dry_to * unit).all() and (z - top > wet_from * unit).mean() > 0.2:
         yield Implausible.of("surface", top, dry_to, "m", Reading(Cause.PRESSURE, file, "z_m", unit))
     wet = inside & (depth > wet_from)
     own = np.array([t.min(), t.max()]) - span

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from models.geodesy import LocalPlane
-from nls.missions.checks.agreement import jumping, of_fixes, of_heading, of_ship, of_track, of_way_down
-from nls.missions.checks.alone import alone, sound_speeds
+from nls.missions.checks.agreement import jumping, of_fixes, of_heading, of_track, of_way_down
+from nls.missions.checks.alone import alone, attitude_of, sound_speeds
 from nls.missions.checks.clocks import clocks_by_spans
 from nls.missions.checks.findings import Cause, Implausible
 from nls.missions.checks.log import Log, read_fixes, read_log
 from nls.missions.checks.special import repeated, special_values, stale, without
+from nls.missions.folder.columns import ANGLES
 from nls.missions.folder.table import Table
 
 
@@ -30,36 +31,37 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
     GraphFileError
         A cell that is no number, as when the tables are read.
     """
-    first = special_values(tables)
-    special = [_placed(entry, tables) for entry in first]
-    tables = without(tables, first)
+    special = special_values(tables)
+    first, tables = _placed(special, tables), without(tables, special)
     if clocks := clocks_by_spans(tables):  # nothing is compared at other times
-        return special + [_placed(entry, tables) for entry in clocks]
-    log = read_log(tables, plane) if "dvl" in tables else None
+        return first + _placed(clocks, tables)
+    log, fixes = read_log(tables, plane), read_fixes(tables.get("fixes"), plane)
     thin, path, way = log and log.thinned(), tables.get("path"), None
     if thin is not None:  # times and places of the vehicle by its DVL or its path
         way = thin.t_v, thin.way()
     elif path is not None:
         way = path.floats("time_s")[:, 0], path.floats("x_m", "y_m")
-    if old := [*stale(log, read_fixes(tables.get("fixes"), plane), way), *repeated(tables)]:
-        special += [_placed(entry, tables) for entry in old]
-        tables = without(tables, old)
-        log = read_log(tables, plane) if "dvl" in tables else None
-    if log is None:
-        fixes = read_fixes(tables.get("fixes"), plane)
-        out = of_track(tables, fixes) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
-    else:
+    if old := [*stale(log, fixes, way), *repeated(tables)]:
+        first, tables = first + _placed(old, tables), without(tables, old)
+        log, fixes = read_log(tables, plane), read_fixes(tables.get("fixes"), plane)
+    if log is not None:
         out = of_log(log)
-    out += sound_speeds(tables["sound-speed"]) if "sound-speed" in tables else ()
-    out += of_ship(tables["ship"]) if "ship" in tables else ()
-    return special + [_placed(entry, tables) for entry in out]
+    else:
+        out = of_track(tables, fixes) + (of_fixes(fixes, np.zeros(len(fixes.t), dtype=bool)) if fixes else [])
+    if "sound-speed" in tables:
+        out += sound_speeds(tables["sound-speed"])
+    if (ship := tables.get("ship")) is not None:
+        out += attitude_of("ship.csv", ship.rising("time_s"), ship.floats(*ANGLES))
+    return first + _placed(out, tables)
 
 
-def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
-    """With the line of its row, and the name of the file as it is."""
-    table = tables[entry.file.removesuffix(".csv")]
-    lines = tuple((table.lines[list(entry.lines)] + 1).tolist())
-    return replace(entry, line=int(table.lines[entry.line]) + 1, lines=lines)
+def _placed(entries: list[Implausible], tables: dict[str, Table]) -> list[Implausible]:
+    """Findings with the lines of their rows, and the names of their files as they are."""
+    out = []
+    for entry in entries:
+        lines = tables[entry.file.removesuffix(".csv")].lines + 1
+        out.append(replace(entry, line=int(lines[entry.line]), lines=tuple(lines[list(entry.lines)].tolist())))
+    return out
 
 
 def of_log(log: Log) -> list[Implausible]:

@@ -139,7 +139,7 @@ def middle(y: Array) -> Array:
 
 
 def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
-    """The raw log of a mission, calibrated; None where it is too short, or has a number that the reader refuses.
+    """The raw log of a mission, calibrated; None without one, of a short one, or with a number that the reader refuses.
 
     None also with gyro.csv and pressure.csv, whose mistakes are others.
 
@@ -148,7 +148,7 @@ def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     GraphFileError
         A cell that is no number, a time that does not rise.
     """
-    if {"gyro", "pressure"} & tables.keys() or not tables["ahrs"].has("yaw_rad"):
+    if "dvl" not in tables or {"gyro", "pressure"} & tables.keys() or not tables["ahrs"].has("yaw_rad"):
         return None
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
@@ -222,7 +222,7 @@ class Alternative:
     def on_tables(self, tables: dict[str, Table]) -> dict[str, Table]:
         """The tables that were meant; those of latitudes and longitudes in all of them. Empty without the file."""
         if self.reading.cause is Cause.EARTH:
-            log = read_log(tables, None) if "dvl" in tables else None
+            log = read_log(tables, None)
             return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
         if self.reading == FROM_NORTH:
             return _from_the_bow(tables) if {"usbl", "ship"} <= tables.keys() else {}

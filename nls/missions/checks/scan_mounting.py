@@ -99,23 +99,23 @@ def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayL
 
     Notes
     -----
-    A late clock bends the scans of a vehicle that turns, and with them the mounting: correct it first (`corrected`),
-    and estimate again.
+    A late clock bends the scans of a vehicle that turns, and with them the mounting: correct it first, and estimate
+    again.
     """
     poses = values[x]
     stamps = None if times is None else _checked(times, len(poses))
-    steps = neighbors(poses, scans)
+    i, pose, covariance = neighbors(poses, scans)
     start = values.copy()
     start.add(mount, SE2, np.zeros((1, 3)))
     factors: list[Factor] = [*graph.factors, Prior(mount[0], np.zeros((1, 3)), Diagonal(list(PRIOR[:3])))]
-    if len(steps):
-        noise = Robust(Covariance(steps.covariance), Cauchy(2.0))  # some matches of single scans are wrong
-        shown: Factor = BetweenSensors(x[steps.i], x[steps.j], steps.pose, noise, mount[0])
+    if len(i):
+        noise = Robust(Covariance(covariance), Cauchy(2.0))  # some matches of single scans are wrong
+        shown: Factor = BetweenSensors(x[i], x[i + 1], pose, noise, mount[0])
         if stamps is not None:
             w = central_differences(SE2, poses, stamps)
-            H = shown.predict((SE2, SE2, SE2), poses[steps.i], poses[steps.j], np.zeros((len(steps), 3)))[1]
+            H = shown.predict((SE2, SE2, SE2), poses[i], poses[i + 1], np.zeros((len(i), 3)))[1]
             assert H is not None
-            rates = -np.matvec(np.asarray(H[0]), w[steps.i]) - np.matvec(np.asarray(H[1]), w[steps.j])
+            rates = -np.matvec(np.asarray(H[0]), w[i]) - np.matvec(np.asarray(H[1]), w[i + 1])
             shown = Shifted(shown, rates[:, :, None], clock[0])
         factors.append(shown)
     if stamps is not None:
@@ -124,30 +124,7 @@ def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayL
     whole = FactorGraph(factors, graph.fixed)
     result = whole.optimize(start)
     keys = [mount[0], *([m[0]] if _drifts(values) else []), *([clock[0]] if stamps is not None else [])]
-    return _read(result.values, Marginals(whole, result.values), keys, len(steps), scans)
-
-
-def corrected(scans: Scans, estimate: Mounting, values: Values, times: npt.ArrayLike | None = None) -> Scans:
-    """The scans with a wrong mounting and a late clock set right; what is not wrong stays.
-
-    Points of a late clock are moved to the poses of their stamps. Where the clock is late the mounting is left as it
-    is: estimate it again, from scans that the clock does not bend.
-
-    Parameters
-    ----------
-    scans, values, times : as `mounting` took them.
-
-    Raises
-    ------
-    GraphError
-        Times that are not one rising number for every keyframe.
-    """
-    if estimate.wrong[3] and times is not None:
-        poses = values[x]
-        back = SE2.exp(-estimate.value[3] * central_differences(SE2, poses, _checked(times, len(poses))))
-        return Scans(SE2.act(back[scans.keyframe], scans.points), scans.keyframe, len(scans))
-    G = np.where(estimate.wrong, estimate.value, 0.0)[None, :3]
-    return scans.at(SE2.compose(G, scans.mount[None])[0])
+    return _read(result.values, Marginals(whole, result.values), keys, len(i), scans)
 
 
 def lateral_drift(graph: FactorGraph, values: Values) -> tuple[float, float]:
@@ -167,15 +144,14 @@ def _read(values: Values, marginals: Marginals, keys: list[Keys], steps: int, sc
     C = marginals.joint(keys, frame="body").matrix
     drifts, timed = m[0] in keys, clock[0] in keys
     G, s = values[mount][0], np.sqrt(np.diagonal(C))
-    before = np.array(PRIOR)
-    value, sigma = np.append(G, np.nan), np.append(s[:3], np.nan)
-    if timed:
-        value[3], sigma[3] = values[clock][0, 0], s[-1]
+    value, sigma = np.append(G, values[clock][0] if timed else np.nan), np.append(s[:3], s[-1] if timed else np.nan)
     correlation, lateral = float("nan"), (float("nan"), float("nan"))
     if drifts:
         correlation = float(C[2, 4] / (s[2] * s[4]))
         lateral = float(G[2] + values[m][0, 1]), float(np.sqrt(C[2, 2] + C[4, 4] + 2 * C[2, 4]))
-    return Mounting(steps, value, sigma, before, SE2.compose(G[None], scans.mount[None])[0], correlation, lateral)
+    return Mounting(
+        steps, value, sigma, np.array(PRIOR), SE2.compose(G[None], scans.mount[None])[0], correlation, lateral
+    )
 
 
 def _checked(times: npt.ArrayLike, count: int) -> Array:
@@ -185,33 +161,19 @@ def _checked(times: npt.ArrayLike, count: int) -> Array:
     return t
 
 
-@dataclass(frozen=True)
-class Neighbors:
-    """Steps as the scans show them.
+def neighbors(poses: Array, scans: Scans) -> tuple[Index, Array, Array]:
+    """Matched scans of consecutive keyframes, from poses (count, 3); those that are ambiguous are left out.
 
-    Attributes
-    ----------
-    i, j : (n,) keyframes of a step.
+    Returns
+    -------
+    i : (n,) keyframes, matched with the next ones j.
     pose : (n, 3) of j in the frame of i, x, y, m, and yaw, rad; of vehicle frames that belong to the assumed mounting.
     covariance : (n, 3, 3) in the frame of j.
     """
-
-    i: Index
-    j: Index
-    pose: Array
-    covariance: Array
-
-    def __len__(self) -> int:
-        return len(self.i)
-
-
-def neighbors(poses: Array, scans: Scans) -> Neighbors:
-    """Matched scans of consecutive keyframes, from poses (count, 3); those that are ambiguous are left out."""
     i, window = _chosen(*turns(poses, scans)), (2.0, 0.35)  # m, rad: a clock that is 3 s late at 7 deg/s
     fits = match_steps(poses, scans, i, window)
     good = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, np.full(len(i), window[0])) == ACCEPTED
-    covariance = 2 * fits.covariance[good]  # a scan is in two matches
-    return Neighbors(i[good], i[good] + 1, fits.pose[good], covariance)
+    return i[good], fits.pose[good], 2 * fits.covariance[good]  # a scan is in two matches
 
 
 def turns(poses: Array, scans: Scans) -> tuple[Index, Array]:

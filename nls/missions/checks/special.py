@@ -19,32 +19,17 @@ from models.algebra import Array, Index, Mask, wrap
 from nls.missions.checks.alone import FASTEST, roughness
 from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.log import Fixes, Log
-from nls.missions.folder.columns import ANGLES, GEODETIC, VELOCITY
+from nls.missions.folder.columns import ANGLES, GEODETIC, SENTINELS, VELOCITY
 from nls.missions.folder.dvl import bottom_lock
 from nls.missions.folder.table import Table
 
-WHOLE = (2**15 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31)
-NUMBERS = np.array([999, 9999, 99999, 999999, 9999999, *WHOLE], dtype=float)  # for none, of either sign
 UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
 JUMPS = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1e4}  # the least, by the end of a name
 SINGLE = ("z_m", "pressure_pa", "range_m", "travel_time_s", "azimuth_rad", "bearing_rad", "elevation_rad")
 RATES = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 GROUPS = (VELOCITY, RATES, ANGLES, ("x_m", "y_m"), GEODETIC, *((name,) for name in SINGLE))  # measured together
-TABLES = [
-    "dvl",
-    "ahrs",
-    "gyro",
-    "depth",
-    "pressure",
-    "fixes",
-    "path",
-    "zpr",
-    "odometry",
-    "ranges",
-    "usbl",
-    "contacts",
-    "ship",
-]
+SENSORS = ("dvl", "ahrs", "gyro", "depth", "pressure")
+TABLES = (*SENSORS, "fixes", "path", "zpr", "odometry", "ranges", "usbl", "contacts", "ship")
 POSITIVE = ("range_m", "travel_time_s")
 OFTEN, MANY = 3, 15  # rows of one number: of a fix or of the largest range, of a sensor
 SLOW = 0.05  # m/s of a vehicle that moves
@@ -92,9 +77,9 @@ def _listed(y: Array, column: str) -> Mask:
     """Which numbers (n,) are among those that loggers write for none."""
     out = np.zeros(len(y), dtype=bool)
     for unit in UNITS:
-        out |= np.isclose(np.abs(y[:, None]) * unit, NUMBERS, rtol=1e-7, atol=0).any(axis=1)
+        out |= np.isclose(np.abs(y[:, None]) * unit, SENTINELS, rtol=1e-7, atol=0).any(axis=1)
     if column.endswith("_rad"):
-        out |= np.isclose(np.abs(y[:, None]), np.abs(wrap(np.radians(NUMBERS))), rtol=0, atol=1e-9).any(axis=1)
+        out |= np.isclose(np.abs(y[:, None]), np.abs(wrap(np.radians(SENTINELS))), rtol=0, atol=1e-9).any(axis=1)
     if column in POSITIVE and (y == y.max()).sum() >= OFTEN:
         out |= y == y.max()
     return np.asarray(out | (y <= 0) if column in POSITIVE else out)
@@ -108,14 +93,14 @@ def meant(column: str, value: float) -> list[float]:
     >>> meant("vx_m_s", -32.768), meant("z_m", -9999.0)
     ([-32.768, -32768.0], [-9999.0])
     """
-    whole = [n for unit in UNITS for n in NUMBERS.tolist() if np.isclose(abs(value) * unit, n, rtol=1e-7, atol=0)]
+    whole = [n for unit in UNITS for n in SENTINELS if np.isclose(abs(value) * unit, n, rtol=1e-7, atol=0)]
     if column.endswith("_rad") and not whole and value:
-        return [s * n for n in NUMBERS.tolist() for s in (-1, 1) if abs(wrap(np.radians(s * n)) - value) < 1e-9]
+        return [s * n for n in SENTINELS for s in (-1, 1) if abs(wrap(np.radians(s * n)) - value) < 1e-9]
     return list(dict.fromkeys([value, *(float(np.copysign(n, value)) for n in whole)]))
 
 
 def _far(y: Array, rows: Mask, others: Mask, columns: list[str], zero: bool) -> Mask:
-    """Those of some rows (n,) that are far from the other ones before and after, in a column or more."""
+    """Which of some rows (n,) are far from the other ones before and after, in a column or more."""
     known, index = np.flatnonzero(others), np.arange(len(y))
     if len(known) < 2:
         return np.zeros(len(y), dtype=bool)

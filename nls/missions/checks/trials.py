@@ -159,7 +159,7 @@ def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionR
 
 
 def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
-    """Those of least chi2, of as many rows, which nothing tells apart; a wrong place on the Earth is no accident."""
+    """Trials of least chi2, of as many rows, which nothing tells apart; a wrong place on the Earth is no accident."""
     alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
     place = {t.reading: t.reading.column.startswith(GEODETIC) for t in trials}
     ordered = sorted(trials, key=lambda t: (not place[t.reading], _is_drift(t), t.chi2 - t.dof))
@@ -167,7 +167,7 @@ def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
 
 
 def _is_drift(trial: Trial) -> bool:
-    """Whether it is of a clock that runs fast, which is rarer than one that is late."""
+    """Whether a trial is of a clock that runs fast, which is rarer than one that is late."""
     return trial.reading.cause is Cause.DRIFT
 
 

@@ -11,12 +11,11 @@ import numpy as np
 from models.findings import Sentences, Stated
 from models.listing import several
 from nls.explanation.findings import FindingKind
+from nls.missions.checks.clocks import LEAPS, PERIODS
 from nls.missions.checks.findings import Cause, Reading, SetupKind, Trial
 from nls.missions.checks.special import meant
 from nls.missions.folder.calibration import NAMES, wide
 
-PERIODS = ((604800, "week"), (86400, "day"), (3600, "hour"), (1800, "half-hour"))
-LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}
 UNITS = {  # of a column by the end of its name: what a number is that is so many times too large
     "_m_s": {1000.0: "mm/s", 100.0: "cm/s", 1.9438: "kn", 3.2808: "ft/s", 3.6: "km/h"},
     "z_m": {100.0: "cm", 1000.0: "mm", 3.2808: "ft", 0.5468: "fathom", 0.001: "km", 0.01: "hm"}
@@ -92,6 +91,8 @@ def _cause(r: Reading, rows: str = "") -> str:
         ratio=f"{float(f'{r.factor:.2g}'):g}",
         has="have" if many else "has",
         looks="look" if many else "looks",
+        seems="look as if they" if many else "looks as if it",
+        positive=f"; {POSITIVE[r.column]}" if r.column in POSITIVE else "",
         origin=_origin(r),
         act=f"leave out {rows} of {r.file}" if rows else "delete these rows",
         mapping=f"in [{r.file.removesuffix('.csv')}] of the mapping",
@@ -122,15 +123,6 @@ def _unit(r: Reading) -> str:
     return f"{{column}} of {{file}} {{looks}} like {name or 'another unit'}: {act}{mapped}"
 
 
-def _sign(r: Reading) -> str:
-    looks = "look as if they" if ", " in r.column else "looks as if it"
-    right = f"; {POSITIVE[r.column]}" if r.column in POSITIVE else ""
-    return (
-        f"{{column}} of {{file}} {looks} had the other sign: multiply {{column}} by -1{{origin}}, or write `sign = -1` "
-        f"for {{column}} {{mapping}}{right}"
-    )
-
-
 def _axes(r: Reading) -> str:
     act = f"multiply {r.column.partition(', ')[2]} by -1, or " if ", " in r.column else ""
     return f'{{column}} of {{file}} look like axes ahead, port and up: {act}write `frame = "FLU"` {{mapping}}'
@@ -158,30 +150,29 @@ def _earth(r: Reading) -> str:
     axes, act = "north, east and down", ""
     if r.factor < 0:
         axes, act = "east, north and up", "exchange the names of vx_m_s, vy_m_s, multiply vz_m_s by -1, and "
-    return (
-        f"{{column}} of {{file}} look like velocities {axes}: {act}write `earth_axes = 1` in [dvl] of the mapping, or "
-        "give {file} a column earth_axes of 1"
-    )
+    cure = "write `earth_axes = 1` {mapping}, or give {file} a column earth_axes of 1"
+    return f"{{column}} of {{file}} look like velocities {axes}: {act}{cure}"
 
 
-def _late(seconds: float, size: str) -> tuple[str, str]:
+def _late(seconds: float, digits: int) -> tuple[str, str]:
     """How much a clock is off, and what to do with its times."""
-    return (f"{size} late", f"subtract {size} from") if seconds > 0 else (f"{size} early", f"add {size} to")
+    size = f"{abs(seconds):.{digits}g} s"
+    act = f"subtract {size} from" if seconds > 0 else f"add {size} to"
+    cure = f"{act} time_s, or write `offset = {-seconds:.{digits}g}` for time_s {{mapping}}"
+    return f"{size} {'late' if seconds > 0 else 'early'}", cure
 
 
 def _clock(r: Reading) -> str:
-    late, act = _late(r.factor, f"{abs(r.factor):.3g} s")
-    cure = f"{act} time_s, or write `offset = {-r.factor:.3g}` for time_s {{mapping}}"
+    late, cure = _late(r.factor, 3)
     if (name := f"{r.file.removesuffix('.csv')}_clock_s") in NAMES:
         cure = _row(name, r.factor, sigma=1.0)  # one of a list of lags
     return f"times of {{file}} look about {late}: {cure}"
 
 
 def _zone(r: Reading) -> str:
-    late, act = _late(r.factor, f"{abs(r.factor):.9g} s")
-    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS if r.factor % one == 0)
+    late, cure = _late(r.factor, 9)
+    periods = (several(round(abs(r.factor) / one), noun) for one, noun in PERIODS.items() if r.factor % one == 0)
     why = LEAPS.get(abs(r.factor), "") or next(periods, "by the depth")
-    cure = f"{act} time_s, or write `offset = {-r.factor:.9g}` for time_s {{mapping}}"
     return f"the clock of {{file}} looks {late} ({why}): {cure}"
 
 
@@ -258,7 +249,8 @@ CAUSES: dict[Cause, str | Callable[[Reading], str]] = {
     Cause.NONE: _none,
     Cause.ZEROS: _none,
     Cause.UNIT: _unit,
-    Cause.SIGN: _sign,
+    Cause.SIGN: "{column} of {file} {seems} had the other sign: multiply {column} by -1{origin}, or write `sign = -1` "
+    "for {column} {mapping}{positive}",
     Cause.AXES: _axes,
     Cause.EARTH: _earth,
     Cause.NORTH: _north,
@@ -318,11 +310,10 @@ def _time_offset(f: Stated) -> str:
 def _sigmas(f: Stated) -> str:
     n = f.numbers
     name, large, ratio = n["measurements"], n["scale"] < 1, max(n["scale"], 1 / n["scale"])
-    names = {"steps": "step and yaw", "drifts": "mean and stretch"}.get(name)
-    cure = f"State a {'smaller' if large else 'larger'} {names} in the section [drift] of mission.toml"
-    if names is None:
-        cure = f"Covariances of the map are too {'wide' if large else 'narrow'} by as much"
-        cure += "" if large else ": look at the mounting and at the noise of the points"
+    cure = f"Covariances of the map are too {'wide' if large else 'narrow'} by as much"
+    cure += "" if large else ": look at the mounting and at the noise of the points"
+    if names := {"steps": "step and yaw", "drifts": "mean and stretch"}.get(name):
+        cure = f"State a {'smaller' if large else 'larger'} {names} in the section [drift] of mission.toml"
     return (
         f"sigmas of the {name} look {ratio:.2g} times too {'large' if large else 'small'}: chi2 {n['chi2']:.0f}, "
         f"{n['dof']:.0f} expected, chi2/dof {n['chi2'] / n['dof']:.2f}. {cure}"

@@ -96,6 +96,10 @@ OF_ENDS = (  # the end of a name, its dimension and unit, how far from 0 its num
     ("_s", "time", "s", *ANY),
     ("", "", "", *ANY),
 )
+SENTINELS = (  # numbers that loggers write for none, of either sign
+    *(999.0, 9999.0, 99999.0, 999999.0, 9999999.0),
+    *(2.0**15 - 1, 2.0**15, 2.0**16 - 1, 2.0**31 - 1, 2.0**31),
+)
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth

@@ -163,36 +163,30 @@ def _fields(message: Any, path: str) -> Iterator[tuple[str, Any]]:
 @contextmanager
 def _reading(path: str) -> Iterator[Any]:
     """An open reader; what goes wrong in the package becomes an error of this one."""
+    import sqlite3
+    import struct
+
     try:
-        from rosbags.highlevel import AnyReader
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.rosbag1 import ReaderError as Reader1Error
+        from rosbags.rosbag2 import ReaderError as Reader2Error
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         cure = 'install it with pip install "leadline[ros]"'
         raise GraphFileError(f"is a bag, which the package rosbags reads; {cure}", path) from error
+    ours = (AnyReaderError, Reader1Error, Reader2Error, sqlite3.Error, struct.error)
+    failures = (*ours, OSError, ValueError, IndexError, AssertionError)  # of no bag, or a damaged one
     try:
         store = get_typestore(Stores.ROS1_NOETIC if path.endswith(".bag") else Stores.ROS2_HUMBLE)
         reader = AnyReader([Path(path)], default_typestore=store)
         reader.open()
-    except _failures() as error:
+    except failures as error:
         raise GraphFileError(f"cannot be read as a bag: {error}", path) from error
     try:
         yield reader
     except GraphFileError:
         raise
-    except _failures() as error:
+    except failures as error:
         raise GraphFileError(f"is a damaged bag: {error}", path) from error
     finally:
         reader.close()
-
-
-def _failures() -> tuple[type[Exception], ...]:
-    """What the package raises for a file that is no bag, or a damaged one."""
-    import sqlite3
-    import struct
-
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Reader1Error
-    from rosbags.rosbag2 import ReaderError as Reader2Error
-
-    ours = (AnyReaderError, Reader1Error, Reader2Error, sqlite3.Error, struct.error)
-    return (*ours, OSError, ValueError, IndexError, AssertionError)

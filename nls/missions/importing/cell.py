@@ -137,7 +137,7 @@ def none_words(value: Any) -> Missing:
 
 
 def stand_for_none(value: Any) -> bool:
-    """Whether it is a number, a word or a list of them."""
+    """Whether a value is a number, a word or a list of them."""
     parts = none_words(value)
     return bool(parts) and all(isinstance(v, str) or (is_number(v) and abs(v) < FINITE) for v in parts)
 

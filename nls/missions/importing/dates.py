@@ -38,7 +38,7 @@ ORDERS = (
 
 
 def is_date(value: object) -> bool:
-    """Whether it is a day, year first.
+    """Whether a value is a day, year first.
 
     Examples
     --------

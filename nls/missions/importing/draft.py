@@ -31,8 +31,6 @@ TABLES = {  # what must be there, what may be
     "ranges": (("time_s", "range_m"), ("beacon",)),
 }
 AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
-BY_SIZE = "by the size of its angles"
-NO_UNIT = "its header names no unit"
 LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
 WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
@@ -200,7 +198,9 @@ def _line(column: str, chosen: dict[str, str], log: Log) -> str:
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
     keys, remarks = f"column = {quoted}", ""
     if kind and kind != "time" and not (log.units.get(name) or header_unit(name)[0]):
-        unit, why = ("deg", BY_SIZE) if own == "rad" and _in_degrees(chosen, log) else (own, NO_UNIT)
+        unit, why = own, "its header names no unit"
+        if own == "rad" and _in_degrees(chosen, log):
+            unit, why = "deg", "by the size of its angles"
         if column in LARGEST and np.nanmax(np.abs(log.numbers(name)), initial=0.0) > LARGEST[column]:
             unit, why = "ddmm", "by the size of its numbers: degrees and minutes"
         keys, remarks = f'{keys}, unit = "{unit}"', f"   # {why}"

@@ -72,10 +72,9 @@ def turn(table: str, columns: dict[str, Array], frame: str) -> dict[str, Array]:
     {'roll_rad': array([0.1]), 'pitch_rad': array([-0.2]), 'yaw_rad': array([1.2708])}
     """
     world, body = axes(frame)
-    P, Q = WORLD[world], BODY[body]
-    if np.array_equal(P, Q) and np.array_equal(P, np.eye(3)):
+    if (world, body) == ("NED", "FRD"):
         return columns
-    out = dict(columns)
+    P, Q, out = WORLD[world], BODY[body], dict(columns)
     place = Q if table in ON_BODY else P
     for names, matrix in ((PLACE, place), (ARM, Q), (VELOCITY, Q)):
         out |= _vector(names, columns, matrix, frame)

@@ -151,13 +151,8 @@ ABBREVIATIONS = {"fwd": "forward", "stbd": "starboard", "hdg": "heading", "bt": 
 AXIS = r"(?:dvl|vel(?:ocity)?|v|speed|bottom|body|inst(?:rument)?|linear)"
 PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; of names as `plain` makes them
     "time_s": (
-        r"time",
-        r"(?:time ?)?stamp",
-        r"header stamp",
-        r".*\b(?:time ?)?stamp",
-        r"(?:utc|date ?time|epoch|t)",
-        r".*\btime\b.*",
-        r".*\bdate\b.*",
+        *(r"time", r"(?:time ?)?stamp", r"header stamp", r".*\b(?:time ?)?stamp"),
+        *(r"(?:utc|date ?time|epoch|t)", r".*\btime\b.*", r".*\bdate\b.*"),
     ),
     "valid": (r".*\b(?:velocity|bottom|dvl)\b.*\b(?:valid|lock)", r".*\b(?:valid|lock|flag)"),
     "roll_rad": (r"roll", r".*\broll"),

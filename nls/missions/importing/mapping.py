@@ -23,7 +23,7 @@ from typing import Any
 
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
-from nls.missions.folder.columns import ANGLES, COLUMNS, GEODETIC, PLACE, VELOCITY, optional, suffixed
+from nls.missions.folder.columns import ANGLES, COLUMNS, GEODETIC, PLACE, VELOCITY, suffixed
 from nls.missions.folder.toml_file import TomlFile
 from nls.missions.importing.cell import Cell, none_words, read_cell, stand_for_none
 from nls.missions.importing.dates import check_format, is_date
@@ -266,7 +266,7 @@ def read_mapping(path: str | Path) -> Mapping:
 
 
 def _is_frame(value: Any) -> bool:
-    """Whether it is the name of axes."""
+    """Whether a value is the name of axes."""
     try:
         return isinstance(value, str) and all(part in FRAMES for part in value.split("/")) and bool(axes(value))
     except OptionError:
@@ -290,9 +290,3 @@ def _advice(name: str, value: object, known: tuple[str, ...]) -> str:
     if column := re.search(r"did you mean '(\w+)'", near):
         return f"{near}; write {column[1]} = {shown}"
     return near
-
-
-def required(section: Section) -> list[str]:
-    """Columns of a table that must be mapped: not those that may be left out, nor the flag of a DVL."""
-    table, tables = section.table, [other.table for other in section.mapping.sections]
-    return [name for name in COLUMNS[table] if name not in (*optional(table, tables), "valid")]

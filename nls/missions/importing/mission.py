@@ -22,7 +22,6 @@ from models.visible import visible
 from nls.io.files import write_folder
 from nls.missions.folder.columns import COLUMNS, needed
 from nls.missions.folder.table import csv_text
-from nls.missions.folder.write import refuse_mixed
 from nls.missions.importing.bags import Bag, is_bag, refuse_no_log
 from nls.missions.importing.dates import NANOSECONDS, iso, parse_zero
 from nls.missions.importing.mapping import Mapping, Section
@@ -82,7 +81,7 @@ def import_logs(logs: Sequence[str | Path], mapping: Mapping) -> Imported:
     if logs and not any(section.used for section in mapping.sections):
         names = ", ".join(sources.paths)
         raise GraphFileError(f'uses no column of {names}; write the name of one, such as time_s = "Time"', mapping.path)
-    notes = [*sources.notes, *dict.fromkeys(note for log in sources.used for note in log.notes)]
+    notes = [*sources.notes, *dict.fromkeys(note for log in sources.used.values() for note in log.notes)]
     notes += dict.fromkeys(note for part in parts for note in part.notes)
     zero = _zero(mapping, parts, notes)
     origin = _origin(parts, notes)
@@ -116,6 +115,8 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
     GraphFileError
         The folder holds files of another mission, or cannot be written.
     """
+    from nls.missions.folder.write import refuse_mixed  # imported here: it loads all of the graph
+
     inputs = {Path(path).resolve() for path in read}
     for name in imported.files:
         if Path(folder, name).resolve() in inputs:
@@ -275,14 +276,9 @@ class Logs:
         self.paths = {Path(path).name: str(path) for path in paths}
         if len(self.paths) < len(paths):
             raise OptionError("LOG", [str(path) for path in paths], "files of different names, which a mapping tells")
-        self._read: dict[Any, Log] = {}
+        self.used: dict[Any, Log] = {}  # that were read, by how they were
         self._bags: dict[str, Bag] = {}
         self.notes: list[str] = []
-
-    @property
-    def used(self) -> list[Log]:
-        """The logs that were read."""
-        return list(self._read.values())
 
     def bag(self, name: str) -> Bag:
         """A bag, opened once."""
@@ -342,21 +338,21 @@ class Logs:
             if topic not in bag.topics:
                 rest = f"{did_you_mean(topic, bag.topics) or ';'} it has {', '.join(map(repr, bag.topics))}"
                 raise section.error("topic", f"{name} has no topic {topic!r}{rest}")
-            if (name, topic) not in self._read:
-                self._read[name, topic] = bag.log(topic)
-            return self._read[name, topic]
+            if (name, topic) not in self.used:
+                self.used[name, topic] = bag.log(topic)
+            return self.used[name, topic]
         if "topic" in section.options:
             raise section.error("topic", f"{name} is a text file and has no topics; leave topic out")
         how = {option: section.options[option] for option in READING if option in section.options}
         where = section.options.get("where")
         chosen = None if where is None else (str(where["column"]), str(where["equals"]))
         key = (name, *how.items(), chosen)
-        if key not in self._read:
+        if key not in self.used:
             try:
-                self._read[key] = TextLog(path, where=chosen, **how)
+                self.used[key] = TextLog(path, where=chosen, **how)
             except GraphFileError as error:
                 option = next((option for option in ("where", "join", "skip") if option in section.options), "")
                 if not option or error.line is not None:
                     raise
                 raise section.error(option, f"{error}; correct {option}") from error
-        return self._read[key]
+        return self.used[key]

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask
 from models.listing import some
-from nls.missions.checks.special import NUMBERS
+from nls.missions.folder.columns import SENTINELS
 from nls.missions.importing.cell import Cell
 from nls.missions.importing.dates import EXAMPLE, LATEST, NANOSECONDS, formats, since_1970
 from nls.missions.importing.headers import convert, dimension, factor, header_unit, mission_unit
@@ -113,7 +113,7 @@ def _refuse_size(section: Section, column: str, numbers: Array, converted: Array
     """Refuse angles that are too large for their unit; says the unit that they may have, or which of them are none."""
     own, name = mission_unit(column)[1], section.cells[column].columns[0]
     largest, unit = _unit_by_size(column, converted, bool(unsaid))
-    none = np.isin(np.abs(numbers), NUMBERS)
+    none = np.isin(np.abs(numbers), SENTINELS)
     if unit and none.any() and _unit_by_size(column, converted[~none], bool(unsaid))[1] in ("", "deg"):
         special = [int(number) for number in np.unique(numbers[none])]
         write = f"`missing = {special[0] if len(special) == 1 else special}` in [{section.table}] of the mapping"

@@ -9,12 +9,12 @@ import numpy as np
 from models.algebra import Array, Index, Mask, wrap
 from models.errors import OptionError
 from models.listing import several
-from nls.missions.folder.columns import ANGLES
+from nls.missions.folder.columns import ANGLES, COLUMNS, optional
 from nls.missions.importing.cell import Cell, sigma_words, sigmas_out
 from nls.missions.importing.dates import EXAMPLE
 from nls.missions.importing.frames import angles_of, axes, turn
 from nls.missions.importing.headers import guess, mission_unit, nearest, plain
-from nls.missions.importing.mapping import Section, required
+from nls.missions.importing.mapping import Section
 from nls.missions.importing.quantities import DAY, FULL_TURN, WEEK, Stamps, convert_column, hemispheres, stamps
 from nls.missions.importing.text_log import MISSING, Log, blanked, is_number
 
@@ -98,11 +98,12 @@ def rows_of(section: Section, log: Log) -> Rows:
 
 
 def _refuse_missing(section: Section, log: Log) -> None:
-    """Refuse a section without a column that its table needs; says the line to write."""
-    given = {*section.cells, *(ANGLES if section.rotation else ())}
+    """Refuse a section without a column that its table needs, but for the flag of a DVL; says the line to write."""
+    given = {"valid", *section.cells, *(ANGLES if section.rotation else ())}
     if {"lat_deg", "lon_deg"} & given:
         given |= {"x_m", "y_m"}
-    if absent := [name for name in required(section) if name not in given]:
+    given |= {*optional(section.table, [other.table for other in section.mapping.sections])}
+    if absent := [name for name in COLUMNS[section.table] if name not in given]:
         near = guess(absent[0], log.names)
         write = f'{absent[0]} = "{near}"' if near else f'{absent[0]} = "COLUMN OF THE LOG", or a number'
         raise section.error("", f"[{section.table}] has no {absent[0]}; write {write}")

@@ -1,19 +1,38 @@
-"""Mission folders of every kind, made of a right log; and a dive with fixes at its begin and its end."""
+"""Missions of every kind, made of a right log, with columns that a test changes; and a dive with fixes at both ends."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from models.algebra import Array
+from models.geodesy import LocalPlane
+from nls.missions.checks.findings import Implausible
+from nls.missions.checks.inspection import implausible
 from nls.missions.checks.log import Fixes, Log
-from nls.missions.folder.table import csv_text
+from nls.missions.folder.columns import COLUMNS, optional
+from nls.missions.folder.table import Table, csv_text
 from tests.nls.missions.checks.vehicle import clean
 from tests.nls.missions.folder.mission_files import RAW
 
-__all__ = ["dive", "files_of", "kinds", "path_of", "with_fixes"]
+__all__ = [
+    "FIXES",
+    "Change",
+    "changed",
+    "dive",
+    "files_of",
+    "findings",
+    "kinds",
+    "numbers_of",
+    "path_of",
+    "tables_of",
+    "with_fixes",
+]
 FIXES = ["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"]
+Change = Callable[[Array], Array]
 
 
 def files_of(log: Log) -> dict[str, str]:
@@ -58,14 +77,14 @@ def kinds(log: Log) -> dict[str, dict[str, str]]:
     return {"log": with_fixes(log), "path": path_of(log), "motion": motion}
 
 
+@cache
 def dive(seed: int, on_deck: float = 0.0, minutes: float = 12.0) -> Log:
     """A dive with fixes in its first and last six seconds, and `on_deck` seconds before and after it."""
     log = clean(seed, minutes=minutes)
     t, end = log.t_z, float(log.t_v[-1])
     depth = np.clip(0.25 * np.minimum(t - 6.0, end - 6.0 - t), 0.0, 12.0) + 0.02 * np.sin(t)
-    w = np.gradient(np.interp(log.t_v, t, depth), log.t_v)
     v = np.array(log.v)
-    v[:, 2] = w
+    v[:, 2] = np.gradient(np.interp(log.t_v, t, depth), log.t_v)
     level = replace(log, v=v, rpy=log.rpy * [0, 0, 1], z=np.asarray(depth))
     way = level.way()
     t_f = np.concatenate([np.arange(-on_deck, 6.5), np.arange(end - 6.0, end + on_deck + 0.5)])
@@ -74,7 +93,30 @@ def dive(seed: int, on_deck: float = 0.0, minutes: float = 12.0) -> Log:
     return replace(level, fixes=Fixes(t_f, p, np.full(len(t_f), 0.42), ("x_m", "y_m"), np.arange(len(t_f))))
 
 
-def rows(text: str) -> tuple[list[str], Array]:
-    """Names and numbers of a file."""
-    lines = text.splitlines()
-    return lines[0].split(","), np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+def numbers_of(table: str) -> tuple[list[str], Array]:
+    """The names and the numbers (n, k) of a file."""
+    head, *lines = table.splitlines()
+    return head.split(","), np.array([[float(cell) for cell in line.split(",")] for line in lines])
+
+
+def changed(files: dict[str, str], table: str, whole: Change | None = None, **columns: Change) -> dict[str, str]:
+    """The files with columns of one table changed, or all of it (n, k); whole numbers stay whole."""
+    names, numbers = numbers_of(files[table])
+    numbers = whole(numbers) if whole else numbers
+    for name, change in columns.items():
+        numbers[:, names.index(name)] = change(numbers[:, names.index(name)])
+    written = [y.astype(int) if (y == y.astype(int)).all() else y for y in numbers.T]
+    return {**files, table: csv_text(names, *written).decode()}
+
+
+def tables_of(files: dict[str, str]) -> dict[str, Table]:
+    """The tables of files, as they are read."""
+    return {
+        name: Table(f"{name}.csv", COLUMNS[name], optional(name, files), data=text.encode())
+        for name, text in files.items()
+    }
+
+
+def findings(files: dict[str, str], plane: LocalPlane | None = None) -> list[Implausible]:
+    """What is implausible in files."""
+    return implausible(tables_of(files), plane)

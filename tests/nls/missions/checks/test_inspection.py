@@ -26,14 +26,13 @@ def same(a: Reading, b: Reading) -> bool:
     return b.cause is Cause.SIGMA or abs(a.factor - b.factor) <= 0.25 * abs(b.factor)
 
 
-@for_all(name=list(SPOILS), seed=[3])
-def test_a_spoiled_log_is_named_with_its_cause(name: str, seed: int) -> None:
+@for_all(name=list(SPOILS))
+def test_a_spoiled_log_is_named_with_its_cause(name: str) -> None:
     spoil, reading = SPOILS[name]
-    findings = of_log(spoil(clean(seed)))
-    assert findings, name
+    findings = of_log(spoil(clean(3)))
     named = [reading for entry in findings for reading in entry.readings]
-    assert any(same(entry, reading) for entry in named), (name, named)
-    assert len(named) <= 4, (name, named)
+    assert any(same(entry, reading) for entry in named), named
+    assert len(named) <= 4, named
     for entry in findings:
         assert re.match(rf"{entry.file}:\d+: {entry.column} is implausible: [^{{]+Probable cause: [^{{]+$", entry.says)
 
@@ -50,22 +49,12 @@ def test_a_real_log_is_plausible(number: int, every: int, data: Path, script: Ca
     """Attitude, depth and fixes (a meter) are those of the truth with noise, the DVL is as measured."""
     real = script("logs").read_auv_dvl(data / "underwater-auv-dvl", number)
     rng = np.random.default_rng(number)
-    n = len(real.t)
+    t, n, sigmas = real.t, len(real.t), SIGMAS | {"sigma_v_m_s": 0.02, "sigma_z_m": 0.05}
     rows = np.arange(0, n, every or 1)
-    noise = rng.normal(0, 1.0, (len(rows), 2))
-    fixes = Fixes(real.t[rows], real.p[rows, :2] + noise, np.full(len(rows), 2**0.5), ("x_m", "y_m"), rows)
-    log = Log(
-        real.t,
-        real.v_d,
-        np.ones(n, dtype=bool),
-        real.t,
-        real.rpy + rng.normal(0, 0.003, (n, 3)),
-        real.t,
-        real.p[:, 2] + rng.normal(0, 0.05, n),
-        SE3.identity()[0],
-        SIGMAS | {"sigma_v_m_s": 0.02, "sigma_z_m": 0.05},
-        fixes if every else None,
-    )
+    p = real.p[rows, :2] + rng.normal(0, 1.0, (len(rows), 2))
+    fixes = Fixes(t[rows], p, np.full(len(rows), 2**0.5), ("x_m", "y_m"), rows) if every else None
+    rpy, z = real.rpy + rng.normal(0, 0.003, (n, 3)), real.p[:, 2] + rng.normal(0, 0.05, n)
+    log = Log(t, real.v_d, np.ones(n, dtype=bool), t, rpy, t, z, SE3.identity()[0], sigmas, fixes)
     assert [entry.says for entry in of_log(log)] == []
 
 
@@ -83,8 +72,7 @@ def test_a_velocity_without_another_sensor_that_tells_has_several_units() -> Non
     level = replace(log, v=300 / 1.4 * log.v, z=9.0 + 0.01 * np.sin(log.t_z), fixes=None)
     finding = of_log(level)[0]
     assert [reading.factor for reading in finding.readings] == [1000.0, 100.0]
-    assert "mm/s" in finding.says
-    assert "cm/s" in finding.says
+    assert re.search("mm/s.*cm/s", finding.says)
 
 
 def test_fixes_that_jump_are_no_disagreement_of_sensors() -> None:

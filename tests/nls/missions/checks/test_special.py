@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.missions.checks.findings import Cause, Implausible
-from nls.missions.checks.inspection import implausible
+from nls.missions.checks.findings import Cause
 from nls.missions.checks.special import repeated
-from nls.missions.folder.folder import read_tables
-from nls.missions.folder.table import Table, csv_text
-from nls.missions.importing.mapping import Mapping
-from nls.missions.importing.mission import import_logs
+from nls.missions.folder.table import csv_text
 from tests.combinations import for_all
-from tests.nls.missions.checks.missions import dive, kinds, rows
+from tests.nls.missions.checks.missions import FIXES, Change, changed, dive, findings, kinds, tables_of
 from tests.nls.missions.checks.vehicle import clean
-from tests.nls.missions.folder.mission_files import folder
 
 V, DEG = ["vx_m_s", "vy_m_s", "vz_m_s"], np.pi / 180
 SPOILS: dict[str, tuple[str, str, list[str], float]] = {  # kind of mission, table, columns, number
@@ -41,35 +33,37 @@ SPOILS: dict[str, tuple[str, str, list[str], float]] = {  # kind of mission, tab
 }
 
 
-def changed(files: dict[str, str], table: str, change: Callable[[list[str], Array], Array]) -> dict[str, str]:
-    """The files with one table changed."""
-    names, numbers = rows(files[table])
-    return {**files, table: csv_text(names, change(names, numbers)).decode()}
+def checks(files: dict[str, str]) -> set[str]:
+    """The checks that find something."""
+    return {entry.check for entry in findings(files)}
 
 
-def findings(path: Path, files: dict[str, str], plane: LocalPlane | None = None) -> list[Implausible]:
-    return implausible(read_tables(folder(path, files))[0], plane)
+def held(first: int, last: int) -> Change:
+    """The columns behind the time of rows as those of the first of them."""
+
+    def change(y: Array) -> Array:
+        y[first:last, 1:4] = y[first, 1:4]
+        return y
+
+    return change
 
 
-@for_all(name=list(SPOILS), seed=[3])
-def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str, seed: int, tmp_path: Path) -> None:
+@for_all(name=list(SPOILS))
+def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str) -> None:
     kind, table, columns, value = SPOILS[name]
     bad = np.arange(30, 36)
 
-    def spoil(names: list[str], numbers: Array) -> Array:
-        numbers[np.ix_(bad, [names.index(column) for column in columns])] = value
-        if "valid" in names:
-            numbers[bad - 1, names.index("valid")] = numbers[bad + 1, names.index("valid")] = 1
-            numbers[bad, names.index("valid")] = 1
-        return numbers
+    def at(rows: object, number: float) -> Change:
+        return lambda y: np.where(np.isin(np.arange(len(y)), rows), number, y)
 
-    files = kinds(clean(seed, minutes=6.0, drop_outs=False))[kind]
-    spoiled, path = changed(files, table, spoil), tmp_path / f"{seed}{list(SPOILS).index(name)}"
-    (finding,) = findings(path, spoiled)
-    left = changed(spoiled, table, lambda _, numbers: np.delete(numbers, np.array(finding.lines) - 2, axis=0))
-    assert findings(path, left) == []
-    assert (finding.check, finding.file) == ("special value", f"{table}.csv")
-    assert finding.lines == tuple(bad + 2)
+    spoils = dict.fromkeys(columns, at(bad, value))
+    if table == "dvl":
+        spoils["valid"] = at(np.arange(29, 37), 1.0)
+    files = kinds(clean(3, minutes=6.0, drop_outs=False))[kind]
+    spoiled = changed(files, table, **spoils)
+    (finding,) = findings(spoiled)
+    assert findings(changed(spoiled, table, lambda y: np.delete(y, np.array(finding.lines) - 2, axis=0))) == []
+    assert (finding.check, finding.file, finding.lines) == ("special value", f"{table}.csv", tuple(bad + 2))
     assert finding.readings[0].cause is (Cause.NONE if value else Cause.ZEROS)
     assert finding.readings[0].column == ", ".join(columns)
     text = finding.says
@@ -79,143 +73,102 @@ def test_a_number_that_stands_for_none_is_named_first_with_its_lines(name: str, 
     assert value == 0 or abs(float(number[1])) in (9999, 999, 32768, 32.768, 32.767) or "feet" in name
 
 
-def test_rows_of_zero_latitude_and_longitude_are_no_fixes(tmp_path: Path) -> None:
+@for_all(case=[(54.0, 10.0, True), (0.0, 0.0, False)])
+def test_rows_of_zero_latitude_and_longitude_are_no_fixes(case: tuple[float, float, bool]) -> None:
     """0, 0 is far from the other fixes; a survey that begins there has it, too."""
-    for lat, lon, named in ((54.0, 10.0, True), (0.0, 0.0, False)):
-        plane = LocalPlane(lat, lon)
+    plane = LocalPlane(*case[:2])
 
-        def geodetic(names: list[str], numbers: Array, plane: LocalPlane = plane) -> Array:
-            numbers[:, 1], numbers[:, 2] = plane.geodetic(numbers[:, 1:3])
-            numbers[:2, 1:3] = 0.0
-            return numbers
+    def geodetic(y: Array) -> Array:
+        y[:, 1], y[:, 2] = plane.geodetic(y[:, 1:3])
+        y[:2, 1:3] = 0.0
+        return y
 
-        files = changed(kinds(clean(4, minutes=6.0))["log"], "fixes", geodetic)
-        files["fixes"] = files["fixes"].replace("x_m,y_m", "lat_deg,lon_deg", 1)
-        found = findings(tmp_path / f"{lat}", files, plane)
-        assert [entry.lines for entry in found if entry.check == "special value"] == [(2, 3)] * named
-
-
-def test_what_vehicles_have_as_well_is_no_special_value(tmp_path: Path) -> None:
-    """A rest on the bottom, a begin at x = y = 0, a depth of 9.99 m, a heading of exactly 0, a ship at anchor."""
-
-    def rest(names: list[str], numbers: Array) -> Array:
-        t = numbers[:, 0]
-        slow = np.clip(np.abs(t - 100.0) / 20.0 - 1.0, 0.0, 1.0)[:, None]  # slows down, rests for 40 s, and goes on
-        numbers[:, 1:4] *= slow
-        return numbers
-
-    log = clean(5, minutes=4.0, drop_outs=False)
-    files = changed(kinds(log)["log"], "dvl", rest)
-    files.pop("fixes")
-    assert [e for e in findings(tmp_path / "rest", files) if e.check in ("special value", "repeated")] == []
-
-    def steady(names: list[str], numbers: Array) -> Array:
-        numbers[:, 1] = np.linspace(9.5, 10.5, len(numbers)).round(2)
-        return numbers
-
-    assert findings(tmp_path / "z", {"path": changed(kinds(log)["path"], "path", _level)["path"]}) == []
-    names = ["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"]
-    t = np.arange(600.0)
-    anchored = np.column_stack([t, np.repeat([[3.0, 4.0]], 600, axis=0), np.ones((600, 2))])
-    ship = {"motion": "sigma_walk_m_sqrt_s\n1.0\n", "fixes": csv_text(names, anchored).decode()}
-    assert findings(tmp_path / "anchor", ship) == []
-
-    def hovering(names: list[str], numbers: Array) -> Array:
-        numbers[:, names.index("z_m")] = np.where(np.arange(len(numbers)) % 40 < 3, 9.99, 9.9)
-        return numbers
-
-    hover = {"path": changed(kinds(log)["path"], "path", hovering)["path"]}
-    assert findings(tmp_path / "hover", hover) == []
-    depth = changed(kinds(log)["log"], "depth", steady)
-    assert [e for e in findings(tmp_path / "nines", depth) if e.check == "special value"] == []
+    files = changed(kinds(clean(4, minutes=6.0))["log"], "fixes", geodetic)
+    files["fixes"] = files["fixes"].replace("x_m,y_m", "lat_deg,lon_deg", 1)
+    found = [entry.lines for entry in findings(files, plane) if entry.check == "special value"]
+    assert found == [(2, 3)] * case[2]
 
 
-def _level(names: list[str], numbers: Array) -> Array:
+def test_what_vehicles_have_as_well_is_no_special_value() -> None:
+    """A rest on the bottom, a begin at x = y = 0, a ship at anchor, a depth of 9.99 m, and one around it."""
+
+    def rest(y: Array) -> Array:
+        y[:, 1:4] *= np.clip(np.abs(y[:, :1] - 100.0) / 20.0 - 1.0, 0.0, 1.0)  # slows down, rests for 40 s, and goes on
+        return y
+
+    log = kinds(clean(5, minutes=4.0, drop_outs=False))
+    files, path = {name: log["log"][name] for name in ("dvl", "ahrs", "depth", "noise")}, {"path": log["path"]["path"]}
+    assert not checks(changed(files, "dvl", rest)) & {"special value", "repeated"}
+    assert findings(changed(path, "path", _level)) == []
+    anchored = csv_text(FIXES, np.arange(600.0), np.tile([3.0, 4.0, 1.0, 1.0], (600, 1))).decode()
+    assert findings({"motion": "sigma_walk_m_sqrt_s\n1.0\n", "fixes": anchored}) == []
+    assert findings(changed(path, "path", z_m=lambda z: np.where(np.arange(len(z)) % 40 < 3, 9.99, 9.9))) == []
+    nines = changed(log["log"], "depth", z_m=lambda z: np.linspace(9.5, 10.5, len(z)).round(2))
+    assert "special value" not in checks(nines)
+
+
+def _level(y: Array) -> Array:
     """North, exactly, then around and back, from x = y = 0."""
-    t = numbers[:, 0] - numbers[0, 0]
+    t = y[:, 0] - y[0, 0]
     yaw = np.clip((t - 60.0) / 30.0, 0.0, 1.0) * np.pi * 0.999
     step = np.column_stack([np.cos(yaw), np.sin(yaw)]) * np.gradient(t)[:, None]
-    numbers[:, 1:3] = np.vstack([np.zeros(2), np.cumsum(step[:-1], axis=0)])
-    numbers[:, names.index("yaw_rad")] = yaw
-    return numbers
+    y[:, 1:3] = np.vstack([np.zeros(2), np.cumsum(step[:-1], axis=0)])
+    y[:, 4] = yaw
+    return y
 
 
-@for_all(kind=["log", "path", "motion"], seed=[2])
-def test_a_fix_that_repeats_while_the_vehicle_moves_is_stale(kind: str, seed: int, tmp_path: Path) -> None:
-    def spoil(names: list[str], numbers: Array) -> Array:
-        if kind == "motion":  # ten metres in a second, afterwards
-            numbers = np.repeat(numbers, 50, axis=0)
-            numbers[:, 0] = np.arange(len(numbers)) * 0.1
-            return numbers
-        numbers[20:40, 1:3] = numbers[20, 1:3]
-        return numbers
+@for_all(kind=["log", "path", "motion"])
+def test_a_fix_that_repeats_while_the_vehicle_moves_is_stale(kind: str) -> None:
+    def spoil(y: Array) -> Array:
+        if kind != "motion":
+            y[20:40, 1:3] = y[20, 1:3]
+            return y
+        y = np.repeat(y, 50, axis=0)  # ten metres in a second, afterwards
+        return np.column_stack([np.arange(len(y)) * 0.1, y[:, 1:]])
 
-    files = kinds(clean(seed, minutes=6.0))[kind]
-    (finding, *_) = findings(tmp_path / f"{kind}{seed}", changed(files, "fixes", spoil))
+    (finding, *_) = findings(changed(kinds(clean(2, minutes=6.0))[kind], "fixes", spoil))
     assert finding.readings[0].cause is Cause.STALE
     assert kind == "motion" or finding.lines == tuple(range(23, 42))
     assert "leave out lines" in finding.says
 
 
-@for_all(table=["dvl", "ahrs", "depth"], seed=[2])
-def test_a_velocity_or_a_heading_that_repeats_is_stale(table: str, seed: int, tmp_path: Path) -> None:
-    def spoil(names: list[str], numbers: Array) -> Array:
-        numbers[200:260, 1:4] = numbers[200, 1:4]
-        return numbers
-
-    files = kinds(clean(seed, minutes=6.0, drop_outs=False))["log"]
-    (finding, *_) = findings(tmp_path / f"{table}{seed}", changed(files, table, spoil))
-    assert (finding.check, finding.file) == ("repeated", f"{table}.csv")
-    assert finding.lines == tuple(range(203, 262))
+@for_all(table=["dvl", "ahrs", "depth"])
+def test_a_velocity_or_a_heading_that_repeats_is_stale(table: str) -> None:
+    files = kinds(clean(2, minutes=6.0, drop_outs=False))["log"]
+    (finding, *_) = findings(changed(files, table, held(200, 260)))
+    assert (finding.check, finding.file, finding.lines) == ("repeated", f"{table}.csv", tuple(range(203, 262)))
 
 
-@for_all(held=[1.0, 20.0])
-def test_places_of_a_ship_that_are_held_for_long_are_repeated(held: float) -> None:
+@for_all(seconds=[1.0, 20.0])
+def test_places_of_a_ship_that_are_held_for_long_are_repeated(seconds: float) -> None:
     """Attitudes at 20 Hz, and places that a receiver gives each second, or not for 20 s in the middle."""
     t = np.arange(0.0, 80.0, 0.05)
-    given = np.floor(t) if held == 1.0 else np.where((t > 30) & (t < 30 + held), 30.0, t)
-    place = np.column_stack([given * 2.0, np.sin(given)])
+    given = np.floor(t) if seconds == 1.0 else np.where((t > 30) & (t < 30 + seconds), 30.0, t)
     columns = ["time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"]
     noise = np.random.default_rng(0).normal(0, 0.01, (len(t), 3))
-    ship = Table("ship.csv", tuple(columns), data=csv_text(columns, t, place, 0 * t, noise))
-    rows = [row for entry in repeated({"ship": ship}) for row in entry.lines]
-    assert len(rows) == (0 if held == 1.0 else 399)
+    ship = csv_text(columns, t, given * 2.0, np.sin(given), 0 * t, noise).decode()
+    assert [len(entry.lines) for entry in repeated(tables_of({"ship": ship}))] == [399] * (seconds > 1.0)
 
 
-def test_numbers_that_a_slow_sensor_repeats_are_not_stale(tmp_path: Path) -> None:
+def test_numbers_that_a_slow_sensor_repeats_are_not_stale() -> None:
     """A DVL of 1 Hz in a log of 5 Hz, a heading of whole degrees on a straight way, a vehicle without noise."""
 
-    def hold(names: list[str], numbers: Array) -> Array:
-        numbers[:, 1:4] = numbers[np.arange(len(numbers)) // 5 * 5, 1:4]
-        return numbers
+    def whole(yaw: Array) -> Array:
+        return np.round(np.degrees(np.where(np.arange(len(yaw)) < 300, 0.3, yaw))) * np.pi / 180
 
-    def whole(names: list[str], numbers: Array) -> Array:
-        numbers[:, 3] = np.round(np.degrees(np.where(numbers[:, 0] < 60.0, 0.3, numbers[:, 3]))) * np.pi / 180
-        return numbers
-
-    def constant(names: list[str], numbers: Array) -> Array:
-        numbers[:, 1:4] = [1.4, 0.0, 0.0]
-        return numbers
+    def constant(y: Array) -> Array:
+        y[:, 1:4] = [1.4, 0.0, 0.0]
+        return y
 
     files = kinds(clean(7, minutes=6.0, drop_outs=False))["log"]
     files.pop("fixes")
-    for name, table, change in (("hold", "dvl", hold), ("whole", "ahrs", whole), ("constant", "dvl", constant)):
-        found = findings(tmp_path / name, changed(files, table, change))
-        assert [e for e in found if e.check in ("repeated", "special value")] == []
+    slow = changed(files, "dvl", lambda y: np.column_stack([y[:, 0], y[np.arange(len(y)) // 5 * 5, 1:]]))
+    for other in (slow, changed(files, "ahrs", yaw_rad=whole), changed(files, "dvl", constant)):
+        assert not checks(other) & {"repeated", "special value"}
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_clean_missions_of_every_kind_are_plausible(seed: int, tmp_path: Path) -> None:
-    for log in (clean(seed, minutes=6.0), dive(seed), dive(seed, on_deck=(7.0, 18.0, 37.0)[seed])):
-        for name, files in kinds(log).items():
-            path = tmp_path / f"{name}{len(list(tmp_path.iterdir()))}"
-            assert [entry.says for entry in findings(path, files)] == []
-
-
-def test_the_origin_of_an_import_is_the_first_row_that_is_a_fix(tmp_path: Path) -> None:
-    log = tmp_path / "gps.csv"
-    log.write_text("t,lat,lon\n0,0,0\n1,0,0\n2,54.25,10.5\n3,54.25001,10.5\n")
-    mapping = '[fixes]\ntime_s = "t"\nlat_deg = "lat"\nlon_deg = "lon"\nsigma_x_m = 1\nsigma_y_m = 1\n'
-    imported = import_logs([log], Mapping(mapping, "mapping.toml"))
-    assert imported.files["origin.csv"].decode().splitlines()[1] == "54.25,10.5"
-    assert "the origin x = y = 0 is the first place of [fixes]: 54.25, 10.5 deg" in imported.notes
+@for_all(seed=[0, 1])
+def test_clean_missions_of_every_kind_are_plausible(seed: int) -> None:
+    for log in (clean(seed, minutes=6.0), dive(seed), dive(seed, on_deck=(7.0, 18.0)[seed])):
+        for files in kinds(log).values():
+            assert [entry.says for entry in findings(files)] == []

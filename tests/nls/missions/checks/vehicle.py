@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from models import SE3
@@ -11,18 +13,12 @@ from models.manifolds.so3 import rotation3
 from nls.missions.checks.log import Fixes, Log
 
 __all__ = ["clean"]
-SIGMAS = {
-    "sigma_v_m_s": 0.01,
-    "scale": 0.002,
-    "sigma_bridge_m_s_sqrt_s": 0.05,
-    "sigma_roll_rad": 0.003,
-    "sigma_pitch_rad": 0.003,
-    "sigma_yaw_rad": 0.01,
-    "sigma_z_m": 0.03,
-}
+SIGMAS = {"sigma_v_m_s": 0.01, "scale": 0.002, "sigma_bridge_m_s_sqrt_s": 0.05, "sigma_roll_rad": 0.003}
+SIGMAS |= {"sigma_pitch_rad": 0.003, "sigma_yaw_rad": 0.01, "sigma_z_m": 0.03}
 DT = 0.2
 
 
+@cache
 def clean(seed: int, minutes: float = 20.0, drop_outs: bool = True) -> Log:
     """A right log; fixes every 5 s with a sigma of 0.5 m."""
     rng = np.random.default_rng(seed)
@@ -50,9 +46,8 @@ def clean(seed: int, minutes: float = 20.0, drop_outs: bool = True) -> Log:
         valid[start : start + 15] = False
         measured[start : start + 15] = 0.0
     k, deep = np.arange(0, n, 25), np.arange(0, n, 5)
-    fixes = Fixes(
-        t[k], p[k, :2] + rng.normal(0, 0.5, (len(k), 2)), np.full(len(k), 0.7), ("x_m", "y_m"), np.arange(len(k))
-    )
+    places = p[k, :2] + rng.normal(0, 0.5, (len(k), 2))
+    fixes = Fixes(t[k], places, np.full(len(k), 0.7), ("x_m", "y_m"), np.arange(len(k)))
     z = p[deep, 2] + rng.normal(0, 0.03, len(deep))
     return Log(t, measured, valid, t, angles, t[deep], z, SE3.identity()[0], SIGMAS, fixes)
 

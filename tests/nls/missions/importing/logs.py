@@ -7,18 +7,31 @@ from pathlib import Path
 import numpy as np
 
 from models.algebra import Array
-from nls.missions.importing import Imported, Mapping, import_logs
+from nls.missions.importing import Imported, Mapping, draft, import_logs
 
-__all__ = ["imported", "table"]
+__all__ = ["drafted", "imported", "line", "table"]
+
+
+def written(folder: Path, logs: dict[str, str | bytes]) -> list[Path]:
+    paths = [folder / f"{name}.csv" for name in logs]
+    for path, text in zip(paths, logs.values(), strict=True):
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return paths
 
 
 def imported(folder: Path, mapping: str, **logs: str | bytes) -> Imported:
     """The import of files of this text, ``dvl="..."`` in dvl.csv."""
-    paths = []
-    for name, text in logs.items():
-        paths.append(folder / f"{name}.csv")
-        paths[-1].write_bytes(text if isinstance(text, bytes) else text.encode())
-    return import_logs(paths, Mapping(mapping, "mapping.toml"))
+    return import_logs(written(folder, logs), Mapping(mapping, "mapping.toml"))
+
+
+def drafted(folder: Path, **logs: str | bytes) -> str:
+    """The draft of a mapping of such files."""
+    return draft(written(folder, logs))
+
+
+def line(result: Imported, name: str, number: int = 1) -> str:
+    """A line of a table; line 0 has the names."""
+    return result.files[f"{name}.csv"].decode().splitlines()[number]
 
 
 def table(result: Imported, name: str) -> dict[str, Array]:

@@ -20,7 +20,6 @@ REFUSED = cases(r"""
 [dvl | :1: is no TOML
 a = 1\n\nb = "x\n | :3: is no TOML
 [dvl]\nvalid = [1, 2\n\n\n\n | :2: is no TOML: Unclosed array
-[dvl]\nvalid = [1,\n2 3]\n\n | :3: is no TOML: Unclosed array
 [dvl]\nvalid = [1, 2\n\n\nvx_m_s = 3 | :2: is no TOML: Unclosed array
 [dvl]\nvalid = '''abc\n\n\n | :2: is no TOML: Expected "'''"
 [dvl]\nvalid =\n\n\n | :2: is no TOML: Invalid value
@@ -34,7 +33,6 @@ dvl = { time_s = "t", vx = "u" } | :1: dvl.csv has no column 'vx'
 [dvl]\nvelocity = ["a", "b"] | :2: velocity is ['a', 'b']; expected a list for vx_m_s, vy_m_s, vz_m_s
 [dvl]\nvx_m_s = { colum = "a" } | :2: vx_m_s: 'colum' is no key of a column; did you mean 'column'?
 [dvl]\nvx_m_s = { column = "a", unit = "m" } | unit 'm' is not one of m/s, mm/s
-[dvl]\nvx_m_s = { column = "a", unit = 0 } | :2: vx_m_s: unit 0 is not one of m/s, mm/s
 [dvl]\nvx_m_s = { column = "a", unit = [] } | :2: vx_m_s: unit [] is not one of m/s, mm/s
 [dvl]\nvx_m_s = { column = "a", sign = 2 } | sign is 2; expected 1 or -1
 [dvl]\nvx_m_s = { column = "a", unit = "m/s", scale = 2 } | unit and scale are both given
@@ -45,8 +43,7 @@ dvl = { time_s = "t", vx = "u" } | :1: dvl.csv has no column 'vx'
 [dvl]\nframe = "ENV" | :2: frame is 'ENV'; expected one of NED, ENU
 [dvl]\nskip = -1 | skip is -1; expected a whole number
 [ahrs]\nquaternion = [1, 2] | expected a list of 4 columns, or of 4 numbers: x, y, z, w
-[fixes]\nx_m = "x"\nsigma_x_m = -2 | deviation above 0, 1e-12 to 1e12; write one, such as sigma_x_m = 2.0
-[fixes]\nx_m = "x"\nsigma_x_m = -2 | :3: sigma_x_m: -2 is not possible; expected a standard deviation above 0
+[fixes]\nx_m = "x"\nsigma_x_m = -2 | :3: sigma_x_m: -2 is not possible; expected a standard deviation above 0, 1e-12 to
 [noise]\nsigma_z_m = 0.0 | :2: sigma_z_m: 0.0 is not possible
 [noise]\nscale = -0.1 | :2: scale: -0.1 is not possible; expected 0 or above
 [noise]\nsigma_z_m = inf | :2: sigma_z_m: inf is not possible; expected a finite number
@@ -63,12 +60,10 @@ DEPTH\nmissing = inf | :4: missing is inf; expected
 DEPTH\nrows = [] | :4: rows is []; expected [first], or [first, last]
 DEPTH\nrows = [9] | :4: rows = [9] leaves no row
 DEPTH\nmissing_together = 0 | :4: missing_together is 0; expected a table of such by column
-DEPTH\nmissing_together = { attitude = 0 } | :4: missing_together: 'attitude' is not mapped here
 DEPTH\nmissing_together = { z = 0 } | :4: missing_together: 'z' is not mapped here; did you mean 'z_m'?
 DEPTH\ntime_format = 5 | :4: time_format is 5; expected how times are written, such as '%m/%d/%Y
 DEPTH\ntime_format = "%m/%d %H:%M" | :4: time_format = '%m/%d %H:%M' names no year; expected %Y or %y, or write `date =
 DEPTH\ntime_format = "%Y %H:%M" | :4: time_format = '%Y %H:%M' reads 2022-08-25 13:59 as 2022-01-01 13:59
-DEPTH\ntime_format = "%d.%m.%Y %I:%M" | reads 2022-08-25 13:59 as 2022-08-25 01:59
 DEPTH\ntime_format = "%Y %Q" | 'Q' is a bad directive
 DEPTH\ntime_format = "%Y %Y" | has a directive twice
 DEPTH\ntime_format = "%d.%m.%Y %H:%M %Z" | write %z for +02:00
@@ -92,7 +87,6 @@ DEPTH\njoin = 3 | mapping.toml:4:
 DEPTH\nskip = 9 | has no row; expected a line of names and rows of values; correct skip
 DEPTH\nwhere = { column = "x", equals = 1 } | mapping.toml:4:
 sonar.file = "log.csv" | mapping.toml:1: [sonar] uses no column of log.csv; name one of its columns, or leave file out
-depth = { time_s = 0, z_m = 1, file = "log.csv" } | :1: [depth] uses no column of log.csv; name one of its columns
 [motion]\nsigma_walk_m_sqrt_s = 1 | mapping.toml: uses no column of log.csv; write the name of one
 """)
 
@@ -119,7 +113,7 @@ def test_a_log_is_refused(case: list[str], tmp_path: Path) -> None:
 
 
 def test_what_stands_above_all_sections() -> None:
-    """It is for every table that has it; a section may say otherwise, and a row of a pose has no time."""
+    """A key there is for every table that has it; a section may say otherwise, and a row of a pose has no time."""
     text = 'time_s = "t"\nsort = true\ndepth.z_m = "z"\nnoise.scale = 0.1\n'
     text += 'ahrs = { time_s = "u", sort = false }\ntruth.i = "k"\n'
     depth, noise, ahrs, truth = Mapping(text, "m.toml").sections

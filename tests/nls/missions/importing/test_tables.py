@@ -114,12 +114,6 @@ def test_a_constant_in_degrees_is_refused_with_its_line(tmp_path: Path) -> None:
     assert table(imported(tmp_path, "[sonar]\nfan_rad = 2.1\n" + SONAR), "sonar")["fan_rad"].tolist() == [2.1]
 
 
-def test_degrees_that_nobody_names_are_refused(tmp_path: Path) -> None:
-    mapping = 'ahrs = { time_s = "t", roll_rad = 0, pitch_rad = 0, yaw_rad = "heading" }'
-    with pytest.raises(GraphFileError, match=r'no radians; write yaw_rad = { column = "heading", unit = "deg" }'):
-        imported(tmp_path, mapping, log="t,heading\n0,270\n")
-
-
 def test_sigmas_of_a_log(tmp_path: Path) -> None:
     """One that cannot be has its line, unless it stands for none; a DVL without bottom lock may say anything."""
     fixes, log = "fixes = {{ time_s = 't', x_m = 0, y_m = 0, sigma_x_m = {}, sigma_y_m = 1 }}", "t,acc [m]\n0,2\n1,-1\n"
