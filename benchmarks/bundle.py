@@ -17,7 +17,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from harness import child, line_of, make_page, peak_memory
+from harness import Table, child, line_of, make_page, peak_memory, timed
 
 BAL = "bal/problem-49-7776-pre.txt.gz"
 SOLVERS = ("cholesky", "schur", "pcg", "pcg, tol 0.1")  # of the rig
@@ -110,7 +110,6 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
     version = runs[first][0].get("version", "")
     lines = [
         f"## {source.name.split('-pre')[0]}",
-        "",
         f"- left out: {left_out}, behind a camera at the start, where COLMAP's residual is 0",
         f"- Ceres {version}, problem built by COLMAP's bundle adjuster, residuals and automatic derivatives in C++; "
         "quaternions where leadline has rotation vectors, 3 + 7 + 5 numbers a residual of which 1 + 2 are constant"
@@ -123,10 +122,9 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
         f"- seconds: best of {rounds} interleaved rounds; other work changes processor time little, wall time much; "
         "leadline from an unused graph (binding, ordering included), Ceres inside `Solve`",
         f"- relative: processor seconds to the common chi2, to {first[1]} {first[0]} with one thread",
-        "",
         "| | linear solver | threads | steps | chi2 at the start | final chi2 | to the common: processor, s | wall, s "
         "| relative | to the lowest: processor, s | to the end: processor, s | wall, s |",
-        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+        f"|:--|:--|{'--:|' * 10}",
     ]
     for (solver, who, threads), done in runs.items():
         there, below = (np.min([reached(one, chi2) for one in done], axis=0) for chi2 in (common, lowest))
@@ -157,20 +155,14 @@ def solve_rig(name: str, solver: str, path: str) -> dict[str, Any]:
     way, system = linear_solver(solver), world.graph.linearize(world.start)
     damping = 1e-4 * np.square(system.column_norms)
     before = peak_memory(reset=True)
-    began = process_time()
-    analyzed = way.analyze(system.pattern)
-    analysis, seconds = process_time() - began, []
-    for _ in range(RUNS):
-        began = process_time()
-        analyzed.solve(system, damping)
-        seconds.append(process_time() - began)
+    analyzed, analysis = timed(way.analyze, system.pattern)
+    seconds = [timed(analyzed.solve, system, damping)[1] for _ in range(RUNS)]
     found = {"columns": system.pattern.n, "rows": system.pattern.m, "analysis": analysis}
     found |= {"solve": float(np.median(seconds)), "bytes": peak_memory() - before}
     del analyzed, system
     for method in (nls.GaussNewton(), nls.LevenbergMarquardt()):
-        began = process_time()
-        result = world.graph.optimize(world.start, method, linear_solver(solver))
-        found[method.name] = {"seconds": process_time() - began, "steps": result.iterations, "chi2": result.chi2_final}
+        result, spent = timed(world.graph.optimize, world.start, method, linear_solver(solver))
+        found[method.name] = {"seconds": spent, "steps": result.iterations, "chi2": result.chi2_final}
         found[method.name] |= {"said": result.linear_solver, "status": result.status.name, "dof": result.dof}
     np.savez(path, **{kind: np.asarray(stack.X)[:, :3] for kind, stack in result.values.stacks.items()})
     return found
@@ -180,18 +172,16 @@ def rigs(names: list[str]) -> list[str]:
     """All solvers on all rigs, and their table."""
     lines = [
         "## A camera and a sonar",
-        "",
         "- `sim.rig`, seed 1: every point seen from 10 poses by both, the pose of the sonar unknown, first pose held",
         "- seconds: of the processor, one thread; solve: at the start, damped by 1e-4 of the diagonal, median of "
         f"{RUNS}",
         "- memory: what analysis and solves add to the process at their peak",
         "- difference: largest distance of a camera or point from that of `cholesky`, both by Levenberg-Marquardt",
         "- `pcg`: 1e-10 of the residual; tol 0.1 is an inexact solver, good for Levenberg-Marquardt",
-        "",
-        "| rig | points | unknowns | numbers measured | linear solver | analysis, s | solve, s | memory, MB | "
-        "Gauss-Newton, s | steps | Levenberg-Marquardt, s | steps | chi2 / dof | difference, m |",
-        "|:--|--:|--:|--:|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
+    titles = ["rig", "points", "unknowns", "numbers measured", "linear solver", "analysis, s", "solve, s", "memory, MB"]
+    titles += ["Gauss-Newton, s", "steps", "Levenberg-Marquardt, s", "steps", "chi2 / dof", "difference, m"]
+    table = Table(titles, "lrrrlrrrrrrrrr")
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
             reference: dict[str, Any] = {}
@@ -207,28 +197,21 @@ def rigs(names: list[str]) -> list[str]:
                 cells += [f"{one['analysis']:.2f}", f"{one['solve']:.2f}", f"{one['bytes'] / 1e6:,.0f}"]
                 for run in (newton, marquardt):
                     cells += [f"{run['seconds']:.1f}", str(run["steps"])]
-                cells += [f"{marquardt['chi2'] / marquardt['dof']:.5f}", f"{far:.0e}"]
-                lines.append(line_of(cells))
-                print(f"  {name:9s}{solver:14s}{one['solve']:8.2f} s a solve", flush=True)
-    return lines
-
-
-def measure(kind: str, *words: str) -> dict[str, Any]:
-    """One run of either part."""
-    return {"bundle": optimize_bundle, "rig": solve_rig}[kind](*words)
+                table.add(*cells, f"{marquardt['chi2'] / marquardt['dof']:.5f}", f"{far:.0e}")
+    return [*lines, *table]
 
 
 def page(rounds: int, ceres: str, quick: bool) -> list[str]:
     """Both parts; the first one where its data is."""
     data = Path(os.environ.get("LEADLINE_DATA", "")) / BAL
-    lines = [*against_ceres(data, rounds, ceres), ""] if data.exists() and not quick else []
+    lines = against_ceres(data, rounds, ceres) if data.exists() and not quick else []
     return lines + rigs(list(RIGS)[: 1 if quick else None])
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "bundle.md", "Many points", page, measure),
+        *("Many points", page, {"bundle": optimize_bundle, "rig": solve_rig}),
         rounds=(3, "of the bundle adjustment"),
         ceres={"default": sys.executable, "metavar": "PYTHON", "help": "one that has pyceres and pycolmap"},
-        quick={"action": "store_true", "help": "the small rig only"},
+        quick="the small rig only",
     )

@@ -13,48 +13,54 @@ import platform
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from time import process_time
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RESULTS = Path(__file__).parent / "results"
+GTSAM = {"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"}
+T = TypeVar("T")
 
 
 # --- command line and public data -------------------------------------------------------------------------------------
 
 
 def make_page(
-    doc: str | None,
-    file: str,
     title: str,
     page: Callable[..., Iterable[str]],
-    measure: Callable[..., Any] | None = None,
-    **options: tuple[int, str] | dict[str, Any],
+    measure: Callable[..., Any] | Mapping[str, Callable[..., Any]] | None = None,
+    file: str | None = None,
+    **options: str | tuple[float, str] | dict[str, Any],
 ) -> None:
     """Read the command line and write a page: its head, which states the load before the work, and the lines of `page`.
 
     Parameters
     ----------
-    doc : text of the script; its first line describes it.
-    file : name of the page.
     title : of the page; ``{last}`` stands for the last seed.
     page : gets every option by its name; as ``data`` the folder of the public data, and as ``out`` that of the page.
-    measure : what a process of its own makes of the words behind ``--child``, printed as JSON.
-    options : of the command line: the default of a whole number from 1 and what it is, or arguments for argparse.
+        The first line of its script's text describes the command line. Its lines are laid out by `spaced`.
+    measure : what a process of its own makes of the words behind ``--child``, printed as JSON; of several functions the
+        first word names one.
+    file : name of the page; that of the script when omitted.
+    options : of the command line: what a switch does; the default of a whole number from 1, or of a number above 0,
+        and what it is; or arguments for argparse.
     """
     if measure is not None and sys.argv[1:2] == ["--child"]:
-        print(json.dumps(measure(*sys.argv[2:])))
+        first, *words = sys.argv[2:]
+        print(json.dumps(measure[first](*words) if isinstance(measure, Mapping) else measure(first, *words)))
         return
-    parser = arguments(doc, file)
+    script = page.__globals__
+    file = file or f"{Path(script['__file__']).stem}.md"
+    parser = arguments(script["__doc__"], file)
     for name, how in options.items():
-        if isinstance(how, tuple):
-            default, text = how
-            how = {"type": at_least_one, "default": default, "metavar": "N", "help": f"{text} (default {default:,})"}
-        parser.add_argument(f"--{name.replace('_', '-')}", **how)
+        parser.add_argument(f"--{name.replace('_', '-')}", **option(how))
     given = vars(parser.parse_args())
     out = given.pop("out")
     wanted = inspect.signature(page).parameters
@@ -66,9 +72,22 @@ def make_page(
         parser.error(f"--out: {error}")
     if "out" in wanted:
         given["out"] = out
-    head = page_head(title.format(last=given.get("seeds", 1) - 1))
-    first, *lines = page(**given)
-    write_page([*head, *([] if first.startswith("- ") else [""]), first, *lines], out / file)
+    head = [f"# {title.format(last=given.get('seeds', 1) - 1)}", *machine()]  # before the work: with the load by others
+    lines = list(spaced([*head, *page(**given)]))
+    print("\n" + "\n".join(lines))
+    (out / file).write_text("\n".join(lines).rstrip() + "\n")
+
+
+def option(how: str | tuple[float, str] | dict[str, Any]) -> dict[str, Any]:
+    """Arguments for argparse of an option of `make_page`."""
+    if isinstance(how, str):
+        return {"action": "store_true", "help": how}
+    if isinstance(how, dict):
+        return how
+    default, text = how
+    if isinstance(default, float):
+        return {"type": positive, "default": default, "help": text}
+    return {"type": at_least_one, "default": default, "metavar": "N", "help": f"{text} (default {default:,})"}
 
 
 def arguments(doc: str | None, files: str) -> argparse.ArgumentParser:
@@ -106,10 +125,10 @@ def public_data(parser: argparse.ArgumentParser) -> Path:
 # --- processes --------------------------------------------------------------------------------------------------------
 
 
-def fresh(*command: object, **environment: str) -> subprocess.CompletedProcess[str]:
+def fresh(*command: object, timeout: float | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """A command in a process of its own, with one thread."""
     settings = os.environ | ONE_THREAD | environment
-    return subprocess.run([*map(str, command)], env=settings, capture_output=True, text=True)
+    return subprocess.run([*map(str, command)], env=settings, capture_output=True, text=True, timeout=timeout)
 
 
 def last_words(failed: subprocess.CompletedProcess[str]) -> str:
@@ -124,6 +143,27 @@ def child(*command: object, **environment: str) -> Any:
         print(done.stderr, file=sys.stderr)
         raise SystemExit(f"{' '.join(map(str, command[1:]))}: {last_words(done)}")
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def pooled(processes: int, function: Callable[..., T], *arguments: Iterable[Any]) -> Iterator[T]:
+    """What a function makes of the arguments, column by column, in the order of these, by several processes."""
+    with ProcessPoolExecutor(processes) as pool:
+        yield from pool.map(function, *arguments)
+
+
+def over(function: Callable[[int], dict[str, Any]], seeds: int) -> dict[str, npt.NDArray[Any]]:
+    """The numbers a function finds for every seed from 0 on, by name, on all cores."""
+    from sim.monte_carlo import runs
+
+    records = runs(function, range(seeds), progress=True)
+    return {name: np.array([record[name] for record in records]) for name in records[0]}
+
+
+def timed(function: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T, float]:
+    """What a call gives, and its processor time, s."""
+    began = process_time()
+    found = function(*arguments, **options)
+    return found, process_time() - began
 
 
 def peak_memory(reset: bool = False) -> float:
@@ -161,16 +201,19 @@ def machine() -> list[str]:
     ]
 
 
-def page_head(title: str) -> list[str]:
-    """First lines of a page. Made before the work, as they state the load of the machine at the start."""
-    return [f"# {title}", "", *machine()]
-
-
 class Table(list[str]):
-    """A table in Markdown; the first columns are names, the others numbers. Rows that are added are printed."""
+    """A table in Markdown. Rows that are added are printed.
 
-    def __init__(self, titles: Sequence[str], names: int = 1) -> None:
-        super().__init__([line_of(titles), "|:--" * names + "|--:" * (len(titles) - names) + "|"])
+    Parameters
+    ----------
+    titles : of the columns.
+    names : the first so many columns are names, the others numbers; or ``l``, ``r`` or ``-`` for every column.
+    """
+
+    def __init__(self, titles: Sequence[str], names: int | str = 1) -> None:
+        sides = names if isinstance(names, str) else "l" * names + "r" * (len(titles) - names)
+        marks = {"l": ":--", "r": "--:", "-": "---"}
+        super().__init__([line_of(titles), f"|{'|'.join(marks[side] for side in sides)}|"])
 
     def add(self, *cells: object) -> None:
         self.append(line_of(cells))
@@ -182,7 +225,7 @@ def line_of(cells: Iterable[object]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def markdown(titles: Sequence[str], rows: Iterable[Iterable[object]], names: int = 1) -> list[str]:
+def markdown(titles: Sequence[str], rows: Iterable[Iterable[object]], names: int | str = 1) -> list[str]:
     """A whole table in Markdown."""
     return [*Table(titles, names), *map(line_of, rows)]
 
@@ -193,10 +236,17 @@ def spread(numbers: Iterable[float], digits: int = 3) -> str:
     return f"{found.mean():.{digits}f} ({found.min():.{digits}f}-{found.max():.{digits}f})"
 
 
-def write_page(lines: list[str], path: Path) -> None:
-    """Print a page and write it."""
-    print("\n" + "\n".join(lines))
-    path.write_text("\n".join(lines).rstrip() + "\n")
+def spaced(lines: Iterable[str]) -> Iterator[str]:
+    """Lines of a page with a blank one between any two, but not between points of a list, nor between rows of a table.
+
+    Several lines in one text stay together, and blank lines that are there stay.
+    """
+    before = ""
+    for line in lines:
+        if before and line and (before[0] != line[0] or line[0] not in "-|"):
+            yield ""
+        yield line
+        before = line.rpartition("\n")[2]
 
 
 def exponent(n: list[int], y: list[float]) -> float:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from harness import ONE_THREAD, Table, make_page
+from harness import GTSAM, Table, fresh, make_page
 from posegraphs import SETS, prepare
 
 Array = npt.NDArray[np.float64]
@@ -113,11 +113,11 @@ def above(graph: Any, values: Any, kept: list[dict[int, Array]]) -> list[Array]:
 def run(command: list[str], out: Path) -> dict[str, Any] | None:
     """What a child left; None where it failed or took too long."""
     try:
-        subprocess.run(command, check=True, timeout=PATIENCE, env=os.environ | ONE_THREAD, capture_output=True)
+        fresh(*command, timeout=PATIENCE).check_returncode()
     except subprocess.TimeoutExpired:
         return None
     except subprocess.CalledProcessError as error:
-        print(error.stderr.decode()[-500:], file=sys.stderr)
+        print(error.stderr[-500:], file=sys.stderr)
         return None
     with np.load(out) as file:
         return dict(file)
@@ -152,12 +152,11 @@ def measured(name: str, rounds: int, gtsam: str | None, folder: Path) -> list[li
         script = Path(__file__).parent / "peers" / "isam2.py"
         numbers = [str(value) for value in (threshold, skip, CHECK, WHOLE)]
         commands[f"iSAM2 {threshold:g}, {skip}"] = [gtsam, "-P", str(script), str(path), str(out), *numbers]
-    runs: dict[str, list[dict[str, Any]]] = {title: [] for title in commands}
+    runs: dict[str, list[dict[str, Any]]] = {}
     for _ in range(1 if name in LARGE else rounds):
         for title, command in commands.items():
             if (result := run(command, out)) is not None:
-                runs[title].append(result)
-    runs = {title: results for title, results in runs.items() if results}
+                runs.setdefault(title, []).append(result)
     total = {title: float(np.median([r["seconds"].sum() for r in results])) for title, results in runs.items()}
     fastest = min((total[title] for title in total if title != "leadline"), default=float("nan"))
     off: dict[str, Array] = {}
@@ -188,7 +187,6 @@ def page(data: Path, sets: list[str], rounds: int, gtsam: str | None) -> list[st
         "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, by Cholesky, or QR where Cholesky fails",
         f"- above: how far chi2 is above the batch minimum, at every {CHECK}th step",
         "- beyond its gap: how often chi2 is farther above the minimum than the smoother's own bound",
-        "",
         *table,
     ]
 
@@ -197,8 +195,8 @@ if __name__ == "__main__":
     default = [*NAMES, WHEEL, *LOGS]
     names = {"nargs": "+", "choices": [*SETS, WHEEL, *LOGS], "default": default, "metavar": "NAME"}
     make_page(
-        *(__doc__, "incremental.md", "While the vehicle drives", page, drive),
+        *("While the vehicle drives", page, drive),
         sets=names | {"help": "of public graphs and logs"},
         rounds=(3, "runs of each, interleaved"),
-        gtsam={"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"},
+        gtsam=GTSAM,
     )

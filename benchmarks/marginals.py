@@ -14,11 +14,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
-from harness import Table, make_page
+from harness import Table, make_page, timed
 
 RUNS, COLUMNS = 5, 60  # columns: a multiple of 3 and of 6
 SETS = {
@@ -51,14 +50,10 @@ def problems(quick: bool) -> dict[str, Callable[[], Any]]:
     }
 
 
-def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
+def median_time(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
     """Median processor time of some runs, s, and the last result."""
-    seconds, found = [], None
-    for _ in range(runs):
-        began = process_time()
-        found = what()
-        seconds.append(process_time() - began)
-    return float(np.median(seconds)), found
+    found, seconds = zip(*(timed(what) for _ in range(runs)), strict=True)
+    return float(np.median(seconds)), found[-1]
 
 
 def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> list[str]:
@@ -72,8 +67,8 @@ def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) ->
     state, S = solver.analyze(pattern).factorization, LinearSystem.at(pattern, values).H_blocks
     every_one = np.arange(len(state.hessian.dims))
     with single_thread():
-        factorize, _ = timed(lambda: state.factorize(S))
-        ours, flat = timed(lambda: state.inverse_blocks(every_one, every_one, np.inf))
+        factorize, _ = median_time(lambda: state.factorize(S))
+        ours, flat = median_time(lambda: state.inverse_blocks(every_one, every_one, np.inf))
     n, d = pattern.n, int(state.hessian.dims[0])
     cells = [name, solver.name, f"{len(values):,}", f"{n:,}", f"{state.lower()[0].nnz:,}"]
     cells += [f"{1e3 * factorize:.0f}", f"{ours:.3f}"]
@@ -91,13 +86,11 @@ def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) ->
             return out
 
         with single_thread():
-            seconds, expected = timed(columns, 1)
+            expected, seconds = timed(columns)
         scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
         off = np.abs((flat.reshape(-1, d, d) - expected) / scale).max()
-        cells += [f"{seconds:.1f}", f"{seconds / ours:.0f}", f"{off:.0e}"]
-    else:
-        cells += ["", "", ""]
-    return cells
+        return [*cells, f"{seconds:.1f}", f"{seconds / ours:.0f}", f"{off:.0e}"]
+    return [*cells, "", "", ""]
 
 
 def page(quick: bool) -> list[str]:
@@ -120,12 +113,10 @@ def page(quick: bool) -> list[str]:
         f"{COLUMNS} columns at a time, the blocks of every pose kept",
         "- linearized at the values of the file, first pose held; difference of the two relative to the largest number "
         "of each block",
-        "",
         *table,
     ]
 
 
 if __name__ == "__main__":
-    small = {"action": "store_true", "help": "one small simulated world"}
     title = "All marginal covariances: one pass against column solves"
-    make_page(__doc__, "marginals.md", title, page, quick=small)
+    make_page(title, page, quick="one small simulated world")

@@ -8,8 +8,6 @@ its own with one thread.
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,7 +15,7 @@ from statistics import median
 from time import process_time
 
 import numpy as np
-from harness import ONE_THREAD, PROCESSOR_TIME, Table, make_page
+from harness import GTSAM, PROCESSOR_TIME, Table, child, make_page
 
 SIGMAS = (0.05, 0.05, 0.01)
 TITLES = {"batch": "ours, one batch", "single": "ours, one by one", "gtsam": "GTSAM from Python, one by one"}
@@ -37,8 +35,8 @@ def prepare(edges: int, path: Path) -> int:
     return len(z)
 
 
-def run(way: str, path: str) -> None:
-    """Build, solve, print: seconds of adding, seconds of the first solve, chi2."""
+def run(way: str, path: str) -> tuple[float, float, float]:
+    """Seconds of adding, seconds of the first solve, chi2."""
     import nls
     from factors import Between, Diagonal
     from models import SE2
@@ -56,7 +54,7 @@ def run(way: str, path: str) -> None:
             graph.add(Between(x[a], x[b], step, noise))
     added = process_time()
     result = graph.optimize(nls.Values({x: (SE2, X)}), nls.GaussNewton())
-    print(added - began, process_time() - added, result.chi2_final)
+    return added - began, process_time() - added, result.chi2_final
 
 
 def page(edges: int, rounds: int, gtsam: str | None) -> list[str]:
@@ -64,29 +62,21 @@ def page(edges: int, rounds: int, gtsam: str | None) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "city.npz"
         count = prepare(edges, path)
-        commands = {way: [sys.executable, __file__, "--run", way, str(path)] for way in ("batch", "single")}
+        commands = {way: [sys.executable, __file__, "--child", way, path] for way in ("batch", "single")}
         if gtsam:
-            commands["gtsam"] = [gtsam, "-P", str(Path(__file__).parent / "peers" / "one_by_one.py"), str(path)]
+            commands["gtsam"] = [gtsam, "-P", Path(__file__).parent / "peers" / "one_by_one.py", path]
         rows: dict[str, list[list[float]]] = {way: [] for way in commands}
         for _ in range(rounds):
             for way, command in commands.items():
-                out = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD)
-                rows[way].append([float(word) for word in out.stdout.split()[-3:]])
+                rows[way].append(child(*command))
     table = Table(["way", "add, s", "first solve, s", "chi2"])
     for way, runs in rows.items():
         add, solve, chi2 = (median(column) for column in zip(*runs, strict=True))
         table.add(TITLES[way], f"{add:.2f}", f"{solve:.2f}", f"{chi2:.6g}")
     joined = "The first solve of single measurements joins them; the next one takes as long as that of a batch."
-    return [PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane", "", *table, "", joined]
+    return [PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane", *table, joined]
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--run"]:
-        run(*sys.argv[2:])
-    else:
-        make_page(
-            *(__doc__, "one_by_one.md", "One by one", page),
-            edges=(100_000, "measurements, about"),
-            rounds=(3, "runs of each, interleaved"),
-            gtsam={"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"},
-        )
+    counts = {"edges": (100_000, "measurements, about"), "rounds": (3, "runs of each, interleaved")}
+    make_page("One by one", page, run, **counts, gtsam=GTSAM)

@@ -17,12 +17,11 @@ import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from harness import PROCESSOR_TIME, exponent, fresh, last_words, line_of, make_page, peak_memory, positive
+from harness import PROCESSOR_TIME, exponent, fresh, last_words, make_page, markdown, peak_memory, timed
 
 SIZES = (30, 99, 300, 999, 3_000, 9_999, 30_000, 99_999)  # three unknowns a pose, the first pose held
 QUICK = 3_000
@@ -69,12 +68,10 @@ def measure(name: str, unknowns: str, folder: str) -> dict[str, float]:
         world.graph.fix(next(iter(world.truth)))
         return world.graph.linearize(world.truth)
 
-    def solve(given: LinearSystem) -> tuple[float, npt.NDArray[np.float64]]:
+    def solve(given: LinearSystem) -> tuple[npt.NDArray[np.float64], float]:
         copy = LinearSystem(given.pattern, given.blocks, given.b)  # remembers nothing of an earlier solve
         copy.A  # noqa: B018 - A and b are given; everything made from them is timed
-        began = process_time()
-        dx = update(copy)
-        return process_time() - began, dx
+        return timed(update, copy)
 
     def update(given: LinearSystem) -> npt.NDArray[np.float64]:
         if solver is not None:
@@ -89,10 +86,10 @@ def measure(name: str, unknowns: str, folder: str) -> dict[str, float]:
     before = peak_memory(reset=True)
     runs = [solve(given)]
     added = max(peak_memory() - before, 0.0)
-    while len(runs) < RUNS and sum(seconds for seconds, _ in runs) < ENOUGH:
+    while len(runs) < RUNS and sum(seconds for _, seconds in runs) < ENOUGH:
         runs.append(solve(given))
-    np.save(Path(folder) / "dx.npy", runs[0][1])
-    return {"seconds": float(np.median([s for s, _ in runs])), "bytes": added}
+    np.save(Path(folder) / "dx.npy", runs[0][0])
+    return {"seconds": float(np.median([s for _, s in runs])), "bytes": added}
 
 
 # --- the series of one solver -----------------------------------------------------------------------------------------
@@ -162,7 +159,7 @@ def predict(series: Series, n: int, cells: dict[int, float]) -> tuple[float, flo
 
 def table(found: list[Series]) -> list[str]:
     """Markdown: one row per size and solver, one per solver, then the sentences."""
-    lines = ["| unknowns | solver | seconds | relative | memory, MB | difference of dx |", "|--:|:--|--:|--:|--:|--:|"]
+    rows = []
     for n in sorted({n for s in found for n in s.n}):
         here = {s.name: (s.seconds[k], s.bytes[k], s.dx[k]) for s in found if n in s.n for k in [s.n.index(n)]}
         reference = next(name for name in REFERENCES if name in here)
@@ -170,13 +167,20 @@ def table(found: list[Series]) -> list[str]:
             relative = f"{seconds / here['cholesky'][0]:,.1f}" if "cholesky" in here else ""
             off = "reference" if name == reference else f"{np.abs(dx - here[reference][2]).max():.1e}"
             mb = f"{added / 1e6:,.1f}" if added > SMALL else "< 1"
-            lines.append(line_of([f"{n:,}", TITLE[name], f"{seconds:.3g}", relative, mb, off]))
-    lines += ["", "| solver | largest size | time grows as | memory grows as |", "|:--|--:|:--|:--|"]
-    for s in (s for s in found if s.n):
-        powers = (f"n^{exponent(s.n[-3:], y[-3:]):.2f}" for y in (s.seconds, s.bytes))
-        lines.append(f"| {TITLE[s.name]} | {s.n[-1]:,} | {' | '.join(powers)} |")
-    lines += ["", "Exponents are fitted to the last three sizes of each solver.", ""]
-    return lines + [f"- {s.stopped}." for s in found if s.stopped] + crossings(found)
+            rows.append([f"{n:,}", TITLE[name], f"{seconds:.3g}", relative, mb, off])
+    laws = [
+        [TITLE[s.name], f"{s.n[-1]:,}", *(f"n^{exponent(s.n[-3:], y[-3:]):.2f}" for y in (s.seconds, s.bytes))]
+        for s in found
+        if s.n
+    ]
+    return [
+        *markdown(["unknowns", "solver", "seconds", "relative", "memory, MB", "difference of dx"], rows, "rlrrrr"),
+        "",
+        *markdown(["solver", "largest size", "time grows as", "memory grows as"], laws, "lrll"),
+        "Exponents are fitted to the last three sizes of each solver.",
+        *(f"- {s.stopped}." for s in found if s.stopped),
+        *crossings(found),
+    ]
 
 
 def crossings(found: list[Series]) -> list[str]:
@@ -248,13 +252,13 @@ def page(seconds: float, gigabytes: float, quick: bool, out: Path) -> list[str]:
     cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
     found = [run(name, sizes, cells, seconds, gigabytes) for name in (*DENSE, *SPARSE)]
     draw(found, out / "pinv.png", seconds, gigabytes)
-    return [*notes(), f"- limits: {seconds:g} s and {gigabytes:g} GB a solve", "", *table(found)]
+    return [*notes(), f"- limits: {seconds:g} s and {gigabytes:g} GB a solve", *table(found)]
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "pinv.md", "The pseudo-inverse against sparse solvers", page, measure),
-        seconds={"type": positive, "default": 20.0, "help": "a solver stops before a solve longer than this"},
-        gigabytes={"type": positive, "default": 4.0, "help": "or before one that takes more memory"},
-        quick={"action": "store_true", "help": f"sizes up to {QUICK:,} unknowns"},
+        *("The pseudo-inverse against sparse solvers", page, measure),
+        seconds=(20.0, "a solver stops before a solve longer than this"),
+        gigabytes=(4.0, "or before one that takes more memory"),
+        quick=f"sizes up to {QUICK:,} unknowns",
     )

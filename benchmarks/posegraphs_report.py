@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import RESULTS, Table, line_of, markdown, spaced
 
 STAGES = {  # key of Result.timings: title, whether it is shown for one iteration
     "build": ("pattern", False),
@@ -65,7 +66,7 @@ def line(name: str, found: dict[str, Any]) -> str:
 def write(results: dict[str, Any], folder: Path) -> None:
     """posegraphs.md, posegraphs.json and, where g2o ran, posegraphs.png."""
     sets = results["sets"]
-    lines = ["# Pose graphs from file to optimum", "", *results["machine"], f"- rounds: {results['rounds']}", *HEAD]
+    lines = ["# Pose graphs from file to optimum", *results["machine"], f"- rounds: {results['rounds']}", *HEAD]
     if results["simulated"]:
         lines.append("- simulated worlds: LEADLINE_DATA names no folder of public sets")
     for peer, about in PEERS.items():
@@ -73,28 +74,22 @@ def write(results: dict[str, Any], folder: Path) -> None:
         versions = {run["said"]["version"] for run in runs if "failed" not in run}
         lines += [f"- {'. '.join([about, *sorted(versions)])}"] if runs else []
     lines += [f"- {note}" for note in results["notes"]]
-    lines += ["", PICTURE] if charted(sets) else []
-    lines += ["", *fastest(sets), "", *matched(sets), "", *stages(sets), "", *every(sets)]
-    (folder / "posegraphs.md").write_text("\n".join(lines) + "\n")
+    lines += [PICTURE] if charted(sets) else []
+    lines += [*fastest(sets), *matched(sets), *stages(sets)]
+    shown = "\n".join(spaced(lines))
+    (folder / "posegraphs.md").write_text("\n".join(spaced([*lines, *every(sets)])) + "\n")
     (folder / "posegraphs.json").write_text(json.dumps(results, indent=1) + "\n")
     draw(sets, folder / "posegraphs.png")
-    print("\n" + "\n".join(lines[: -len(every(sets))]))
-    slower = [
-        f"  {name}: {ratio:.2f} of {peer}"
-        for name, found in sets.items()
-        for peer, ratio in found["ratio"].items()
-        if ratio > 1
-    ]
+    print(f"\n{shown}\n")
+    ratios = [(name, peer, ratio) for name, found in sets.items() for peer, ratio in found["ratio"].items()]
+    slower = [f"  {name}: {ratio:.2f} of {peer}" for name, peer, ratio in ratios if ratio > 1]
     print("slower than a peer:\n" + "\n".join(slower) if slower else "faster than every peer on every set")
 
 
 def fastest(sets: dict[str, Any]) -> list[str]:
     """One row per set and library: its fastest variant that converged, and the ratio."""
-    lines = [
-        "| set | edges | library | variant | ms | leadline / it, one thread | iterations "
-        "| chi2 (g2o) | chi2 (GTSAM) | peak, MB |"
-    ]
-    lines.append("|:--|--:|:--|:--|--:|--:|--:|--:|--:|--:|")
+    titles = ["set", "edges", "library", "variant", "ms", "leadline / it, one thread", "iterations", "chi2 (g2o)"]
+    lines: list[str] = Table([*titles, "chi2 (GTSAM)", "peak, MB"], "lrllrrrrrr")
     for name, found in sets.items():
         for peer, variants in found["runs"].items():
             if peer not in found["fastest"]:
@@ -107,11 +102,11 @@ def fastest(sets: dict[str, Any]) -> list[str]:
             if run["outcome"] != "optimum":
                 title += f" ({run['outcome']})"
             ratio = f"{found['ratio'][peer]:.2f}" if peer in found["ratio"] else ""
-            chi2 = " | ".join(f"{run['chi2'][c]:.7g}" for c in ("g2o", "gtsam"))
-            cells = [name, f"{found['edges']:,}", peer, title, ms(run["total"]), ratio, str(run["iterations"])]
-            lines.append(f"| {' | '.join(cells)} | {chi2} | {run['peak']:.0f} |")
+            cells = [name, f"{found['edges']:,}", peer, title, ms(run["total"]), ratio, run["iterations"]]
+            chi2 = (f"{run['chi2'][c]:.7g}" for c in ("g2o", "gtsam"))
+            lines.append(line_of([*cells, *chi2, f"{run['peak']:.0f}"]))
     worse = [f"{peer} on {name}" for name, found in sets.items() for peer in found["theirs_is_lower"]]
-    return lines + (["", f"A lower optimum than leadline's was reached by {', '.join(worse)}."] if worse else [])
+    return lines + ([f"A lower optimum than leadline's was reached by {', '.join(worse)}."] if worse else [])
 
 
 def matched(sets: dict[str, Any]) -> list[str]:
@@ -122,14 +117,14 @@ def matched(sets: dict[str, Any]) -> list[str]:
         for peer, chi2 in {"leadline": ours["chi2"], **found["matched"]}.items():
             cost = "gtsam" if peer == "gtsam" else "g2o"
             above = chi2[cost] / found["optimum"][cost] - 1
-            rows.append(f"| {name} | {peer} | {found['fastest'][peer]} | {ours['iterations']} | {above:.1e} |")
+            rows.append([name, peer, found["fastest"][peer], ours["iterations"], f"{above:.1e}"])
     if len(rows) == len(sets):
         return []
-    text = (
-        "Every library by its fastest variant; relative to where leadline's solution leads in the library's own cost."
-    )
-    head = "| set | library | variant | iterations | cost above the optimum |"
-    return ["## Costs after equally many iterations", "", text, "", head, "|:--|:--|:--|--:|--:|", *rows]
+    return [
+        "## Costs after equally many iterations",
+        "Every library by its fastest variant; relative to where leadline's solution leads in the library's own cost.",
+        *markdown(["set", "library", "variant", "iterations", "cost above the optimum"], rows, names=3),
+    ]
 
 
 def charted(sets: dict[str, Any]) -> dict[str, Any]:
@@ -153,39 +148,29 @@ def stages(sets: dict[str, Any]) -> list[str]:
     staged = {name: found for name, found in sets.items() if "marginals" in found}
     if not staged:
         return []
-    lines = ["## Where leadline's time goes, ms of wall clock", ""]
-    lines += ["| set | parse and build | start | " + " | ".join(title for title, _ in STAGES.values()) + " |"]
-    lines += ["|:--|" + "--:|" * (2 + len(STAGES))]
+    times, covariances = [], []
     for name, found in staged.items():
         run = found["runs"]["leadline"]["auto"]
         per = max(run["iterations"], 1)
-        cells = [ms(run["wall"]["load"]), ms(run["wall"]["start"])]
-        cells += [ms(run["timings"].get(k, 0.0) / (per if each else 1)) for k, (_, each) in STAGES.items()]
-        lines.append(f"| {name} ({per} iterations) | {' | '.join(cells)} |")
-    lines += ["", "From 'linearize' on: per iteration. The start is evaluated once more than there are iterations."]
-    lines += [
-        "",
-        "## Covariances of all poses, ms of processor time",
-        "",
-        "| set | leadline | gtsam | gtsam / leadline |",
-    ]
-    lines += ["|:--|--:|--:|--:|"]
-    for name, found in staged.items():
+        spent = [run["timings"].get(k, 0.0) / (per if each else 1) for k, (_, each) in STAGES.items()]
+        times.append([f"{name} ({per} iterations)", *map(ms, (run["wall"]["load"], run["wall"]["start"], *spent))])
         ours, theirs = found["marginals"]["leadline"], found["marginals"].get("gtsam")
-        other = "not installed | " if theirs is None else f"{ms(theirs)} | {theirs / ours:.1f}"
-        lines.append(f"| {name} | {ms(ours)} | {other} |")
-    return [*lines, "", "Both linearize, factorize and compute the covariance of every pose, at their own solution."]
+        other = ("not installed", "") if theirs is None else (ms(theirs), f"{theirs / ours:.1f}")
+        covariances.append([name, ms(ours), *other])
+    return [
+        "## Where leadline's time goes, ms of wall clock",
+        *markdown(["set", "parse and build", "start", *(title for title, _ in STAGES.values())], times),
+        "From 'linearize' on: per iteration. The start is evaluated once more than there are iterations.",
+        "## Covariances of all poses, ms of processor time",
+        *markdown(["set", "leadline", "gtsam", "gtsam / leadline"], covariances),
+        "Both linearize, factorize and compute the covariance of every pose, at their own solution.",
+    ]
 
 
 def every(sets: dict[str, Any]) -> list[str]:
     """One row per variant that was run."""
-    lines = [
-        "## Every variant",
-        "",
-        "| set | library | variant | ms | wall, ms | load | start | optimize | iterations ",
-    ]
-    lines[-1] += "| chi2 (g2o) | chi2 (GTSAM) | peak, MB | outcome |"
-    lines.append("|:--|:--|:--|" + "--:|" * 9 + ":--|")
+    titles = ["set", "library", "variant", "ms", "wall, ms", "load", "start", "optimize", "iterations", "chi2 (g2o)"]
+    lines = ["## Every variant", *Table([*titles, "chi2 (GTSAM)", "peak, MB", "outcome"], "lllrrrrrrrrrl")]
     for name, found in sets.items():
         for peer, variants in found["runs"].items():
             for variant, run in variants.items():
@@ -193,9 +178,9 @@ def every(sets: dict[str, Any]) -> list[str]:
                     lines.append(f"| {name} | {peer} | {variant} |{' |' * 9} {run['failed'].replace('|', '/')} |")
                     continue
                 cpu, wall = run["cpu"], sum(run["wall"].values())
-                cells = [name, peer, variant, *map(ms, (run["total"], wall, *cpu.values())), str(run["iterations"])]
+                cells = [name, peer, variant, *map(ms, (run["total"], wall, *cpu.values())), run["iterations"]]
                 cells += [f"{run['chi2'][c]:.9g}" for c in ("g2o", "gtsam")] + [f"{run['peak']:.0f}", run["outcome"]]
-                lines.append(f"| {' | '.join(cells)} |")
+                lines.append(line_of(cells))
     return lines
 
 
@@ -240,7 +225,6 @@ def draw(sets: dict[str, Any], path: Path) -> None:
 
 
 if __name__ == "__main__":  # the page and the picture anew from the numbers as they are, and the chart of the README
-    folder = Path(__file__).parent / "results"
-    results = json.loads((folder / "posegraphs.json").read_text())
-    write(results, folder)
+    results = json.loads((RESULTS / "posegraphs.json").read_text())
+    write(results, RESULTS)
     print("\n".join(bars(results["sets"])))

@@ -60,11 +60,12 @@ class Series:
 # --- one measurement, in processes of its own -------------------------------------------------------------------------
 
 
-def write(world: str, edges: int, file: Path) -> None:
+def write(world: str, edges: str, file: str) -> None:
     """Simulate a world of about so many edges and write its graph with the odometry as the start."""
     import nls
     import sim
 
+    edges = int(edges)
     side = max(4, round(math.sqrt(edges / 2)))
     sizes: dict[str, dict[str, Any]] = {
         "manhattan": {"n_poses": round(edges / 1.6)},
@@ -131,9 +132,10 @@ def end_after(seconds: float) -> None:
     os._exit(TOO_LONG)
 
 
-def measure(world: str, file: Path, seconds: float, gigabytes: float) -> dict[str, Any]:
+def measure(world: str, path: str, seconds: str, gigabytes: str) -> dict[str, Any]:
     """Load, start and solve a file."""
-    threading.Thread(target=end_after, args=[ENOUGH * seconds], daemon=True).start()
+    file = Path(path)
+    threading.Thread(target=end_after, args=[ENOUGH * float(seconds)], daemon=True).start()
     import nls
     import nls.graph
     from nls.linear import default_solver
@@ -167,7 +169,7 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> dict[st
             graph, values, _ = nls.load(file)
         with meter.stage("init"):
             start, init, tried = nls.initialize(graph, values)
-        result = graph.optimize(start, linear_solver=solver(memory_limit=1e9 * gigabytes))
+        result = graph.optimize(start, linear_solver=solver(memory_limit=1e9 * float(gigabytes)))
     except nls.ResourceLimitError as refused:
         return {"refused": str(refused).split(";")[0]}
     found = {
@@ -183,14 +185,6 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> dict[st
         "linear_solver": result.linear_solver,
     }
     return found | meter.total()
-
-
-def child(task: str, world: str, *given: str) -> dict[str, Any] | None:
-    """What a process of its own does."""
-    if task == "measure":
-        return measure(world, Path(given[0]), float(given[1]), float(given[2]))
-    write(world, int(given[0]), Path(given[1]))
-    return None
 
 
 # --- the series of one world ------------------------------------------------------------------------------------------
@@ -271,8 +265,8 @@ def table(series: Series) -> list[str]:
     lines.append(f"| edges^p | | {' | '.join(seconds)} | | | |")
     memory.append(line_of(["edges^p", *peaks]))
     title = "Peak memory of the process while a stage ran, MB:"
-    page = [f"## {WORLDS[series.world]}", "", *lines, "", title, "", *memory, ""]
-    return [*page, f"{series.stopped}.", ""] if series.stopped else page
+    page = [f"## {WORLDS[series.world]}", *lines, title, *memory]
+    return [*page, f"{series.stopped}."] if series.stopped else page
 
 
 COLORED = ("linearize", "factorize", "init", "read", "assemble")  # the others are grey
@@ -333,7 +327,7 @@ def page(out: Path, quick: bool, largest: float | None, seconds: float, gigabyte
     record["worlds"] = [asdict(s) for s in found]
     (out / "scaling.json").write_text(json.dumps(record, indent=1) + "\n")
     draw(found, out / "scaling.png", seconds, max(sizes))
-    return [*head, "", *(line for s in found for line in table(s))]
+    return [*head, *(line for s in found for line in table(s))]
 
 
 def edges(text: str) -> float:
@@ -345,10 +339,10 @@ def edges(text: str) -> float:
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "scaling.md", "From file to optimum as graphs grow", page, child),
-        quick={"action": "store_true", "help": f"sizes up to {QUICK:,} edges"},
+        *("From file to optimum as graphs grow", page, {"measure": measure, "write": write}),
+        quick=f"sizes up to {QUICK:,} edges",
         largest={"type": edges, "metavar": "EDGES", "help": f"default {LARGEST:,}"},
-        seconds={"type": positive, "default": 120.0, "help": "a size predicted to take longer is left out"},
-        gigabytes={"type": positive, "default": 12.0, "help": "or one that takes more memory"},
+        seconds=(120.0, "a size predicted to take longer is left out"),
+        gigabytes=(12.0, "or one that takes more memory"),
         only={"nargs": "+", "choices": WORLDS, "default": list(WORLDS), "help": "these worlds alone"},
     )

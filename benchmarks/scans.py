@@ -11,12 +11,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from functools import partial
-from time import process_time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from harness import Table, child, exponent, make_page, peak_memory, positive
+from harness import Table, child, exponent, make_page, peak_memory, positive, timed
 
 SIZES = (250, 500, 1000, 2000, 4000)
 POINTS = 100  # of a keyframe
@@ -83,25 +82,23 @@ def mission(count: int) -> tuple[Array, Array, list[Array]]:
 # --- one measurement, in a process of its own -------------------------------------------------------------------------
 
 
-def all_at_once(count: int) -> dict[str, Any]:
+def all_at_once(keyframes: str) -> dict[str, Any]:
     """Seconds by stage of `close`, meters of the map from the truth, and peak memory."""
     from nls.missions.scans import Scans, close, closing, dead_reckoning
 
-    truth, reckoned, points = mission(count)
+    truth, reckoned, points = mission(count := int(keyframes))
     scans = Scans(np.concatenate(points), np.repeat(np.arange(count), [len(p) for p in points]), count)
     seconds = dict.fromkeys(STAGES, 0.0)
 
     def watch(owner: Any, name: str, stage: str) -> None:
         inner = getattr(owner, name)
 
-        def timed(*arguments: Any, **options: Any) -> Any:
-            begin = process_time()
-            try:
-                return inner(*arguments, **options)
-            finally:
-                seconds[stage] += process_time() - begin
+        def watched(*arguments: Any, **options: Any) -> Any:
+            found, spent = timed(inner, *arguments, **options)
+            seconds[stage] += spent
+            return found
 
-        setattr(owner, name, timed)
+        setattr(owner, name, watched)
 
     for owner, name, stage in (
         (closing, "pairs", "pairs"),
@@ -112,10 +109,7 @@ def all_at_once(count: int) -> dict[str, Any]:
     ):
         watch(owner, name, stage)
     before = peak_memory(reset=True)
-    begin = process_time()
-    graph, values = dead_reckoning(reckoned)
-    result = close(graph, values, scans, rounds=ROUNDS)
-    seconds["total"] = process_time() - begin
+    result, seconds["total"] = timed(lambda: close(*dead_reckoning(reckoned), scans, rounds=ROUNDS))
     seconds["other"] = seconds["total"] - sum(seconds[stage] for stage in STAGES)
     matches = result.matches
     x = result.rounds[-1].poses
@@ -130,17 +124,15 @@ def all_at_once(count: int) -> dict[str, Any]:
     }
 
 
-def while_driving(count: int) -> dict[str, Any]:
+def while_driving(keyframes: str) -> dict[str, Any]:
     """Milliseconds of every keyframe, meters of the map from the truth in the end, and peak memory."""
     from nls.missions.scans import OnlineClosing
 
-    truth, reckoned, points = mission(count)
+    truth, reckoned, points = mission(count := int(keyframes))
     before = peak_memory(reset=True)
     online, seconds = OnlineClosing(), np.zeros(count)
     for k in range(count):
-        begin = process_time()
-        online.update(reckoned[k], points[k])
-        seconds[k] = process_time() - begin
+        seconds[k] = timed(online.update, reckoned[k], points[k])[1]
     return {
         "keyframes": count,
         "total": float(seconds.sum()),
@@ -151,11 +143,6 @@ def while_driving(count: int) -> dict[str, Any]:
         "bytes": peak_memory() - before,
         "off": rmse(online.poses, truth),
     }
-
-
-def measure(what: str, count: str) -> dict[str, Any]:
-    """One of both."""
-    return {"whole": all_at_once, "online": while_driving}[what](int(count))
 
 
 def rmse(poses: Array, truth: Array) -> float:
@@ -190,7 +177,7 @@ def tables(whole: list[dict[str, Any]], online: list[dict[str, Any]]) -> list[st
         lines.append(f"| keyframes^p | | | {' | '.join([*seconds, *laws(whole, ['bytes'])])} | | |")
         online_laws = laws(online, ("total", "last", "bytes"))
         others.append("| keyframes^p | {} | | | | {} | {} | |".format(*online_laws))
-    return [f"## All at once, {ROUNDS} rounds", "", *lines, "", "## While the vehicle drives", "", *others]
+    return [f"## All at once, {ROUNDS} rounds", *lines, "## While the vehicle drives", *others]
 
 
 def page(quick: bool, largest: float) -> list[str]:
@@ -209,14 +196,13 @@ def page(quick: bool, largest: float) -> list[str]:
         "- pairs: the search for submaps that may overlap; windows: covariances of their relative poses",
         "- solving: includes the choice of closures",
         f"- keyframes^p: exponents fitted to the {UPPER} largest sizes",
-        "",
         *tables(whole, online),
     ]
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "scans.md", "Scans to a map: time and memory", page, measure),
-        quick={"action": "store_true", "help": f"{SIZES[0]} keyframes alone"},
+        *("Scans to a map: time and memory", page, {"whole": all_at_once, "online": while_driving}),
+        quick=f"{SIZES[0]} keyframes alone",
         largest={"type": positive, "default": SIZES[-1], "metavar": "KEYFRAMES"},
     )

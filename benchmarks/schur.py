@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import os
 import sys
+from itertools import product
 from math import radians
 from pathlib import Path
-from time import process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from harness import PROCESSOR_TIME, Table, child, line_of, make_page, peak_memory, positive
+from harness import PROCESSOR_TIME, Table, child, line_of, make_page, peak_memory, timed
 
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
@@ -97,15 +97,12 @@ def measure(name: str, solver: str, gigabytes: str, flops: str) -> dict[str, Any
         return found
     way = linear_solver(solver)
     before = peak_memory(reset=True)
-    began = process_time()
-    analyzed = way.analyze(system.pattern)
-    found["analyze"] = process_time() - began
-    seconds = []
+    analyzed, found["analyze"] = timed(way.analyze, system.pattern)
+    seconds: list[float] = []
     while len(seconds) < RUNS and sum(seconds) < 20:
-        began = process_time()
-        dx = analyzed.solve(system, damping).dx
-        seconds.append(process_time() - began)
-    added, residual = peak_memory() - before, normal_residual(system, dx, damping)
+        solved, spent = timed(analyzed.solve, system, damping)
+        seconds.append(spent)
+    added, residual = peak_memory() - before, normal_residual(system, solved.dx, damping)
     return found | {"solve": float(np.median(seconds)), "bytes": added, "residual": residual}
 
 
@@ -122,19 +119,17 @@ def normal_residual(system: LinearSystem, dx: Any, damping: Any) -> float:
 def rows(names: list[str], gigabytes: float, flops: float) -> list[dict[str, Any]]:
     """All solvers on all problems, each in a process of its own."""
     found = []
-    for name in names:
-        for solver in SOLVERS:
-            measured = child(sys.executable, __file__, "--child", name, solver, gigabytes, flops)
-            one = {"name": name, "solver": solver, **measured}
-            print(f"  {name:18s}{solver:10s}{one.get('solve', float('nan')):10.3f} s", flush=True)
-            found.append(one)
+    for name, solver in product(names, SOLVERS):
+        measured = child(sys.executable, __file__, "--child", name, solver, gigabytes, flops)
+        found.append({"name": name, "solver": solver, **measured})
+        print(f"  {name:18s}{solver:10s}{measured.get('solve', float('nan')):10.3f} s", flush=True)
     return found
 
 
 def table(found: list[dict[str, Any]]) -> list[str]:
     """Markdown: one row per problem and solver."""
     titles = "problem|poses|landmarks|contacts|order|analysis, s|solve, s|relative|numbers in R|10^9 flops|memory, MB"
-    lines = [line_of([*titles.split("|"), "residual"]), "|:--|--:|--:|--:|:--|--:|--:|--:|--:|--:|--:|--:|"]
+    lines = Table([*titles.split("|"), "residual"], "lrrrlrrrrrrr")
     for one in found:
         poses, landmarks = (one["sizes"].get(kind, 0) for kind in ("x", "l"))
         poses = poses or one["sizes"]["c"]
@@ -166,12 +161,10 @@ def whole(name: str) -> list[str]:
     titles = ["start", "its seconds", "its chi2", "ATE, m", "steps", "their seconds", "chi2", "ATE, m"]
     lines = Table(titles)
     for start in ("dead reckoning", "incremental"):
-        began = process_time()
-        values = incremental(mission.graph, mission.start) if start == "incremental" else mission.start
-        found = process_time()
-        result = mission.graph.optimize(values, LevenbergMarquardt())
-        cells = [start, f"{found - began:.1f}", f"{result.chi2_initial:.4g}", f"{mission.ate(values):.3f}"]
-        cells += [f"{result.iterations}", f"{process_time() - found:.1f}", f"{result.chi2_final:.7g}"]
+        made = timed(incremental, mission.graph, mission.start) if start == "incremental" else (mission.start, 0.0)
+        result, seconds = timed(mission.graph.optimize, made[0], LevenbergMarquardt())
+        cells = [start, f"{made[1]:.1f}", f"{result.chi2_initial:.4g}", f"{mission.ate(made[0]):.3f}"]
+        cells += [result.iterations, f"{seconds:.1f}", f"{result.chi2_final:.7g}"]
         lines.add(*cells, f"{mission.ate(result.values):.3f}")
     return lines
 
@@ -198,16 +191,15 @@ def page(gigabytes: float, flops: float, quick: bool, mission: str | None) -> li
         "- memory: what analysis and solve add to the process at their peak; a fresh process for every row",
         "- residual: largest cosine between A dx - b (damping included) and a column of A",
         f"- not run: more than {flops:g} flops, or than {gigabytes:g} GB at 17 bytes a number of R",
-        "",
         *table(rows(names, gigabytes, flops)),
     ]
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "schur.md", "The order of elimination", page, measure),
-        gigabytes={"type": positive, "default": 8.0, "help": "no solve that would take more memory"},
-        flops={"type": positive, "default": 3e11, "help": "or more multiplications and additions"},
-        quick={"action": "store_true", "help": "the smallest survey only"},
+        *("The order of elimination", page, measure),
+        gigabytes=(8.0, "no solve that would take more memory"),
+        flops=(3e11, "or more multiplications and additions"),
+        quick="the smallest survey only",
         mission={"choices": FLOORS, "help": "solve a whole survey instead, and print"},
     )

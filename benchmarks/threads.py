@@ -17,7 +17,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from harness import ONE_THREAD, child, line_of, make_page
+from harness import ONE_THREAD, Table, child, make_page
 from posegraphs_sets import SETS, STAGED, prepare
 
 DATA = os.environ.get("LEADLINE_DATA")
@@ -42,8 +42,8 @@ def measure(file: str, free: str) -> list[float]:
 def page(threads: list[int], sets: list[str], rounds: int) -> list[str]:
     """The page without its head."""
     ways: list[tuple[bool, int]] = [(False, 1), *((True, count) for count in threads)]
-    lines = ["| set | threads | optimize: wall, ms | processor, ms | factorize: wall, ms | chi2 as with one |"]
-    lines.append("|:--|:--|--:|--:|--:|:--|")
+    titles = ["set", "threads", "optimize: wall, ms", "processor, ms", "factorize: wall, ms", "chi2 as with one"]
+    table = Table(titles, "llrrrl")
     for name in sets:
         with tempfile.TemporaryDirectory() as folder:
             file = prepare(name, Path(folder), DATA).files.graph
@@ -56,8 +56,8 @@ def page(threads: list[int], sets: list[str], rounds: int) -> list[str]:
         for (free, count), (wall, cpu, factorize, chi2) in zip(ways, medians, strict=True):
             title = f"{count}, free" if free else "the library's one"
             same = "to the bit" if chi2 == medians[0, 3] else f"to {abs(chi2 / medians[0, 3] - 1):.0e}"
-            lines.append(line_of([name, title, f"{wall:.0f}", f"{cpu:.0f}", f"{factorize:.0f}", same]))
-    return [f"- rounds: {rounds}, interleaved, medians", "", *lines]
+            table.add(name, title, f"{wall:.0f}", f"{cpu:.0f}", f"{factorize:.0f}", same)
+    return [f"- rounds: {rounds}, interleaved, medians", *table]
 
 
 if __name__ == "__main__":
@@ -65,4 +65,4 @@ if __name__ == "__main__":
     names = {"nargs": "+", "choices": choices, "default": STAGED, "metavar": "NAME", "help": ", ".join(choices)}
     counts = {"nargs": "+", "type": int, "default": [1, 2, 4], "help": "of 'free' runs"}
     title, rounds = "What more threads would give", (5, "interleaved; medians are shown")
-    make_page(__doc__, "threads.md", title, page, measure, threads=counts, sets=names, rounds=rounds)
+    make_page(title, page, measure, threads=counts, sets=names, rounds=rounds)

@@ -8,7 +8,6 @@ without scale. A closure is wrong where its position is 3 m off that of DGPS, wi
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from script import make_page
+from script import Table, make_page, markdown, timed
 
 import nls
+from models.algebra import Array, Mask
 from nls.metrics import ate
 from nls.missions.scans import (
     Closing,
@@ -35,10 +34,9 @@ from nls.missions.scans import (
 )
 from nls.missions.scans.folder import read_scan_mission
 
-Array = npt.NDArray[np.float64]
 WRONG = 3.0  # m
 (x,) = nls.kinds("x")
-ROWS = "| round | candidates | accepted | wrong | kept | wrong | chi2/dof | moved, m | ATE, m |"
+ROWS = ("round", "candidates", "accepted", "wrong", "kept", "wrong", "chi2/dof", "moved, m", "ATE, m")
 OTHERS = """\
 | system | ATE, m |
 |:--|--:|
@@ -79,7 +77,7 @@ class Mission:
     def error(self, poses: Array) -> float:
         return ate(poses, self.truth, "rigid").rmse
 
-    def wrong(self, matches: Matches, poses: Array) -> npt.NDArray[np.bool_]:
+    def wrong(self, matches: Matches, poses: Array) -> Mask:
         """(n,) matches whose position is far from that of the truth."""
         T = ate(poses, self.truth, "rigid").T
         i, j = matches.i, matches.j
@@ -123,44 +121,35 @@ def changed(module: Any, name: str, value: Any) -> Iterator[None]:
 
 def closed_with(mission: Mission, drift: Drift | None = None, **options: Any) -> tuple[Closing, float]:
     """The closing and its processor time, s."""
-    began = time.process_time()
-    graph, values = dead_reckoning(mission.poses, drift)
-    closed = close(graph, values, mission.scans, **options)
-    return closed, time.process_time() - began
+    return timed(lambda: close(*dead_reckoning(mission.poses, drift), mission.scans, **options))
 
 
 def rounds(mission: Mission, closed: Closing) -> list[str]:
     """A row for each round."""
-    lines = [ROWS, "|" + "--:|" * 9]
+    rows = []
     for number, r in enumerate(closed.rounds, 1):
         m = r.matches
         wrong = mission.wrong(m, r.poses)
-        lines.append(
-            f"| {number} | {len(m)} | {m.accepted.sum()} | {wrong[m.accepted].sum()} | {m.kept.sum()} | "
-            f"{wrong[m.kept].sum()} | {r.chi2_dof:.2f} | {r.moved:.2f} | {mission.error(r.poses):.3f} |"
-        )
-    return lines
+        cells = [number, len(m), m.accepted.sum(), wrong[m.accepted].sum(), m.kept.sum(), wrong[m.kept].sum()]
+        rows.append([*cells, f"{r.chi2_dof:.2f}", f"{r.moved:.2f}", f"{mission.error(r.poses):.3f}"])
+    return markdown(ROWS, rows, names=0)
 
 
-def variant(mission: Mission, name: str, drift: Drift | None = None, **options: Any) -> str:
+def variant(mission: Mission, name: str, drift: Drift | None = None, **options: Any) -> list[object]:
     """A row for other options, from what they end with."""
     closed, seconds = closed_with(mission, drift, **options)
     m, poses = closed.matches, closed.values[x]
     wrong = mission.wrong(m, poses)[m.kept].sum()
     settled = "yes" if closed.settled else "no"
-    return (
-        f"| {name} | {len(closed.rounds)} | {settled} | {m.kept.sum()} | {wrong} | {mission.error(poses):.2f} | "
-        f"{seconds:.0f} |"
-    )
+    cells = [name, len(closed.rounds), settled, m.kept.sum(), wrong]
+    return [*cells, f"{mission.error(poses):.2f}", f"{seconds:.0f}"]
 
 
 def online(mission: Mission) -> str:
     """A sentence on the map of one pass, keyframe by keyframe."""
     closing, seconds = OnlineClosing(), []
     for pose, points in zip(mission.poses, map(mission.scans.__getitem__, range(len(mission.scans))), strict=True):
-        began = time.process_time()
-        closing.update(pose, points)
-        seconds.append(time.process_time() - began)
+        seconds.append(timed(closing.update, pose, points)[1])
     closing.judge()
     nees, sigma = mission.consistency(closing)
     return (
@@ -173,7 +162,7 @@ def online(mission: Mission) -> str:
 
 def halved_and_doubled(mission: Mission) -> list[str]:
     """ATE with every constant over a factor of two around its value."""
-    rows = ["| constant | value | ATE at half of it, m | ATE at twice of it, m |", "|:--|--:|--:|--:|"]
+    table = Table(["constant", "value", "ATE at half of it, m", "ATE at twice of it, m"])
 
     def error(drift: Drift | None = None) -> str:
         return f"{mission.error(closed_with(mission, drift)[0].values[x]):.2f}"
@@ -184,51 +173,45 @@ def halved_and_doubled(mission: Mission) -> list[str]:
             with changed(module, name, max(1, round(value * factor)) if isinstance(value, int) else value * factor):
                 errors.append(error())
         shown = ", ".join(f"{v:g}" for v in np.atleast_1d(value))
-        rows.append(f"| {module.__name__.rsplit('.', 1)[-1]}.{name} | {shown} | {errors[0]} | {errors[1]} |")
-        print(rows[-1], flush=True)
+        table.add(f"{module.__name__.rsplit('.', 1)[-1]}.{name}", shown, *errors)
     for name in ("stretch", "length"):
         value = getattr(Drift(), name)
         errors = [error(replace(Drift(), **{name: value * factor})) for factor in (0.5, 2)]
-        rows.append(f"| Drift.{name} | {value:g} | {errors[0]} | {errors[1]} |")
-        print(rows[-1], flush=True)
-    return rows
+        table.add(f"Drift.{name}", f"{value:g}", *errors)
+    return table
 
 
 def page(data: Path, quick: bool) -> list[str]:
     """The page without its head."""
     mission = Mission.read(data / "aracati")
     closed, seconds = closed_with(mission)
-    own = mission.error(closed.values[x])
     nees, sigma = mission.consistency(closed)
-    lines = [OTHERS.format(dead=mission.error(mission.poses), own=own)]
-    lines += ["The errors of others are computed from their published trajectories, in the same way.", ""]
-    lines += ["## Round by round", "", *rounds(mission, closed), ""]
-    lines += [f"Processor time {seconds:.0f} s. A match is wrong where it is {WRONG:g} m or more off DGPS.", ""]
-    lines += [
+    return [
+        OTHERS.format(dead=mission.error(mission.poses), own=mission.error(closed.values[x])),
+        "The errors of others are computed from their published trajectories, in the same way.",
+        "## Round by round",
+        *rounds(mission, closed),
+        f"Processor time {seconds:.0f} s. A match is wrong where it is {WRONG:g} m or more off DGPS.",
         "## Covariances",
-        "",
-        f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.",
+        f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.\n"
         "The position of DGPS is that of a float on a line, and its own error is part of it.",
-        "",
         "## While the vehicle drives",
-        "",
         online(mission),
-        "",
         "## Other selections",
-        "",
-        "| variant | rounds | settled | kept | wrong | ATE, m | processor, s |",
-        "|:--|--:|:--|--:|--:|--:|--:|",
-        variant(mission, "defaults"),
-        variant(mission, "least squares of all accepted", select="none"),
-        variant(mission, "Cauchy kernel on all accepted", select="cauchy"),
-        variant(mission, "without sequential matches", sequential=False),
-        variant(mission, "one drift for the whole mission", Drift(stretch=0.01)),
-        variant(mission, "independent steps", Drift(mean=0.001, stretch=0.001, step=0.2)),
-        "",
+        *markdown(
+            ("variant", "rounds", "settled", "kept", "wrong", "ATE, m", "processor, s"),
+            [
+                variant(mission, "defaults"),
+                variant(mission, "least squares of all accepted", select="none"),
+                variant(mission, "Cauchy kernel on all accepted", select="cauchy"),
+                variant(mission, "without sequential matches", sequential=False),
+                variant(mission, "one drift for the whole mission", Drift(stretch=0.01)),
+                variant(mission, "independent steps", Drift(mean=0.001, stretch=0.001, step=0.2)),
+            ],
+            "lrlrrrr",
+        ),
+        *([] if quick else ["## Constants, halved and doubled", *halved_and_doubled(mission), TUNED]),
     ]
-    if not quick:
-        lines += ["## Constants, halved and doubled", "", *halved_and_doubled(mission), "", TUNED]
-    return lines
 
 
 TUNED = """\
@@ -253,6 +236,4 @@ alone, this mission ended unsettled at 4.80 m.
 
 
 if __name__ == "__main__":
-    text = "without the table of constants"
-    title = "Aracati 2017: from sonar pings to a map"
-    make_page(__doc__, "aracati.md", title, page, quick={"action": "store_true", "help": text})
+    make_page("Aracati 2017: from sonar pings to a map", page, quick="without the table of constants")

@@ -11,8 +11,6 @@ of the library judges the same solutions.
 
 from __future__ import annotations
 
-import json
-import os
 import pickle
 import subprocess
 import sys
@@ -23,9 +21,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
+from typing import Any
 
 import numpy as np
-from script import make_page, markdown
+from script import child, make_page, markdown, timed
 
 import nls
 import sim
@@ -64,6 +63,17 @@ SHAKEN = (
     "pose-graphs-2d/kitti_00.g2o",
     "pose-graphs-3d/smallGrid3D.g2o",
 )
+LEGEND = """\
+- one BLAS thread, processor time; *solve*: start values and optimization of chi2, *certify*: optimization of
+  the SE-Sync cost by Newton's method from there, the eigenvalues, and optimization of chi2 from its minimum
+- *at chi2's optimum*: the SE-Sync cost there; *published*: D. Rosen et al., IJRR 38(2-3), 2019, tables 1
+  and 2 (four digits; of manhattan the cost found here is lower than the one printed there)
+- *gap*: how far the optimum can be below the cost found; *eigenvalue*: the first of the certificate matrix
+  that is not 0 for the motion of the whole; above 0 the optimum is the only one
+- *apart*: between the optima of chi2 and of the SE-Sync cost, first pose in its place, rms (largest)
+"""
+TITLES = ("graph", "poses", "edges", "chi2", "at chi2's optimum", "SE-Sync cost", "published", "verdict", "gap")
+TITLES += ("eigenvalue", "steps", "solve [s]", "certify [s]", "apart [m]", "apart [deg]")
 TURNS, SHIFTS = (0.1, 0.5, 1.5, 3.0), (0.1, 1.0, 3.0)  # rad and m by which poses are shaken, one after the other
 RIGHT = 1e-4  # of chi2: a solution that is above the lowest one by more is wrong
 (x,) = nls.kinds("x")
@@ -72,37 +82,34 @@ RIGHT = 1e-4  # of chi2: a solution that is above the lowest one by more is wron
 def solved(path: Path, start: str) -> tuple[FactorGraph, Values, float, float]:
     """The graph, its solution, chi2, and processor time from start values to optimum."""
     graph, values, _ = nls.load(path)
-    began = process_time()
-    result = graph.optimize(nls.initialize(graph, values, start)[0])
-    return graph, result.values, result.chi2_final, process_time() - began
+    result, seconds = timed(lambda: graph.optimize(nls.initialize(graph, values, start)[0]))
+    return graph, result.values, result.chi2_final, seconds
 
 
-def certified(name: str, graph: FactorGraph, values: Values, chi2: float, seconds: float, published: str) -> str:
+def certified(
+    name: str, graph: FactorGraph, values: Values, chi2: float, seconds: float, published: str
+) -> list[object]:
     """A row of the table."""
-    began = process_time()
-    found: Certificate = nls.certify(graph, values)
-    spent = process_time() - began
+    found, spent = timed(nls.certify, graph, values)
     (far, far_rms), (turned, turned_rms) = zip(found.moved, found.moved_rms, strict=True)
     turned, turned_rms = np.degrees([turned, turned_rms])
     first = [float(e) for e in found.eigenvalues if abs(e) > 1e-6 * np.abs(found.eigenvalues).max()]
     better = "" if found.lower_chi2 is None else f", chi2 {found.lower_chi2:.6g} found"
-    return (
-        f"| {name} | {len(values)} | {len(graph)} | {chi2:.6g} | {found.cost_given:.6g} | {found.cost:.6g} | "
-        f"{published} | {found.verdict}{better} | {found.cost - found.lowest:.1g} | {first[0]:.2g} | {found.steps} | "
-        f"{seconds:.2f} | {spent:.2f} | {far_rms:.2g} ({far:.2g}) | {turned_rms:.2g} ({turned:.2g}) |"
-    )
+    costs = (f"{cost:.6g}" for cost in (chi2, found.cost_given, found.cost))
+    cells = [name, len(values), len(graph), *costs, published, f"{found.verdict}{better}"]
+    cells += [f"{found.cost - found.lowest:.1g}", f"{first[0]:.2g}", found.steps, f"{seconds:.2f}", f"{spent:.2f}"]
+    return [*cells, f"{far_rms:.2g} ({far:.2g})", f"{turned_rms:.2g} ({turned:.2g})"]
 
 
 def climbed(graph: FactorGraph, values: Values) -> str:
     """What adding rows finds, where the certificate takes the quicker way by the chordal start."""
     problem = certifiable(graph, values)
     found = newton(problem, problem.matrices(problem.graph.stack(values)))
-    known, began = spectrum(problem, found), process_time()
-    better, lowest = staircase(problem, found, known)
+    (better, lowest), seconds = timed(staircase, problem, found, spectrum(problem, found))
     assert better is not None
     return (
         f"torus3D from that local minimum, {found.cost:.6g}, without another start: rows added along the direction "
-        f"of descent lead to {better.cost:.6g} in {process_time() - began:.0f} s. No cost is below {lowest:.6g}."
+        f"of descent lead to {better.cost:.6g} in {seconds:.0f} s. No cost is below {lowest:.6g}."
     )
 
 
@@ -211,22 +218,18 @@ def way_on(world: World, certificate: Certificate) -> Values | None:
     return values
 
 
-def judge(file: Path) -> None:
-    """Print verdicts on the solutions of all worlds in a file."""
-    found = [[nls.certify(graph, values).verdict for values in many] for graph, many in pickle.loads(file.read_bytes())]
-    print(json.dumps(found))
+def judge(file: str) -> list[list[str]]:
+    """Verdicts on the solutions of all worlds in a file."""
+    tried = pickle.loads(Path(file).read_bytes())
+    return [[nls.certify(graph, values).verdict for values in solutions] for graph, solutions in tried]
 
 
-def of_another(checkout: Path, tried: list[World]) -> list[list[str]]:
+def of_another(checkout: Path, tried: list[World]) -> Any:
     """Verdicts of another version of the library."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "solutions.pickle"
         file.write_bytes(pickle.dumps([(world.graph, world.solutions) for world in tried]))
-        command = [sys.executable, __file__, "--verdicts", str(file)]
-        environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
-        run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
-    out: list[list[str]] = json.loads(run.stdout)
-    return out
+        return child(sys.executable, __file__, "--child", file, PYTHONPATH=str(checkout.resolve()))
 
 
 def tables(data: Path, checkout: Path | None) -> list[str]:
@@ -235,8 +238,8 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
     count: dict[str, Counter[str]] = {world.row: Counter() for world in tried}
     for world in tried:
         world.solve()
-        solved, certified = process_time(), [nls.certify(world.graph, values) for values in world.solutions]
-        spent += process_time() - solved
+        certified, seconds = timed(lambda world=world: [nls.certify(world.graph, v) for v in world.solutions])
+        spent += seconds
         ends = [way_on(world, certificate) for certificate in certified]
         world.lowest = min([world.lowest, *(world.graph.chi2(values) for values in ends if values is not None)])
         for values, certificate, end in zip(world.solutions, certified, ends, strict=True):
@@ -251,55 +254,38 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
     columns = [
         f"{truth} {verdict}" for truth in ("right", "wrong") for verdict in ("certified", "undecided", "refuted")
     ]
-    notes = []
+    note = ""
     if checkout is not None:
         commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=checkout, capture_output=True, text=True)
-        notes = [f"*before*: the same solutions, judged by the library at {commit.stdout.strip() or checkout.name}."]
+        note = f"\n*before*: the same solutions, judged by the library at {commit.stdout.strip() or checkout.name}."
     columns += ["led", *(["right certified, before", "wrong certified, before"] if checkout else [])]
     total: Counter[str] = sum(count.values(), Counter())
     rows = [[row, *(str(found[column]) for column in columns)] for row, found in [*count.items(), ("all", total)]]
     number = sum(total[column] for column in columns[:6])
     return [
         "## From shaken and other starts",
-        "",
-        f"{number:,} converged solutions of {len(tried)} graphs; every pose shaken by 0.1 to 3 m and 0.1 to 3 rad,",
-        "beside them rings wound in other ways, and odometry of the public graphs.",
-        "Right is the lowest chi2 known within 1e-4: from all starts, truth, chordal, odometry, rings wound anyhow.",
-        "*led*: of the wrong and refuted ones, those from which `graph.optimize(certificate.better)`, repeated until",
-        f"nothing is refuted, arrives at the lowest chi2 known. Certified in {spent:.0f} s; {seconds:.0f} s with all",
-        "solutions. Contradictions are graphs of 3 to 9 poses with errors of up to 3 m and 1.6 rad.",
-        *notes,
-        "",
+        f"{number:,} converged solutions of {len(tried)} graphs; every pose shaken by 0.1 to 3 m and 0.1 to 3 rad,\n"
+        "beside them rings wound in other ways, and odometry of the public graphs.\n"
+        "Right is the lowest chi2 known within 1e-4: from all starts, truth, chordal, odometry, rings wound anyhow.\n"
+        "*led*: of the wrong and refuted ones, those from which `graph.optimize(certificate.better)`, repeated until\n"
+        f"nothing is refuted, arrives at the lowest chi2 known. Certified in {spent:.0f} s; {seconds:.0f} s with all\n"
+        f"solutions. Contradictions are graphs of 3 to 9 poses with errors of up to 3 m and 1.6 rad.{note}",
         *markdown(["world", *columns], rows),
     ]
 
 
 def page(data: Path, before: Path | None) -> list[str]:
     """The page below its head."""
-    lines = [
-        "- one BLAS thread, processor time; *solve*: start values and optimization of chi2, *certify*: optimization of",
-        "  the SE-Sync cost by Newton's method from there, the eigenvalues, and optimization of chi2 from its minimum",
-        "- *at chi2's optimum*: the SE-Sync cost there; *published*: D. Rosen et al., IJRR 38(2-3), 2019, tables 1",
-        "  and 2 (four digits; of manhattan the cost found here is lower than the one printed there)",
-        "- *gap*: how far the optimum can be below the cost found; *eigenvalue*: the first of the certificate matrix",
-        "  that is not 0 for the motion of the whole; above 0 the optimum is the only one",
-        "- *apart*: between the optima of chi2 and of the SE-Sync cost, first pose in its place, rms (largest)",
-        "",
-        "| graph | poses | edges | chi2 | at chi2's optimum | SE-Sync cost | published | verdict | gap | eigenvalue "
-        "| steps | solve [s] | certify [s] | apart [m] | apart [deg] |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+    rows = [
+        certified(file.split("/")[1].split(".")[0], *solved(data / file, "auto"), published)
+        for file, published in PUBLISHED.items()
     ]
-    for file, published in PUBLISHED.items():
-        lines.append(certified(Path(file).name.split(".")[0], *solved(data / file, "auto"), published))
     graph, values, chi2, seconds = solved(data / STUCK, "file")
-    lines.append(certified("torus3D, start of the file", graph, values, chi2, seconds, ""))
-    return [*lines, "", climbed(graph, values), "", *tables(data, before)]
+    rows.append(certified("torus3D, start of the file", graph, values, chi2, seconds, ""))
+    return [LEGEND, *markdown(TITLES, rows, 15 * "-"), climbed(graph, values), *tables(data, before)]
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", nls.GraphWarning)
-    if sys.argv[1:2] == ["--verdicts"]:
-        judge(Path(sys.argv[2]))
-    else:
-        other = {"type": Path, "metavar": "CHECKOUT", "help": "another version of the library, to compare"}
-        make_page(__doc__, "certificate.md", "Certified pose graphs", page, before=other)
+    other = {"type": Path, "metavar": "CHECKOUT", "help": "another version of the library, to compare"}
+    make_page("Certified pose graphs", page, judge, before=other)

@@ -72,7 +72,7 @@ def verdict(path: Path, again_whole: bytes) -> str:
     return "the same" if smoother_bytes(again) == again_whole else "another answer"
 
 
-def damaged_files(count: int, folder: Path) -> list[list[str]]:
+def damaged_files(count: int, folder: Path) -> list[list[object]]:
     """A row for each of ten checkpoints."""
     rows = []
     for name, make in WORLDS.items():
@@ -86,8 +86,8 @@ def damaged_files(count: int, folder: Path) -> list[list[str]]:
                 path.write_bytes(damaged(whole, DAMAGES[k % len(DAMAGES)], rng))
                 found[verdict(path, again_whole)] += 1
             wrong = sum(found.values()) - found["refused"] - found["the same"]
-            row = [f"{name}, {how}", f"{len(whole):,}", *(f"{n}" for n in (found.total(), found["refused"]))]
-            rows.append([*row, f"{found['the same']}", f"{wrong}"])
+            numbers = found.total(), found["refused"], found["the same"], wrong
+            rows.append([f"{name}, {how}", f"{len(whole):,}", *numbers])
             if wrong:
                 print(name, how, found, flush=True)
     return rows
@@ -118,7 +118,7 @@ def streamed(*words: str | Path) -> str:
     return out.getvalue()
 
 
-def cut_files(count: int, folder: Path) -> list[list[str]]:
+def cut_files(count: int, folder: Path) -> list[list[object]]:
     """A row for each sort of stream: a shorter file, then the whole one."""
     rows = []
     for name, make in WORLDS.items():
@@ -134,11 +134,11 @@ def cut_files(count: int, folder: Path) -> list[list[str]]:
                 streamed(short, "--checkpoint", state, *words)
                 again = printed(streamed(path, "--checkpoint", state, *words))
                 different += again != {step: whole[step] for step in again} or max(again) != max(whole)
-            rows.append([f"{name}, {how}", f"{len(whole)}", f"{number}", f"{different}"])
+            rows.append([f"{name}, {how}", len(whole), number, different])
     return rows
 
 
-def killed_streams(count: int, folder: Path) -> list[str]:
+def killed_streams(count: int, folder: Path) -> list[object]:
     """A row: kill -9 at random times, again and again until a stream ends, and then from the begin."""
     rng, path, state = np.random.default_rng(0), folder / "killed.g2o", folder / "state"
     in_time(sim.manhattan(rng, 2000), path)
@@ -162,8 +162,7 @@ def killed_streams(count: int, folder: Path) -> list[str]:
         different += sum(whole[step] != facts for step, facts in steps_here.items())
         complaints.update(complaint.splitlines()[:1])
     print(*complaints.items(), sep="\n", flush=True)
-    parts = len([*folder.glob("*.part")])
-    return [f"{killed}", f"{ended}", f"{lines:,}", f"{different}", f"{complaints.total()}", f"{parts}"]
+    return [killed, ended, f"{lines:,}", different, complaints.total(), len([*folder.glob("*.part")])]
 
 
 LEGEND = """\
@@ -178,19 +177,19 @@ LEGEND = """\
 
 def page(damages: int, kills: int, cuts: int) -> Iterator[str]:
     """All three tables."""
-    yield from LEGEND.split("\n")
+    yield LEGEND
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        yield from ("## Damages", "")
+        yield "## Damages"
         heads = ["checkpoint", "bytes", "damages", "refused", "the same", "anything else"]
         yield from markdown(heads, damaged_files(damages, folder))
-        yield from ("", "## A shorter file, then the whole one", "")
+        yield "## A shorter file, then the whole one"
         yield from markdown(["stream", "steps", "cuts", "not equal to the bit"], cut_files(cuts, folder))
-        yield from ("", "## Kills", "")
+        yield "## Kills"
         heads = ["kills", "streams that ended", "steps printed", "not equal to the bit", "complaints"]
         yield from markdown([*heads, "parts left over"], [killed_streams(kills, folder)], names=0)
 
 
 if __name__ == "__main__":
     counts = {"damages": (2000, "of ten checkpoints"), "kills": (200, "at random times"), "cuts": (400, "of ten files")}
-    make_page(__doc__, "checkpoints.md", "Checkpoints", page, **counts)
+    make_page("Checkpoints", page, **counts)

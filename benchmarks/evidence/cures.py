@@ -73,17 +73,17 @@ class Cure:
 
     @property
     def of_mapping(self) -> bool:
-        """Whether it is for the mapping."""
+        """True for a cure of the mapping."""
         return self.form in ("key", "cell")
 
     @property
     def of_log(self) -> bool:
-        """Whether it is for a log, not for a table of the mission."""
+        """True for a cure of a log, not of a table of the mission."""
         return self.form == "rows" and f"{self.words[2]}".endswith(LOGS)
 
     @property
     def text(self) -> str:
-        """As it was printed."""
+        """The words as printed."""
         match = ANY.match(self.sentence, self.said)
         return match[0] if match else ""
 

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from script import Table, make_page
+from script import Table, make_page, over
 
 import sim
 from factors import Bearing, Between, Diagonal, Isotropic, Prior, Range, RangeAzimuth
@@ -22,7 +22,6 @@ from models.sensors import point_in_frame, range_azimuth, spherical
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters import EKF
 from nls.filters.consistency import nees, nees_bounds
-from sim.monte_carlo import runs
 
 x, l = kinds("x", "l")
 POSES, POINTS = 60, 12
@@ -93,21 +92,17 @@ def page(seeds: int) -> list[str]:
     cases += [(name, partial(lap, seen=name), "delayed", 3) for name in ("whole", "ranges", "bearings", "in turn")]
     cases += [("range and azimuth in space", heaving, "delayed", 6)]
     for name, make, landmarks, d in cases:
-        found = runs(partial(compared, make=make, landmarks=landmarks), range(seeds), progress=True)
-        mean = {key: float(np.mean([record[key] for record in found])) for key in found[0]}
-        low, high = nees_bounds(d, seeds)
+        found = over(partial(compared, make=make, landmarks=landmarks), seeds)
+        mean, (low, high) = {key: numbers.mean() for key, numbers in found.items()}, nees_bounds(d, seeds)
         numbers = [f"{mean['nees']:.2f}", f"{mean['nees of the graph']:.2f}", f"{low:.1f} to {high:.1f}"]
         numbers += [f"{mean['off']:.3f} m", f"{mean['off of the graph']:.3f} m"]
-        waits = (f"{sum(record[key] for record in found):.0f}" for key in ("waiting", "given up"))
-        table.add(name, f"`{landmarks}`", *numbers, *waits)
+        table.add(name, f"`{landmarks}`", *numbers, *(found[key].sum() for key in ("waiting", "given up")))
     return [
         f"The last pose, means over seeds 0 to {seeds - 1}. Waiting: landmarks that were seen and are not "
         "located in the end, of all runs. Given up: sightings that left with their pose.",
-        "",
         *table,
     ]
 
 
 if __name__ == "__main__":
-    title = "EKF-SLAM from sightings that do not locate"
-    make_page(__doc__, "delayed.md", title, page, seeds=(60, "of each row"))
+    make_page("EKF-SLAM from sightings that do not locate", page, seeds=(60, "of each row"))

@@ -11,15 +11,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import ncx2
 from script import make_page, markdown
 
 import sim
+from models.algebra import Array, Mask
 from models.sensors import ARIS_3000, DIDSON_HIGH, OCULUS_M750D, ImagingSonar
 from nls.missions.sonar import detect
 
-Array = npt.NDArray[np.float64]
 DETECTORS = ("ca", "soca", "goca", "os")
 RATES = (1e-2, 1e-3, 1e-4)
 SHAPES = (4.0, 1.0, 0.5)
@@ -33,7 +32,7 @@ STRONG = 30  # dB
 RANGE = 5.0  # m, within which cells of a raster are counted
 
 
-def mask(image: Array, detector: str, false_alarms: float) -> npt.NDArray[np.bool_]:
+def mask(image: Array, detector: str, false_alarms: float) -> Mask:
     """Detections as an image."""
     detections = detect(image, SONAR, detector, false_alarms, TRAIN, GUARD)
     out = np.zeros(image.shape, dtype=bool)
@@ -118,25 +117,18 @@ def page(images: int) -> list[str]:
     columns = [f"{rate:g}{where}" for where in ("", ", cut") for rate in RATES]
     lines = [
         "## False alarms in Rayleigh noise, measured over nominal",
-        "",
         *markdown(["detector", *columns], ratios),
-        "",
         f"{cells / 1e6:.1f} million cells; {TRAIN} training and {GUARD} guard cells a side. *Cut*: the first and last "
         f"{REACH} bins, where one side of the window decides; there 1e-4 are {cells * 0.05 * 1e-4:.0f} false alarms, "
         f"known to {100 / np.sqrt(cells * 0.05 * 1e-4):.0f} % at best, as neighboring cells share their window.",
-        "",
         "## False alarms in K-distributed noise",
-        "",
     ]
     spiky = []
     for nu in SHAPES:
         measured = rates(max(1, images // 4), nu)
         spiky += [[f"{nu:g}", d, *(f"{measured[d, rate][0]:.1e}" for rate in RATES)] for d in DETECTORS]
     lines += markdown(["nu", "detector", *(f"nominal {rate:g}" for rate in RATES)], spiky)
-    lines += [
-        "",
-        "Rates, not ratios. The multipliers are those of Rayleigh noise; neighboring cells share no texture.",
-    ]
+    lines += ["Rates, not ratios. The multipliers are those of Rayleigh noise; neighboring cells share no texture."]
     for fluctuating, title in ((False, "steady echo"), (True, "fluctuating echo (Rayleigh, as of a rough wall)")):
         rows = []
         for signal in SIGNALS if fluctuating else SIGNALS[:STEADY]:
@@ -144,37 +136,26 @@ def page(images: int) -> list[str]:
             known = 1e-3 ** (1 / (1 + power)) if fluctuating else ncx2.sf(-2 * np.log(1e-3), 2, 2 * power)
             measured = [f"{share(1e-3, echoes(signal, fluctuating), d):.3f}" for d in DETECTORS]
             rows.append([f"{signal}", *measured, f"{known:.3f}"])
-        lines += ["", f"## Detected at 1e-3: {title}", ""]
+        lines += [f"## Detected at 1e-3: {title}"]
         lines += markdown(["signal to noise, dB", *DETECTORS, "noise level known"], rows)
-    lines += ["", f"One cell an echo, {5 * SONAR.beams * SONAR.bins // APART:,} echoes a row.", ""]
-    uneven = [
-        [
-            detector,
-            f"{share(1e-3, echoes(15, False, STRONG), detector):.3f}",
-            f"{share(1e-3, step, detector):.1e}",
-        ]
-        for detector in DETECTORS
-    ]
-    lines += ["## Where the noise is not even, at 1e-3", ""]
-    lines += markdown(
-        ["detector", f"15 dB detected {CLOSE} bins from {STRONG} dB", "false alarms before a shadow"], uneven
-    )
+    strong = echoes(15, False, STRONG)
+    uneven = [[d, f"{share(1e-3, strong, d):.3f}", f"{share(1e-3, step, d):.1e}"] for d in DETECTORS]
+    titles = ["detector", f"15 dB detected {CLOSE} bins from {STRONG} dB", "false alarms before a shadow"]
     lines += [
-        "",
+        f"One cell an echo, {5 * SONAR.beams * SONAR.bins // APART:,} echoes a row.",
+        "## Where the noise is not even, at 1e-3",
+        *markdown(titles, uneven),
         f"Before a shadow: the {REACH} bins before the noise falls by 10.5 dB.",
-        "",
         f"## Cells within {RANGE:g} m that a Cartesian raster loses",
-        "",
     ]
-    sonars = [replace(SONAR, window=(0.5, far)) for far in (10.5, 20.5, 40.5)] + [ARIS_3000, DIDSON_HIGH]
     rows = []
-    for sonar in sonars:
+    for sonar in [*(replace(SONAR, window=(0.5, far)) for far in (10.5, 20.5, 40.5)), ARIS_3000, DIDSON_HIGH]:
         length = (sonar.window[1] - sonar.window[0]) / sonar.bins
         shares = [f"{100 * lost(sonar, edge):.0f} %" for edge in (length, 0.1, 0.2)]
         rows.append([f"{sonar.name}, {sonar.window[0]:g}-{sonar.window[1]:g} m", f"{100 * length:.1f}", *shares])
     lines += markdown(["sonar", "bin, cm", "squares of one bin", "squares of 0.1 m", "squares of 0.2 m"], rows)
-    return [*lines, "", "Every square takes the cell that holds its center; the others are lost."]
+    return [*lines, "Every square takes the cell that holds its center; the others are lost."]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "detection.md", "Detections in sonar images", page, images=(40, "images of Rayleigh noise"))
+    make_page("Detections in sonar images", page, images=(40, "images of Rayleigh noise"))

@@ -16,16 +16,15 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from script import Table, make_page
 
 from factors import Bearing, Between, Factor, Isotropic, Landmark, Range, check_jacobians
 from factors.conventions import innovation
 from models import SE2, SE3, LieGroup, Manifold, R
+from models.algebra import Array
 from models.errors import EvaluationError, JacobianError
 from nls import Values, kinds
 
-Array = npt.NDArray[np.float64]
 Function = Callable[[Array], Array]
 x, l = kinds("x", "l")
 
@@ -215,17 +214,13 @@ def page() -> list[str]:
         f"{INNER[-1]:g}, residuals of {RESIDUALS[0]:g} to {RESIDUALS[-1]:g}. A column is right within {RIGHT:g} of the "
         f"exact one; one that is less than {NOTHING / RIGHT:g} of the largest, within {NOTHING:g} of that. "
         "`check_jacobians` gets the exact Jacobian, and wrong ones: zeros, and twice the exact one.",
-        "",
         *table,
-        "",
         "Functions of u = x - value, with the same values and residuals, in R(1). A slope of 0 is right within "
         f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right. Wrong are kinks "
         "and roots in the rounding of f: it stands still at small steps, as at a plateau, and the column is 0.",
-        "",
         *singular_table,
     ]
 
 
 if __name__ == "__main__":
-    title = "Numeric Jacobians where the residual says nothing about its rounding"
-    make_page(__doc__, "differences.md", title, page)
+    make_page("Numeric Jacobians where the residual says nothing about its rounding", page)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from script import make_page, markdown
@@ -31,7 +32,7 @@ def named(graph: FactorGraph, values: nls.Values) -> tuple[set[tuple[int, int]],
     return places, [finding.kind.value for finding in findings]
 
 
-def planted(data: Path, count: int) -> Iterator[list[str]]:
+def planted(data: Path, count: int) -> Iterator[list[Any]]:
     """A row a graph and kind of wrong closures: named, missed, falsely named, and other findings."""
     for name in PLANTED:
         right = solved(data / SETS[name])
@@ -40,26 +41,25 @@ def planted(data: Path, count: int) -> Iterator[list[str]]:
             places, kinds = named(FactorGraph([right.edges, wrong]), right.best)
             hits = sum(factor == 1 for factor, _ in places)
             others = sorted(set(kinds) - {kind.value for kind in NAMES})
-            yield [name, kind, str(hits), str(count - hits), str(len(places) - hits), ", ".join(others)]
+            yield [name, kind, hits, count - hits, len(places) - hits, ", ".join(others)]
 
 
-def clean(data: Path) -> Iterator[list[str]]:
+def clean(data: Path) -> Iterator[list[Any]]:
     """A row a graph without a wrong closure: falsely named, and how many chance names."""
     for name in CLEAN:
         right = solved(data / SETS[name])
         places, _ = named(FactorGraph([right.edges]), right.best)
-        yield [name, str(len(places)), f"{CHANCE:g}"]
+        yield [name, len(places), f"{CHANCE:g}"]
 
 
 def page(data: Path, wrong: int) -> list[str]:
     """Both tables."""
     rows = list(planted(data, wrong))
-    sums = ["**all**", "", *(sum(int(row[k]) for row in rows) for k in (2, 3, 4)), ""]
+    sums = ["**all**", "", *(sum(row[k] for row in rows) for k in (2, 3, 4)), ""]
     titles = ("graph", "wrong ones", "named", "missed", "falsely named", "other findings")
-    lines = ["## Planted", "", *markdown(titles, [*rows, sums], names=6), "", "## Clean graphs", ""]
+    lines = ["## Planted", *markdown(titles, [*rows, sums], names=6), "## Clean graphs"]
     return lines + markdown(("graph", "falsely named", "expected by chance"), clean(data), names=3)
 
 
 if __name__ == "__main__":
-    title = "Wrong closures that `nls.explain` names"
-    make_page(__doc__, "explained.md", title, page, wrong=(5, "closures that are planted"))
+    make_page("Wrong closures that `nls.explain` names", page, wrong=(5, "closures that are planted"))

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import process_time
 
 import numpy as np
-from script import make_page, markdown
-from wrong_closures import KINDS, SETS, Array, Solved, X, few, solved, spoiled
+from script import make_page, markdown, timed
+from wrong_closures import KINDS, SETS, Solved, X, few, solved, spoiled
 
 import nls
 from factors import Between, Diagonal
 from models import SE2
+from models.algebra import Array
 from nls import FactorGraph, Values
 from nls.covariance import Marginals
 from nls.optimizers import Fit
@@ -95,17 +95,15 @@ def tried(name: str, whole: Solved, share: float, kind: str, seed: int) -> Trial
     rng = np.random.default_rng([seed, list(KINDS).index(kind), round(100 * share)])
     right = few(whole, TWENTY, rng, not name.endswith(RUNS)) if whole.loops.sum() > TWENTY else whole
     wrong = spoiled(right, round(share / (1 - share) * TWENTY), kind, rng)
-    began = process_time()
-    found = nls.gnc(FactorGraph([right.edges, wrong]), right.start)
-    seconds, values = process_time() - began, found.result.values
+    found, seconds = timed(nls.gnc, FactorGraph([right.edges, wrong]), right.start)
+    values = found.result.values
     doubts = tuple(doubt.kind.name for doubt in found.doubts)
     fine = right.off(values) < FINE
     sigmas = 0.0 if fine or doubts else farthest(found.graph, values, right.best)
     trial = Trial(name, share, fine, doubts, sigmas, seconds)
     if trial.outcome in ("silent", "within sigmas"):
-        print(
-            f"{trial.outcome}: {name} {share} {kind} {seed}: {right.off(values):.4f}, {sigmas:.2f} sigmas", flush=True
-        )
+        where = f"{name} {share} {kind} {seed}"
+        print(f"{trial.outcome}: {where}: {right.off(values):.4f}, {sigmas:.2f} sigmas", flush=True)
     return trial
 
 
@@ -117,10 +115,10 @@ def farthest(graph: FactorGraph, values: Values, right: Values) -> float:
     return float(np.sqrt((away * np.linalg.solve(Sigma, away[..., None])[..., 0]).sum(axis=1).max()))
 
 
-def counted(trials: list[Trial]) -> list[str]:
+def counted(trials: list[Trial]) -> list[int]:
     """Right and not doubted, right and doubted, wrong and noticed, within sigmas, silent."""
     outcomes = [trial.outcome for trial in trials]
-    return [str(outcomes.count(o)) for o in ("solved", "doubted", "noticed", "within sigmas", "silent")]
+    return [outcomes.count(o) for o in ("solved", "doubted", "noticed", "within sigmas", "silent")]
 
 
 def rates(trials: list[Trial]) -> str:
@@ -140,27 +138,20 @@ def tables(trials: list[Trial], clean: list[str]) -> list[str]:
     in_runs.append(("**all**", [trial for _, ts in in_runs for trial in ts]))
     by_share = [(f"{100 * share:.0f} %", [t for t in trials if t.share == share]) for share in SHARES]
     kinds = sorted({doubt for t in trials if t.right for doubt in t.doubts})
-    why = [[k, str(sum(t.right and k in t.doubts for t in trials))] for k in kinds]
+    why = [[k, sum(t.right and k in t.doubts for t in trials)] for k in kinds]
     seconds = np.median([t.seconds for t in trials])
     return [
         f"- {len(every)} trials, median {seconds:.1f} s of processor time; 10 to 60 % of all closures are wrong",
         f"- *right*: within {100 * FINE:g} % of the extent of the optimum without wrong closures",
         f"- *within its sigmas*: not right, no doubt, but no pose is {SIGMAS:g} of its sigmas away",
-        "",
         *markdown(("graph", *heads), [[n, *counted(ts), rates(ts)] for n, ts in [*by_name, ("**all**", trials)]]),
         "",
         *markdown(("wrong closures", *heads), [[n, *counted(ts), rates(ts)] for n, ts in by_share]),
-        "",
         "Doubts of right maps; some have two:",
-        "",
         *markdown(("doubt", "right maps"), why),
-        "",
         "Twenty closures in two runs of ten: two places are held, and the rest of the map hangs on these.",
-        "",
         *markdown(("graph", *heads), [[n, *counted(ts), rates(ts)] for n, ts in in_runs]),
-        "",
         "Without wrong closures, all of the graph's own:",
-        "",
         *clean,
     ]
 
@@ -173,7 +164,7 @@ def controls(data: Path) -> list[str]:
         found = nls.gnc(graph, values)
         plausible = "yes" if found.result.fit is Fit.PLAUSIBLE else "no"
         doubts = ", ".join(doubt.kind.name for doubt in found.doubts) or "none"
-        rows.append([name, str(found.doubted), str(len(found.rejected)), doubts, plausible])
+        rows.append([name, found.doubted, len(found.rejected), doubts, plausible])
     return markdown(("graph", "closures", "rejected", "doubts", "chi2 plausible"), rows)
 
 
@@ -198,7 +189,8 @@ def page(data: Path, mit: Path | None, seeds: int, names: list[str]) -> list[str
 if __name__ == "__main__":
     graphs = [*HALLS, *PUBLIC, *(name + RUNS for name in PUBLIC)]
     make_page(
-        *(__doc__, "few_closures.md", "Twenty loop closures", page),
+        "Twenty loop closures",
+        page,
         mit={"type": Path, "metavar": "FILE", "help": "the graph of the MIT Killian Court"},
         seeds=(5, "trials of every share"),
         names={"nargs": "*", "default": graphs, "help": "graphs (default: all)"},

@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from script import Table, make_page, positive, spread
+from script import Table, make_page, over, spread, timed
 
 import sim
 from models import SE2
+from models.algebra import Array
 from nls import Marginals, Values, initialize, kinds
 from nls.filters.base import Filter, Track
 from nls.filters.consistency import nees_bounds
@@ -28,26 +27,16 @@ from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
 from nls.plot.filters import power_laws
 from nls.plot.picture import write_picture
-from sim.monte_carlo import runs
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 PARTICLES, MANY = (10, 100), 1000
 x, l = kinds("x", "l")
 
 
-def over(function: Callable[[int], Record], seeds: int) -> dict[str, Array]:
-    """The numbers a function finds for every seed, by name, on all cores."""
-    records = runs(function, range(seeds), progress=True)
-    return {name: np.array([record[name] for record in records]) for name in records[0]}
-
-
 def tracked(given: sim.LandmarkWorld, estimator: Filter) -> tuple[Track, Record]:
     """A run, and what is asked of every one: errors, the final sigma (m, per axis) and NEES, processor time a step."""
-    began = process_time()
-    track = estimator.run(given.graph, given.start)
-    seconds = process_time() - began
+    track, seconds = timed(estimator.run, given.graph, given.start)
     return track, {
         "ATE": track.ate(given.truth).rmse,
         "smoothed": track.ate(given.truth, smoothed=True).rmse,
@@ -59,9 +48,8 @@ def tracked(given: sim.LandmarkWorld, estimator: Filter) -> tuple[Track, Record]
 
 def batch(given: sim.LandmarkWorld) -> tuple[Values, Record]:
     """The graph solved at once, as `tracked`."""
-    began = process_time()
-    values = given.graph.optimize(initialize(given.graph, given.start)[0]).values
-    seconds, last = process_time() - began, x[given.poses - 1]
+    result, seconds = timed(lambda: given.graph.optimize(initialize(given.graph, given.start)[0]))
+    values, last = result.values, x[given.poses - 1]
     P = Marginals(given.graph, values).covariance(last, frame="body")
     e = SE2.local(values[last][None], given.truth[last][None])[0]
     return values, {
@@ -156,7 +144,7 @@ def accuracy(seeds: int, many: int) -> list[str]:
     for name, (function, count) in estimators.items():
         lines.add(of(name, count, seeds), *cells(over(function, count), columns))
     apart = found["apart"]
-    return [*lines, "", f"Final poses of EKF and batch are {apart.mean():.2f} mm apart, {apart.max():.2f} mm at most."]
+    return [*lines, f"Final poses of EKF and batch are {apart.mean():.2f} mm apart, {apart.max():.2f} mm at most."]
 
 
 def walls(seeds: int) -> list[str]:
@@ -176,12 +164,8 @@ def cost(seconds: float, picture: Path) -> list[str]:
     lines = [f"{label:14s}{text}".rstrip() for label, text in scaling_rows(found)]
     print("\n".join(lines), flush=True)
     return [
-        "```text",
-        *lines,
-        "```",
-        "",
+        "\n".join(["```text", *lines, "```"]),
         f"![seconds against landmarks, both axes logarithmic]({picture.name})",
-        "",
         "- Processor time, one BLAS thread.",
         "- A vehicle goes once around a ring and 20 steps more. Each pose sees 13 or 14 landmarks, 4 of them new, "
         "whatever the size of the ring.",
@@ -202,11 +186,8 @@ def page(seeds: int, many_seeds: int, seconds: float, out: Path) -> list[str]:
     low, high = nees_bounds(3, many)
     return [
         "Every cell: the mean over seeds, and the smallest and the largest. Nothing is aligned.",
-        "",
         f"## Subsea, start known to 2 m, seeds 0 to {seeds - 1}",
-        "",
         *start_unknown(seeds, many),
-        "",
         "- Final sigma: of the position, per axis, in the last of 181 poses.",
         f"- NEES: e' P^-1 e of the final pose. Over {many} seeds the mean of a consistent estimator is within "
         f"{low:.2f}-{high:.2f}.",
@@ -215,24 +196,17 @@ def page(seeds: int, many_seeds: int, seconds: float, out: Path) -> list[str]:
         "NEES shows that this sigma is too small.",
         "- Charted to 4 m: landmarks sighted to 0.2 deg are too far from the chart for one linearization. An "
         "iterated update is consistent.",
-        "",
         f"## Subsea, start known, seeds 0 to {seeds - 1}",
-        "",
         *accuracy(seeds, many),
-        "",
         "ATE: rmse of the positions over the path, each when it was the latest; smoothed: as believed in the end.",
-        "",
         f"## Lines, seeds 0 to {min(seeds, many) - 1}",
-        "",
         *walls(min(seeds, many)),
-        "",
         "## Cost against landmarks",
-        "",
         *cost(seconds, out / "filters.png"),
     ]
 
 
 if __name__ == "__main__":
-    limit = {"type": positive, "default": 300.0, "help": "of the cost: no run foreseen to take longer"}
+    limit = (300.0, "of the cost: no run foreseen to take longer")
     counts = {"seeds": (200, "of the tables"), "many_seeds": (30, "of what takes long")}
-    make_page(__doc__, "filters.md", "Filters and graphs", page, **counts, seconds=limit)
+    make_page("Filters and graphs", page, **counts, seconds=limit)

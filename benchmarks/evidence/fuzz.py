@@ -275,7 +275,7 @@ def ends(all_seeds: list[Seed], tasks: list[tuple[str, int]], seed: int, jobs: i
                         waiting.append(list(left))
 
 
-EXPLAINED = f"""
+EXPLAINED = f"""\
 A mutant is a small valid file, or one file of a folder, with bits, bytes, blocks, lines, words, numbers, \
 names, encodings or control characters changed. It is read twice.
 
@@ -303,13 +303,13 @@ def page(mutants: int, seed: int, jobs: int) -> list[str]:
     rows = [(name, of[name], count) for name, count in counts.items()]
     cells = [[name, n, count.total(), *(count[end] for end in ENDS)] for name, n, count in [*rows, every]]
     table = markdown(["reader", "seeds", "mutants", *ENDS], cells)
-    shown = ["", "Faults:", "", "```text", *faults, "```"] if faults else []
-    return [f"- random numbers of seed {seed}", *EXPLAINED.split("\n"), *table, *shown]
+    shown = ["Faults:", "\n".join(["```text", *faults, "```"])] if faults else []
+    return [f"- random numbers of seed {seed}", EXPLAINED, *table, *shown]
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "fuzz.md", "Mutants of files", page),
+        *("Mutants of files", page),
         mutants=(20_000, "of all readers"),
         seed={"type": int, "default": 0, "help": "of the random numbers (default 0)"},
         jobs=(2, "processes at once"),

@@ -7,24 +7,21 @@ Harbors are `sim.harbor` with 160 keyframes in two laps; seeds 0, 1, 2, ...
 
 from __future__ import annotations
 
-import time
-from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
-from script import make_page, markdown, spread
+from script import make_page, markdown, pooled, spread, timed
 
 import sim
 from models import SE2
-from models.algebra import wrap
+from models.algebra import Array, Mask, wrap
 from nls import Marginals, kinds
 from nls.missions.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
 from nls.missions.scans.correlation import match_submap
 from nls.missions.scans.matches import verdicts
 from nls.missions.scans.scans import SUBMAP_HALF, centers, in_world, pairs
 
-Array = npt.NDArray[np.float64]
 GEOMETRIES = ("marina", "quay", "rocks")
 KEYFRAMES = 160  # of a harbor: twenty of each geometry in half an hour of one core
 AWAY, TURNED = 3.0, np.radians(5.0)  # m, rad: a closure beyond is wrong
@@ -40,9 +37,7 @@ x = kinds("x")[0]
 
 def closed(world: sim.Harbor) -> tuple[Closing, float]:
     """The map of a harbor, and the processor time it took, s."""
-    start = time.process_time()
-    closing = close(*dead_reckoning(world.poses), world.scans)
-    return closing, time.process_time() - start
+    return timed(lambda: close(*dead_reckoning(world.poses), world.scans))
 
 
 def judged(world: sim.Harbor, matches: Matches) -> tuple[Array, Array]:
@@ -92,25 +87,16 @@ def maps(rows: dict[str, Array]) -> list[str]:
     table = []
     for geometry, r in rows.items():
         total = r.sum(axis=0)
-        table.append(
-            [
-                geometry,
-                spread(r[:, 0], 2),
-                spread(r[:, 1], 2),
-                spread(r[:, 2], 0),
-                f"{total[5] / len(r):.0f}",
-                share(total[6], total[5]),
-                share(total[7], total[5]),
-                share(total[6], total[3]),
-                f"{total[11]:.0f}",
-                f"{r[:, 9].mean():.2f}, median {np.median(r[:, 9]):.2f}",
-                f"{r[:, 10].mean():.0f}",
-            ]
-        )
+        cells = [geometry, spread(r[:, 0], 2), spread(r[:, 1], 2), spread(r[:, 2], 0), f"{total[5] / len(r):.0f}"]
+        cells += [share(total[a], total[b]) for a, b in ((6, 5), (7, 5), (6, 3))]
+        nees = f"{r[:, 9].mean():.2f}, median {np.median(r[:, 9]):.2f}"
+        table.append([*cells, f"{total[11]:.0f}", nees, f"{r[:, 10].mean():.0f}"])
     head = ["harbor", "ATE of dead reckoning, m", "ATE closed, m", "rounds", "closures kept", "right place"]
     head += ["and right heading", "recall", "wrong in round 1", "NEES, expected 2", "s"]
-    lines = ["## Maps", "", *markdown(head, table), ""]
-    lines += [
+    words = ["harbor", *(verdict.name.lower().replace("_", " ") for verdict in Verdict)]
+    return [
+        "## Maps",
+        *markdown(head, table),
         f"- Harbors of {KEYFRAMES} keyframes, 1 m apart, in two laps. Numbers in brackets are the least and the "
         "most of the seeds.",
         "- ATE: rmse of the keyframes after a rigid motion. s: processor time.",
@@ -119,12 +105,9 @@ def maps(rows: dict[str, Array]) -> list[str]:
         "- Recall: closures kept at the right place, of all candidates.",
         "- Wrong in round 1: closures kept at a wrong place, in all seeds.",
         "- NEES: of the positions of the keyframes. The first keyframe is held.",
-        "",
         "## Verdicts of the last round, a harbor",
-        "",
+        *markdown(words, [[g, *(f"{n:.0f}" for n in r[:, 12:].mean(axis=0))] for g, r in rows.items()]),
     ]
-    words = ["harbor", *(verdict.name.lower().replace("_", " ") for verdict in Verdict)]
-    return lines + markdown(words, [[g, *(f"{n:.0f}" for n in r[:, 12:].mean(axis=0))] for g, r in rows.items()])
 
 
 # --- the matcher alone ------------------------------------------------------------------------------------------------
@@ -180,32 +163,24 @@ def trials(world: sim.Harbor, poses: Array, guess_of: str) -> list[list[float]]:
     return out
 
 
-def matcher(r: Array) -> list[str]:
+def matcher(r: Array) -> list[object]:
     """Cells of one row: of the accepted, and of all, and of ICP."""
 
-    def of(k: npt.NDArray[np.bool_], at: int) -> str:
+    def of(k: Mask, at: int) -> str:
         right = k & (r[:, at] <= AWAY)
         return f"{np.sqrt((r[right, at] ** 2).mean()):.2f}, {r[right, at + 2].mean():.2f}" if right.any() else "-"
 
     accepted, everything = r[:, 0] == Verdict.ACCEPTED, np.ones(len(r), dtype=bool)
-    wrong = (r[:, 1] > AWAY).sum(), (accepted & (r[:, 1] > AWAY)).sum(), (r[:, 8] > AWAY).sum()
-    return [
-        f"{len(r)}",
-        f"{accepted.sum()}",
-        f"{wrong[1]}",
-        of(accepted, 1),
-        f"{wrong[0]}",
-        of(everything, 1),
-        f"{wrong[2]}",
-        of(everything, 8),
-    ]
+    wrong, icp = r[:, 1] > AWAY, r[:, 8] > AWAY
+    cells = [len(r), accepted.sum(), (accepted & wrong).sum(), of(accepted, 1)]
+    return [*cells, wrong.sum(), of(everything, 1), icp.sum(), of(everything, 8)]
 
 
 def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
     """The tables of matches alone."""
     head = ["harbor, submaps, guess", "pairs", "accepted", "of them wrong", "rms m, d2/3", "wrong of all"]
     head += ["rms m, d2/3", "ICP wrong", "rms m, d2/3"]
-    lines = ["## The matcher alone", ""]
+    lines = ["## The matcher alone"]
     lines += markdown(head, [[", ".join(name), *matcher(r)] for name, r in results.items()])
     quays = [
         [
@@ -222,7 +197,6 @@ def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
     head += ["error across over its sigma, rms", "ICP", "accepted"]
     return [
         *lines,
-        "",
         f"- Random pairs of submaps of {2 * SUBMAP_HALF + 1} keyframes with overlapping footprints.",
         "- A guess is off by up to the stated width, evenly distributed. The window is as wide, and at least 3 m "
         "and 3 deg.",
@@ -231,11 +205,8 @@ def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
         "- d is the error over its covariance (Mahalanobis). A mean d2/3 of 1 means a right covariance, less a "
         "covariance that is too wide.",
         f"- ICP: point to point, pairs up to {REACH:g} m, covariance s^2 (J'J)^-1.",
-        "",
         "## The straight quay: along and across",
-        "",
         *markdown(head, quays),
-        "",
         "The table has all matches, also wrong ones. No feature fixes a place along this wall, so a match must not "
         "be accepted.",
     ]
@@ -260,34 +231,18 @@ def strays(world: sim.Harbor) -> float:
 def from_images(seeds: int) -> list[str]:
     """The chain from the image to the map, beside points that are drawn from their rates."""
     rows = []
-    for geometry in ("marina", "rocks"):
-        for seed in range(seeds):
-            for source in ("drawn", "images"):
-                start = time.process_time()
-                world = sim.harbor(np.random.default_rng(seed), geometry, KEYFRAMES, images=source == "images")
-                made = time.process_time() - start
-                closing, seconds = closed(world)
-                place = judged(world, closing.matches)[0]
-                kept = closing.matches.kept
-                rows.append(
-                    [
-                        f"{geometry} {seed}, {source}",
-                        f"{len(world.scans.points) / len(world.truth):.0f}",
-                        f"{100 * strays(world):.1f} %",
-                        f"{world.ate(world.poses):.2f}",
-                        f"{world.ate(closing.values[x]):.2f}",
-                        f"{kept.sum()}",
-                        f"{(kept & ~place).sum()}",
-                        f"{made:.0f}",
-                        f"{seconds:.0f}",
-                    ]
-                )
+    for geometry, seed, source in product(("marina", "rocks"), range(seeds), ("drawn", "images")):
+        images = source == "images"
+        world, made = timed(sim.harbor, np.random.default_rng(seed), geometry, KEYFRAMES, images=images)
+        closing, seconds = closed(world)
+        place, kept = judged(world, closing.matches)[0], closing.matches.kept
+        cells = [f"{geometry} {seed}, {source}", f"{len(world.scans.points) / len(world.truth):.0f}"]
+        cells += [f"{100 * strays(world):.1f} %", *(f"{world.ate(X):.2f}" for X in (world.poses, closing.values[x]))]
+        rows.append([*cells, kept.sum(), (kept & ~place).sum(), f"{made:.0f}", f"{seconds:.0f}"])
     head = ["harbor", "points a keyframe", "strays", "ATE reckoned, m", "closed, m", "kept", "of them wrong"]
     return [
         "## From images to the map",
-        "",
         *markdown([*head, "s for the scans", "s for the map"], rows),
-        "",
         "- Images have 768 beams by 1,000 bins (`sim.sonar_image`). Detections are by `nls.missions.sonar.detect`, "
         "greatest-of. Their nominal rate of false alarms is that of the drawn points.",
         "- Strays: points more than 1 m from any surface at the true pose.",
@@ -313,25 +268,19 @@ def one(geometry: str, seed: int) -> tuple[list[float], Trials]:
 def page(seeds: int, images: int, workers: int) -> list[str]:
     """All but the head."""
     calls = [(geometry, seed) for geometry in GEOMETRIES for seed in range(seeds)]
-    with ProcessPoolExecutor(workers) as pool:
-        results = list(pool.map(one, *zip(*calls, strict=True)))
-    rows = {
-        geometry: np.array(
-            [figures for (name, _), (figures, _) in zip(calls, results, strict=True) if name == geometry]
-        )
-        for geometry in GEOMETRIES
-    }
+    results = list(pooled(workers, one, *zip(*calls, strict=True)))
+    rows = {g: np.array([figures for figures, _ in results[k * seeds :][:seeds]]) for k, g in enumerate(GEOMETRIES)}
     merged: Trials = {}
     for _, trial in results:
         for name, r in trial.items():
             merged.setdefault(name, []).extend(r)
-    lines = [*maps(rows), "", *matchers({name: np.array(r) for name, r in merged.items()})]
-    return [*lines, "", *from_images(images)] if images else lines
+    lines = [*maps(rows), *matchers({name: np.array(r) for name, r in merged.items()})]
+    return [*lines, *from_images(images)] if images else lines
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "harbor.md", "Scan matching in simulated harbors, seeds 0 to {last}", page),
+        *("Scan matching in simulated harbors, seeds 0 to {last}", page),
         seeds=(20, "harbors of every geometry"),
         images={"type": int, "default": 1, "help": "harbors whose scans come from images (default 1)"},
         workers=(2, "processes"),

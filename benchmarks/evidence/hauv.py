@@ -16,12 +16,12 @@ from math import radians
 from time import process_time
 
 import numpy as np
-import numpy.typing as npt
-from script import Table, line_of, make_page, spread
+from script import Table, make_page, spread
 
 import sim
 from factors import RangeAzimuth, sonar_factors
 from models import SE3
+from models.algebra import Array, Mask
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Marginals, UnderconstrainedError, Values, kinds
 from nls.analysis import landmark_information
 from nls.analysis.chi_squared import chi2_gate
@@ -29,7 +29,6 @@ from nls.filters.consistency import nees_bounds
 from nls.optimizers import Optimizer
 from sim.mission import rebuilt
 
-Array = npt.NDArray[np.float64]
 SCENES: dict[str, tuple[Callable[..., sim.Mission], float]] = {
     "floor, +-7 deg": (sim.hauv_floor, 14.0),
     "floor, +-14 deg": (sim.hauv_floor, 28.0),
@@ -84,8 +83,8 @@ def solve(given: sim.Mission, optimizer: Optimizer) -> Solved:
 
 def drift(seeds: int) -> list[str]:
     """A row a scene, a treatment and an optimizer."""
-    titles = "| scene | elevation | dead reckoning, m | optimizer | optimized, m | better | iterations | status | s |"
-    lines = [titles, "|:--|:--|--:|:--|--:|--:|--:|:--|--:|"]
+    titles = ["scene", "elevation", "dead reckoning, m", "optimizer", "optimized, m", "better", "iterations", "status"]
+    table = Table([*titles, "s"], "llrlrrrlr")
     for scene in SCENES:
         for elevation in (*TREATMENTS, SEARCH):
             given = [mission(scene, elevation, seed) for seed in range(seeds)]
@@ -96,9 +95,8 @@ def drift(seeds: int) -> list[str]:
                 status = ", ".join(f"{count} {word}" for word, count in Counter(s.status for s in found).most_common())
                 cells = [scene, elevation, spread(before), name, spread(s.ate for s in found), f"{better}/{seeds}"]
                 cells += [spread((s.iterations for s in found), 0), status]
-                lines.append(line_of([*cells, f"{np.mean([s.seconds for s in found]):.2f}"]))
-                print(lines[-1], flush=True)
-    return lines
+                table.add(*cells, f"{np.mean([s.seconds for s in found]):.2f}")
+    return table
 
 
 # --- consistency ------------------------------------------------------------------------------------------------------
@@ -125,7 +123,7 @@ def nees(given: sim.Mission) -> Nees:
     return Nees(float(pose), float(each[len(each) // 2]), np.asarray(each))
 
 
-def well_observed(given: sim.Mission) -> npt.NDArray[np.bool_]:
+def well_observed(given: sim.Mission) -> Mask:
     """Which landmarks (n,) are: decided at the truth."""
     return landmark_information(given.sensed, given.truth, l).sigma < WELL
 
@@ -172,7 +170,7 @@ def consistency(seeds: range) -> list[str]:
                 "" if abs(each.mean() - 3) <= half else " **outside**"
             )
             lines.add(scene, elevation, *said, everyone, f"{beyond:.1f} %")
-    return [f"## Consistency, seeds {seeds[0]} to {seeds[-1]}, Levenberg-Marquardt", "", *lines, ""]
+    return [f"## Consistency, seeds {seeds[0]} to {seeds[-1]}, Levenberg-Marquardt", *lines]
 
 
 # --- command line -----------------------------------------------------------------------------------------------------
@@ -184,15 +182,11 @@ def page(seeds: int, nees_seeds: int) -> list[str]:
     return [
         f"- {floor.poses} poses and {floor.distance:.0f} m over the floor, "
         f"{hull.poses} poses and {hull.distance:.0f} m along the hull",
-        "",
         f"## Drift, seeds 0 to {seeds - 1}",
-        "",
         *drift(seeds),
-        "",
         "- Absolute trajectory error: rmse of positions, nothing aligned; mean over the seeds, and least and most.",
         "- Better: seeds whose optimized trajectory is nearer to the truth than dead reckoning. s: processor time "
         "of a solve.",
-        "",
         *consistency(range(nees_seeds)),
         *consistency(range(nees_seeds, 2 * nees_seeds)),
         "- NEES: e' P^-1 e with the error e and the covariance P at the optimum. Its mean should lie within the 95 "
@@ -213,4 +207,4 @@ def page(seeds: int, nees_seeds: int) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"seeds": (10, "of the table of drift"), "nees_seeds": (100, "of a table of consistency")}
-    make_page(__doc__, "hauv.md", "A hovering vehicle with an imaging sonar", page, **counts)
+    make_page("A hovering vehicle with an imaging sonar", page, **counts)

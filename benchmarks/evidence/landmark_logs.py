@@ -12,21 +12,21 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from logs import read_mrclam, read_victoria_park
 from mrclam import BEARING, DENSITY, RANGE, mrclam
 from mrclam import l as landmark
-from script import make_page
+from script import Table, make_page, timed
 from victoria_park import Park, victoria_park, x
 
 from factors import Cauchy
 from models import SE2
+from models.algebra import Array
 from models.errors import GraphWarning
 from nls import FactorGraph, Values
-from nls.filters.association import Association, JointCompatibility, Nearest
+from nls.filters.association import JointCompatibility, Nearest
 from nls.filters.base import Track
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
@@ -75,15 +75,17 @@ class Row:
 
 def measured(world: LandmarkWorld, run: Callable[[LandmarkWorld], Track]) -> Row:
     """What a run finds in a world."""
-    began = process_time()
-    track = run(world)
-    ms = 1e3 * (process_time() - began) / world.poses
-    raw, aligned = track.ate(world.truth), track.ate(world.truth, "rigid")
+    track, seconds = timed(run, world)
+    raw, aligned, smoothed = (
+        track.ate(world.truth),
+        track.ate(world.truth, "rigid"),
+        track.ate(world.truth, smoothed=True),
+    )
     L, true = track.values[track.landmarks], world.truth[track.landmarks]
     turned = SE2.act(np.broadcast_to(aligned.T, (len(L), 3)), L)
     off, shape = (float(np.sqrt(np.square(each - true).sum(axis=1).mean())) for each in (L, turned))
     nees = None if "FastSLAM" in track.method else float(track.nees(world.truth).mean())
-    return Row(track, raw.rmse, aligned.rmse, track.ate(world.truth, smoothed=True).rmse, off, shape, nees, ms)
+    return Row(track, raw.rmse, aligned.rmse, smoothed.rmse, off, shape, nees, 1e3 * seconds / world.poses)
 
 
 def by(estimator: Callable[[], Any]) -> Callable[[LandmarkWorld], Track]:
@@ -92,12 +94,12 @@ def by(estimator: Callable[[], Any]) -> Callable[[LandmarkWorld], Track]:
 
 
 def robust(world: LandmarkWorld) -> LandmarkWorld:
-    """The same with a kernel on the sightings."""
+    """The world with a kernel on the sightings."""
     return replace(world, graph=FactorGraph([world.first, world.odometry, world.sightings.robust(KERNEL)]))
 
 
 def without_wrong(world: LandmarkWorld) -> LandmarkWorld:
-    """The same without the sightings that the robust graph gives next to no weight."""
+    """The world without the sightings that the robust graph gives next to no weight."""
     other = robust(world)
     weights = other.sightings.weights(batch(other).values)
     return replace(world, graph=FactorGraph([world.first, world.odometry, world.sightings[weights >= WRONG]]))
@@ -138,16 +140,15 @@ def robot_table(world: LandmarkWorld, estimators: dict[str, Callable[[LandmarkWo
 
 
 def rows_of(world: LandmarkWorld, rows: dict[str, Row]) -> list[str]:
-    head = "| estimator | ATE | aligned | smoothed | landmarks | aligned | NEES | ms a step |"
+    table = Table(["estimator", "ATE", "aligned", "smoothed", "landmarks", "aligned", "NEES", "ms a step"])
     reckoning = f"| dead reckoning | {world.ate(world.start):.3f} | {world.ate(world.start, 'rigid'):.3f} | | | | | |"
-    return [head, "|:--|" + "--:|" * 7, reckoning, *(f"| {name} | {row} |" for name, row in rows.items())]
+    return [*table, reckoning, *(f"| {name} | {row} |" for name, row in rows.items())]
 
 
 def robots(data: Path, images: Path | None) -> list[str]:
     """The part of the page on MRCLAM."""
     lines = [
         "## MRCLAM dataset 6: landmarks with names",
-        "",
         "- There is a pose at every time at which a landmark was seen. Between poses velocity commands are integrated.",
         f"- Noise of the commands is white: {DENSITY[0, 0]:g} m/s ahead, {DENSITY[1, 1]:g} m/s across and "
         f"{DENSITY[2, 2]:g} rad/s per sqrt(Hz).",
@@ -157,7 +158,6 @@ def robots(data: Path, images: Path | None) -> list[str]:
         "rigid motion that fits the poses best.",
         "- Lengths are in m, rms. ATE: each pose when it was the latest. Smoothed: as believed in the end.",
         "- Landmarks: 15, against the survey. NEES: mean over all poses, 3 expected.",
-        "",
     ]
     for number in (3, 5):
         world = mrclam(read_mrclam(data / "mrclam6", number), f"robot {number}")
@@ -166,15 +166,10 @@ def robots(data: Path, images: Path | None) -> list[str]:
         logged, clean = robot_table(world, AS_LOGGED), robot_table(cleaned, WITHOUT_WRONG)
         lines += [
             f"### Robot {number}: {world.poses} poses, {len(world.sightings)} sightings of {world.landmarks} landmarks",
-            "",
             "As logged:",
-            "",
             *rows_of(world, logged),
-            "",
             f"Without the {off} sightings whose weight in the robust graph is below {WRONG:g}:",
-            "",
             *rows_of(cleaned, clean),
-            "",
         ]
         if images is not None and number == 3:
             robot_picture(world, logged, images / "mrclam.png")
@@ -188,7 +183,6 @@ def robots(data: Path, images: Path | None) -> list[str]:
         "- An NEES above 3 remains for all. The sigmas are right: residuals at the truth have a standard deviation "
         "of 0.9 to 1.2 of them. But errors last. Errors of the range of one landmark are correlated by 0.9 from "
         "one sighting to the next, and by 0.6 after 3 s. Every estimator here takes them for independent.",
-        "",
     ]
     return lines
 
@@ -219,66 +213,53 @@ def robot_picture(world: LandmarkWorld, rows: dict[str, Row], path: Path) -> Non
 # --- Victoria Park ----------------------------------------------------------------------------------------------------
 
 
-def park_row(name: str, error: TrajectoryError, trees: str, seconds: float | None) -> str:
-    """A line of the table."""
+def park_row(name: str, error: TrajectoryError, graph: FactorGraph | None, seconds: float) -> list[object]:
+    """Cells of the table: with how many landmarks there are, and how many of them are seen often."""
     median, tenth = np.percentile(error.distances, [50, 90])
-    time = "" if seconds is None else f"{seconds:.1f}"
-    line = f"| {name} | {error.rmse:.2f} | {median:.2f} | {tenth:.2f} | {error.largest:.1f} | {trees} | {time} |"
-    print(line, flush=True)
-    return line
-
-
-def trees_of(graph: FactorGraph) -> str:
-    """How many landmarks, and how many of them are seen often."""
+    cells = [name, f"{error.rmse:.2f}", f"{median:.2f}", f"{tenth:.2f}", f"{error.largest:.1f}"]
+    if graph is None:
+        return [*cells, "", "", ""]
     seen = np.bincount(graph.factors[2].keys[1].numbers)
-    return f"{(seen > 0).sum()} | {(seen >= 10).sum()}"
-
-
-def identify(park: Park, associate: Association) -> tuple[EKF, Track, float]:
-    """A run of the EKF that finds out for itself which tree is which; with its processor time, s."""
-    ekf = EKF(associate=associate)
-    began = process_time()
-    track = ekf.run(park.graph, park.start)
-    return ekf, track, process_time() - began
+    return [*cells, (seen > 0).sum(), (seen >= 10).sum(), f"{seconds:.1f}"]
 
 
 def solve(graph: FactorGraph, start: Values) -> tuple[Values, float]:
-    began = process_time()
-    result = graph.optimize(start)
+    result, seconds = timed(graph.optimize, start)
     assert result.converged, result.reason
-    return result.values, process_time() - began
+    return result.values, seconds
 
 
 def trees(data: Path, images: Path | None) -> list[str]:
     """The part of the page on Victoria Park."""
     park = victoria_park(read_victoria_park(data / "victoria-park"))
-    head = "| estimator | rmse | median | 90 % | largest | trees | seen 10 times | s |"
-    table = [head, "|:--|" + "--:|" * 7, park_row("dead reckoning", park.gps_error(park.start[x]), " | ", None)]
-    found = {}
+    table, found = Table(["estimator", "rmse", "median", "90 %", "largest", "trees", "seen 10 times", "s"]), {}
+
+    def add(name: str, X: Array, graph: FactorGraph | None, seconds: float) -> None:
+        table.add(*park_row(name, park.gps_error(X), graph, seconds))
+
+    add("dead reckoning", park.start[x], None, 0.0)
     for associate in (JointCompatibility(0.99), Nearest(0.99)):
-        ekf, track, seconds = identify(park, associate)
+        ekf = EKF(associate=associate)
+        track, seconds = timed(ekf.run, park.graph, park.start)
         found[type(associate).__name__] = np.array(ekf.associations)
         graph, start = park.named(ekf.associations, track.X)
-        table.append(park_row(track.method, park.gps_error(track.X), trees_of(graph), seconds))
+        add(track.method, track.X, graph, seconds)
     names = np.array(ekf.associations)
     differ = int((found["JointCompatibility"] != names).sum())
     solved, seconds = solve(graph, start)
-    table.append(park_row("graph, trees of the EKF", park.gps_error(solved[x]), trees_of(graph), seconds))
+    add("graph, trees of the EKF", solved[x], graph, seconds)
     kernel = FactorGraph([*graph.factors[:2], graph.factors[2].robust(KERNEL)])
     values, seconds = solve(kernel, start)
-    table.append(park_row(f"the same, {KERNEL}", park.gps_error(values[x]), trees_of(kernel), seconds))
+    add(f"the same, {KERNEL}", values[x], kernel, seconds)
     again = park.again(solved)
     graph, start = park.named(again, solved[x])
     last, seconds = solve(graph, start)
-    table.append(park_row("graph, trees found again", park.gps_error(last[x]), trees_of(graph), seconds))
-    began = process_time()
+    add("graph, trees found again", last[x], graph, seconds)
     odometry, poses = FactorGraph(park.graph.factors[:2]), Values.of([park.start.stack("x")])
-    associated = associate(odometry, poses, park.sightings)
+    associated, first = timed(associate, odometry, poses, park.sightings)
     named, start = park.named(associated.numbers, associated.values[x])
-    at_once, _ = solve(named, start)
-    table.append(
-        park_row("graph, all trees at once", park.gps_error(at_once[x]), trees_of(named), process_time() - began)
-    )
+    at_once, seconds = solve(named, start)
+    add("graph, all trees at once", at_once[x], named, first + seconds)
     both = (again >= 0) & (associated.numbers >= 0)
     shared, _ = solve(*park.named(np.where(both, again, -1), last[x]))
     if images is not None:
@@ -287,7 +268,6 @@ def trees(data: Path, images: Path | None) -> list[str]:
     chi2 = graph.chi2(last) / (2 * (again >= 0).sum() + 3 * len(park.t))
     return [
         "## Victoria Park: trees without names",
-        "",
         f"- The log has {park.scans} scans in {park.t[-1] - park.t[0]:.0f} s. There is a pose at each of the "
         f"{len(park.t)} scans for which the wheel had rolled on by 2 cm.",
         f"- Of {park.seen} sightings {n} are used: those made near the same place in 3 of the 10 scans around.",
@@ -296,9 +276,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
         f"- Lengths in m: distance of the {len(park.gps_error(last[x]).distances)} GPS fixes from the track. Each "
         "track is first moved rigidly to fit them best, as no absolute heading is measured.",
         "- GPS has gaps of up to 3 minutes and jumps of several meters. Its antenna is not where the laser is.",
-        "",
         *table,
-        "",
         f"- The two associations differ in {differ} of {n} sightings.",
         "- *Found again*: each sighting goes to the nearest tree of the first solution, up to 2 m. Then the graph "
         f"is solved once more. {int((again != names).sum())} sightings change their tree, {int((again < 0).sum())} "
@@ -344,5 +322,4 @@ def page(data: Path, images: Path | None) -> list[str]:
 
 if __name__ == "__main__":
     where = {"type": Path, "metavar": "DIR", "help": "for mrclam.png and victoria-park.png"}
-    title = "Filters and graphs on public logs with landmarks"
-    make_page(__doc__, "landmark-logs.md", title, page, images=where)
+    make_page("Filters and graphs on public logs with landmarks", page, file="landmark-logs.md", images=where)

@@ -15,37 +15,38 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from script import make_page
+from script import Table, line_of, make_page
 
 Report = dict[str, Any]
 MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
 RIGID = "rigid, without scale"
+TITLES = ["log", "distance, m", "dead reckoning, ATE", "solution, ATE", "drift, %", "alignment", "published"]
+
+
+def run(*words: str | Path) -> None:
+    """A command."""
+    subprocess.run([sys.executable, "-m", "nls", *map(str, words)], check=True, capture_output=True)
 
 
 def nls(*words: str | Path) -> Report:
     """The report for programs of a command."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "report.json")
-        command = [sys.executable, "-m", "nls", *map(str, words), "--json", str(file)]
-        subprocess.run(command, check=True, capture_output=True)
+        run(*words, "--json", file)
         return dict(json.loads(file.read_text(encoding="utf-8")))
 
 
 def imported(mapping: str, folder: Path, *logs: Path) -> Path:
     """A mission of logs by a mapping of the documentation."""
-    command = [sys.executable, "-m", "nls", "import", *map(str, logs)]
-    command += ["--map", str(MAPPINGS / f"{mapping}.toml"), "-o", str(folder)]
-    subprocess.run(command, check=True, capture_output=True)
+    run("import", *logs, "--map", MAPPINGS / f"{mapping}.toml", "-o", folder)
     return folder
 
 
-def row(name: str, mission: Report, alignment: str, published: str = "") -> str:
+def row(name: str, mission: Report) -> str:
     """A row of a mission whose errors the solution reports, nothing aligned."""
     dead, solution = mission["dead_reckoning"], mission["solution"]
-    return (
-        f"| {name} | {mission['distance_m']:.0f} | {dead['ate_rmse_m']:.2f} | {solution['ate_rmse_m']:.2f} | "
-        f"{solution['drift_percent']:.2f} | {alignment} | {published} |"
-    )
+    meters = (f"{mission['distance_m']:.0f}", f"{dead['ate_rmse_m']:.2f}", f"{solution['ate_rmse_m']:.2f}")
+    return line_of([name, *meters, f"{solution['drift_percent']:.2f}", "none", ""])
 
 
 def vehicles(data: Path, folder: Path) -> list[str]:
@@ -55,11 +56,10 @@ def vehicles(data: Path, folder: Path) -> list[str]:
     for number in range(1, 8):
         logs = sea / f"DVL_trajectory{number}.csv", sea / f"GT_trajectory{number}.csv"
         mission = imported("auv-dvl", folder / f"auv{number}", *logs)
-        rows.append(row(f"AUV at sea, trajectory {number}", nls("solve", mission)["mission"], "none"))
+        rows.append(row(f"AUV at sea, trajectory {number}", nls("solve", mission)["mission"]))
     log = data / "underwater-holoocean" / "underwater_data.txt.gz"
     mission = imported("holoocean", folder / "holoocean", log)
-    rows.append(row("HoloOcean, attitude that of the truth", nls("solve", mission)["mission"], "none"))
-    return rows
+    return [*rows, row("HoloOcean, attitude that of the truth", nls("solve", mission)["mission"])]
 
 
 def marina(data: Path, folder: Path) -> str:
@@ -81,18 +81,16 @@ def acoustic(data: Path, folder: Path) -> list[str]:
     stated = nls("solve", mission, doubtful)
     report = nls("solve", mission, "--robust", "cauchy:1", "--sigmas", "estimate", doubtful)
     lines = [
-        f"Acoustic positions of a vehicle, 24 min: {MEASURED}.",
+        f"Acoustic positions of a vehicle, 24 min: {MEASURED}.\n"
         "Stated sigmas: 0.1 m for a range, the device's own standard deviation for a fix, 0.3 m/sqrt(s) of random "
-        "walk.",
+        "walk.\n"
         f"With them chi2 over the degrees of freedom is {stated['chi2_final'] / stated['dof']:.2f}. With Cauchy "
         "kernels and `--sigmas estimate`:",
-        "",
-        "| kind | measurements | scale on the stated sigma | its sigma | numbers that check |",
-        "|:--|--:|--:|--:|--:|",
+        *Table(["kind", "measurements", "scale on the stated sigma", "its sigma", "numbers that check"]),
     ]
     for kind in report["sigmas"]["kinds"]:
         scale = f"{kind['scale']:.4g} | {kind['scale_sigma']:.2g}" if kind["known"] else "not told | "
-        lines.append(f"| {kind['kind']} | {kind['measurements']} | {scale} | {kind['redundancy']:.0f} |")
+        lines.append(line_of([kind["kind"], kind["measurements"], scale, f"{kind['redundancy']:.0f}"]))
     return lines
 
 
@@ -105,26 +103,20 @@ def page(data: Path) -> list[str]:
         folder = Path(name)
         return [
             "ATE: rmse of the positions, m. Drift: error at the end over the distance.",
-            "",
-            "| log | distance, m | dead reckoning, ATE | solution, ATE | drift, % | alignment | published |",
-            "|:--|--:|--:|--:|--:|:--|:--|",
+            *Table(TITLES, "lrrrrll"),
             *vehicles(data, folder),
             marina(data, folder),
-            "",
-            "Nothing in these logs checks dead reckoning: `nls solve` says so, and both columns are the same.",
+            "Nothing in these logs checks dead reckoning: `nls solve` says so, and both columns are the same.\n"
             "Logs with ranges among beacons, GOATS 14 and 15, plaza2: [scales](sigmas.md).",
-            "",
             *acoustic(data, folder),
-            "",
             "The fixes are computed from the same ranges, and many rows repeat the one before. So their small "
-            "scale shows how well",
+            "scale shows how well\n"
             "they fit the ranges, not how right they are. There is no truth. The ranges of one ping differ by "
-            "decimeters at tens of",
+            "decimeters at tens of\n"
             "meters. Four receivers a meter apart give a range and a poorly known direction.",
-            "",
             "The caves have no heading sensor in the log: `nls import` reads DVL and depth, and says what is missing.",
         ]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "missions.md", "Real logs", page)
+    make_page("Real logs", page)

@@ -18,7 +18,7 @@ from models.algebra import Array
 
 __all__ = [
     *("DEG", "FOOT", "KNOT", "NAMES", "PITCH", "ROLL", "TURNED", "YAW", "Change", "Mistake"),
-    *("change", "grown", "mapped", "named", "repeated", "rows", "some", "unit"),
+    *("change", "grown", "mapped", "named", "on", "repeated", "rows", "some", "unit"),
 ]
 
 Change = Callable[[Survey], None]
@@ -31,6 +31,7 @@ NAMES = {  # of columns of the logs in a mission
     **dict(zip(SEEN, ("range_m", "bearing_rad", "elevation_rad"), strict=True)),
     **{DEPTH: "z_m", "z [m]": "z_m", TIME: "time_s", "lock": "valid"},
 }
+STATED = {"sigma_v": "dvl", "sigma_yaw": "ahrs", "sigma_z": "depth"}  # by the noise of a mapping
 OFF = r"\byaw_rad\b.*(too (large|small)|offset|subtract|add|dvl_mount)"
 TURNED = rf"declination_rad,|dvl_yaw_rad,|turned by|{OFF}"  # what only a ship or fixes can tell apart
 
@@ -41,21 +42,25 @@ class Mistake:
 
     Attributes
     ----------
-    name : what was done.
-    tables : that a mission needs for it.
+    name : of the table or section of the mapping, and what was done.
     spoil : does it to a copy.
     right : patterns, any of which names the cause.
     """
 
     name: str
-    tables: tuple[str, ...]
     spoil: Change
     right: tuple[str, ...]
 
     @property
+    def table(self) -> str:
+        """The table that a mission needs for it; empty where it is of all tables."""
+        place, _, what = self.name.partition(": ")
+        return {"all": "", "dvl_mount": "dvl", "noise": STATED.get(what.split()[0], "")}.get(place, place)
+
+    @property
     def quantities(self) -> set[str]:
         """What of its table is wrong, in the words of the program for what nothing checks."""
-        table = self.tables[0] if self.tables else ""
+        table = self.table
         if re.search("late|early|fast|times of", self.name):
             return {f"clock of {table}.csv", *["depth of depth.csv"] * (table == "depth")}
         if table == "depth":
@@ -83,6 +88,11 @@ def change(table: str, columns: list[str], function: Callable[[Array], Any]) -> 
         log.update({name: new[:, k] for k, name in enumerate(columns)})
 
     return spoil
+
+
+def on(table: str) -> Callable[[str, list[str], Callable[[Array], Any], tuple[str, ...]], Mistake]:
+    """Mistakes in columns of a table, from a name, the columns, what becomes of them, and patterns of the cause."""
+    return lambda name, columns, function, right: Mistake(f"{table}: {name}", change(table, columns, function), right)
 
 
 def some(table: str, columns: list[str], rows: slice | float, value: float, spread: float = 0.0) -> Change:

@@ -99,23 +99,20 @@ def words(table: str, column: str, word: str) -> Change:
 def of_rows() -> Iterator[Mistake]:
     for table in ("dvl", "ahrs", "depth", "fixes", "usbl", "ship"):
         for name, seconds in CLOCKS.items():
-            yield Mistake(f"{table}: {name} late", (table,), late(table, seconds), clock_of(table))
-        yield Mistake(f"{table}: 18 s early", (table,), late(table, -18.0), clock_of(table))
-        yield Mistake(f"{table}: times in ms", (table,), timed(table, lambda t: 1e3 * t), (*clock_of(table), "ms"))
+            yield Mistake(f"{table}: {name} late", late(table, seconds), clock_of(table))
+        yield Mistake(f"{table}: 18 s early", late(table, -18.0), clock_of(table))
+        yield Mistake(f"{table}: times in ms", timed(table, lambda t: 1e3 * t), (*clock_of(table), "ms"))
         yield Mistake(
             f"{table}: clock 1 % fast",
-            (table,),
             timed(table, lambda t: START + 1.01 * (t - START)),
             (rf"clock of {table}\b.*fast",),
         )
         back = (*clock_of(table), "clock of its own", f"leave out lines .*{table}")
-        yield Mistake(f"{table}: one row a week back", (table,), one_row(table, -604800.0), back)
-        yield Mistake(f"{table}: shuffled", (table,), rows((table,), shuffled), ("sort",))
-        yield Mistake(
-            f"{table}: rows twice", (table,), rows((table,), lambda n: np.repeat(np.arange(n), 2)), ("duplicates",)
-        )
-        yield Mistake(f"{table}: times of the row before", (table,), off_by_one(table), clock_of(table))
-        yield Mistake(f"{table}: a row of units", (table,), units_row(table), ("skip|rows",))
+        yield Mistake(f"{table}: one row a week back", one_row(table, -604800.0), back)
+        yield Mistake(f"{table}: shuffled", rows((table,), shuffled), ("sort",))
+        yield Mistake(f"{table}: rows twice", rows((table,), lambda n: np.repeat(np.arange(n), 2)), ("duplicates",))
+        yield Mistake(f"{table}: times of the row before", off_by_one(table), clock_of(table))
+        yield Mistake(f"{table}: a row of units", units_row(table), ("skip|rows",))
     for table, column in (
         ("dvl", VELOCITIES[0]),
         ("depth", DEPTH),
@@ -124,22 +121,19 @@ def of_rows() -> Iterator[Mistake]:
         ("usbl", SEEN[0]),
     ):
         for word in ("--.--", "INVALID"):
-            yield Mistake(f"{table}: {word} in 3 rows", (table,), words(table, column, word), (f"missing = .*{word}",))
+            yield Mistake(f"{table}: {word} in 3 rows", words(table, column, word), (f"missing = .*{word}",))
     for name, factor in {"ms": 1e3, "us": 1e6, "days": 1 / 86400, "min": 1 / 60}.items():
         yield Mistake(
             f"all: times in {name}",
-            (),
             timed(None, lambda t, f=factor: f * t),
             (f'unit = "{"day" if name == "days" else name}"', "right unit of time_s"),
         )
+    yield Mistake("all: midnight", timed(None, lambda t: (t + 86400 - START - LENGTH / 2) % 86400), ("midnight|86400",))
+    yield Mistake("fixes: midnight", lambda s: midnight(s, "fixes"), ("midnight|86400",))
     yield Mistake(
-        "all: midnight", (), timed(None, lambda t: (t + 86400 - START - LENGTH / 2) % 86400), ("midnight|86400",)
+        "all: days of a spreadsheet", timed(None, lambda t: np.round(45631 + t / 86400, 8)), ('unit = "day"|day',)
     )
-    yield Mistake("fixes: midnight", ("fixes",), lambda s: midnight(s, "fixes"), ("midnight|86400",))
-    yield Mistake(
-        "all: days of a spreadsheet", (), timed(None, lambda t: np.round(45631 + t / 86400, 8)), ('unit = "day"|day',)
-    )
-    yield Mistake("all: dates as month, day, year", (), us_dates, ("time_format",))
+    yield Mistake("all: dates as month, day, year", us_dates, ("time_format",))
 
 
 def midnight(survey: Survey, table: str) -> None:

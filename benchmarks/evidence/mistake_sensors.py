@@ -21,6 +21,7 @@ from mistake_base import (
     grown,
     mapped,
     named,
+    on,
     repeated,
     some,
     unit,
@@ -77,9 +78,7 @@ def only(column: str, name: str, factor: int) -> tuple[str, ...]:
 
 
 def of_velocities() -> Iterator[Mistake]:
-    def of(name: str, columns: list[str], function: Callable[[Array], Any], right: tuple[str, ...]) -> Mistake:
-        return Mistake(f"dvl: {name}", ("dvl",), change("dvl", columns, function), right)
-
+    of = on("dvl")
     for name, factor in {"mm/s": 1000.0, "cm/s": 100.0, "kn": KNOT, "ft/s": FOOT, "km/h": 3.6}.items():
         yield of(f"in {name}", VELOCITIES, lambda v, f=factor: f * v, unit(VELOCITIES, name, factor))
     yield of("vx in mm/s", VELOCITIES[:1], lambda v: 1000 * v, only("vx_m_s", "mm/s", 1000))
@@ -100,9 +99,9 @@ def of_velocities() -> Iterator[Mistake]:
     for part in (1.05, 0.97):
         yield of(f"scale {part}", VELOCITIES, lambda v, f=part: f * v, ("dvl_scale",))
     axes = ("frame", "earth", "axes of the (earth|world)")
-    yield Mistake("dvl: NED axes of the earth", ("dvl",), of_earth((0, 1, 2), (1, 1, 1)), axes)
-    yield Mistake("dvl: through water", ("dvl",), through_water, ("dvl|current|water",))
-    yield Mistake("dvl: ENU axes of the earth", ("dvl",), of_earth((1, 0, 2), (1, 1, -1)), axes)
+    yield Mistake("dvl: NED axes of the earth", of_earth((0, 1, 2), (1, 1, 1)), axes)
+    yield Mistake("dvl: through water", through_water, ("dvl|current|water",))
+    yield Mistake("dvl: ENU axes of the earth", of_earth((1, 0, 2), (1, 1, -1)), axes)
     for name, value in (("-32768", -32768.0), ("-32.768", -32.768), ("-9999", -9999.0), ("0", 0.0)):
         right = (
             rf"missing = .*{value:g}",
@@ -110,34 +109,20 @@ def of_velocities() -> Iterator[Mistake]:
             "leave out lines",
             "without bottom lock",
         )
-        yield Mistake(f"dvl: {name} in 3 rows", ("dvl",), some("dvl", VELOCITIES, slice(400, 403), value), right)
-        yield Mistake(f"dvl: {name} in 5 %", ("dvl",), some("dvl", VELOCITIES, 0.05, value), right)
+        yield Mistake(f"dvl: {name} in 3 rows", some("dvl", VELOCITIES, slice(400, 403), value), right)
+        yield Mistake(f"dvl: {name} in 5 %", some("dvl", VELOCITIES, 0.05, value), right)
     stuck = repeated("dvl", VELOCITIES, slice(500, 560))
-    yield Mistake("dvl: repeats for 30 s", ("dvl",), stuck, ("dvl.*(repeat|stuck|same)", "repeat.*(dvl|vx_m_s)"))
-    yield Mistake(
-        "dvl: 5 % of spikes", ("dvl",), some("dvl", VELOCITIES, 0.05, 0.0, 3.0), ("vx_m_s.*outliers", "dvl.*gate")
-    )
-    yield Mistake(
-        "dvl: lock inverted", ("dvl",), change("dvl", ["lock"], lambda a: 1 - a), ("valid.*invert", "invert.*valid")
-    )
-    yield Mistake(
-        "dvl: lock not mapped",
-        ("dvl",),
-        mapped("dvl", valid=None),
-        (r"\bvalid\b|= .*\b0\b|without bottom lock",),
-    )
-    yield Mistake("dvl_mount: x 5 m off", ("dvl",), grown("dvl_mount", x_m=13.5), ("dvl_mount|lever",))
-    yield Mistake("noise: sigma_v 10 times too small", ("dvl",), grown("noise", sigma_v_m_s=0.1), ("sigma_v_m_s",))
+    yield Mistake("dvl: repeats for 30 s", stuck, ("dvl.*(repeat|stuck|same)", "repeat.*(dvl|vx_m_s)"))
+    yield Mistake("dvl: 5 % of spikes", some("dvl", VELOCITIES, 0.05, 0.0, 3.0), ("vx_m_s.*outliers", "dvl.*gate"))
+    yield Mistake("dvl: lock inverted", change("dvl", ["lock"], lambda a: 1 - a), ("valid.*invert", "invert.*valid"))
+    yield Mistake("dvl: lock not mapped", mapped("dvl", valid=None), (r"\bvalid\b|= .*\b0\b|without bottom lock",))
+    yield Mistake("dvl_mount: x 5 m off", grown("dvl_mount", x_m=13.5), ("dvl_mount|lever",))
+    yield Mistake("noise: sigma_v 10 times too small", grown("noise", sigma_v_m_s=0.1), ("sigma_v_m_s",))
 
 
 def of_angles() -> Iterator[Mistake]:
     for table in ("ahrs", "ship"):
-
-        def of(
-            name: str, columns: list[str], function: Callable[[Array], Any], right: tuple[str, ...], t: str = table
-        ) -> Mistake:
-            return Mistake(f"{t}: {name}", (t,), change(t, columns, function), right)
-
+        of = on(table)
         turned = TURNED if table == "ahrs" else f"{TURNED}|bearing_rad|usbl_yaw_rad,"  # the same to the vehicle
         for turn in (13, 90, -90, 180):
             yield of(f"heading {turn} deg off", [YAW], lambda a, d=turn: (a + d) % 360, (turned,))
@@ -156,15 +141,12 @@ def of_angles() -> Iterator[Mistake]:
         for value in (0, 999, -9999):
             right = (rf"missing = .*{value}\b", rf"{value}\b.*(none|special|missing)", "leave out lines")
             name = f"{value} for 30 s"
-            yield Mistake(f"{table}: {name}", (table,), change(table, ANGLES, gap(value)), right)
-    yield Mistake("ahrs: degrees under [rad]", ("ahrs",), radians_header, unit(ANGLES, "deg", DEG))
+            yield Mistake(f"{table}: {name}", change(table, ANGLES, gap(value)), right)
+    yield Mistake("ahrs: degrees under [rad]", radians_header, unit(ANGLES, "deg", DEG))
     yield Mistake(
-        "ahrs: 5 % of wild headings",
-        ("ahrs",),
-        some("ahrs", [YAW], 0.05, 0.0, 60.0),
-        ("(yaw|ahrs).*(outlier|wild|far)",),
+        "ahrs: 5 % of wild headings", some("ahrs", [YAW], 0.05, 0.0, 60.0), ("(yaw|ahrs).*(outlier|wild|far)",)
     )
-    yield Mistake("noise: sigma_yaw a variance", ("ahrs",), grown("noise", sigma_yaw_rad=0.01), ("sigma_yaw_rad",))
+    yield Mistake("noise: sigma_yaw a variance", grown("noise", sigma_yaw_rad=0.01), ("sigma_yaw_rad",))
 
 
 def ramp(a: Array) -> Array:
@@ -202,7 +184,7 @@ def radians_header(survey: Survey) -> None:
 
 def of_depths() -> Iterator[Mistake]:
     def of(name: str, function: Callable[[Array], Any], right: tuple[str, ...]) -> Mistake:
-        return Mistake(f"depth: {name}", ("depth",), change("depth", [DEPTH], function), right)
+        return on("depth")(name, [DEPTH], function, right)
 
     yield of("negative", lambda z: -z, named([DEPTH], "-1", "sign", "up = true"))
     for name, factor in {"cm": 100.0, "mm": 1000.0, "ft": FOOT, "fathom": FOOT / 6}.items():
@@ -222,12 +204,10 @@ def of_depths() -> Iterator[Mistake]:
     yield of("stuck for 60 s", frozen(0.4, 0.5), named([DEPTH], "stuck", "constant", "same", "repeat"))
     for value in (-9999.0, 9999.0, 0.0, -32768.0):
         right = (rf"missing = .*{value:g}", rf"{value:g}\b.*(none|special|missing)", "leave out lines")
-        yield Mistake(f"depth: {value:g} in 3 rows", ("depth",), some("depth", [DEPTH], slice(400, 403), value), right)
-        yield Mistake(f"depth: {value:g} in 5 %", ("depth",), some("depth", [DEPTH], 0.05, value), right)
-    yield Mistake(
-        "depth: 5 % of spikes", ("depth",), some("depth", [DEPTH], 0.05, 0.0, 20.0), named([DEPTH], "outlier", "far")
-    )
-    yield Mistake("noise: sigma_z 10 times too small", ("depth",), grown("noise", sigma_z_m=0.1), ("sigma_z_m",))
+        yield Mistake(f"depth: {value:g} in 3 rows", some("depth", [DEPTH], slice(400, 403), value), right)
+        yield Mistake(f"depth: {value:g} in 5 %", some("depth", [DEPTH], 0.05, value), right)
+    yield Mistake("depth: 5 % of spikes", some("depth", [DEPTH], 0.05, 0.0, 20.0), named([DEPTH], "outlier", "far"))
+    yield Mistake("noise: sigma_z 10 times too small", grown("noise", sigma_z_m=0.1), ("sigma_z_m",))
 
 
 def lettered(survey: Survey) -> None:
@@ -265,12 +245,7 @@ def wild_places(survey: Survey) -> None:
 
 def of_places() -> Iterator[Mistake]:
     for table in ("fixes", "ship"):
-
-        def of(
-            name: str, columns: list[str], function: Callable[[Array], Any], right: tuple[str, ...], t: str = table
-        ) -> Mistake:
-            return Mistake(f"{t}: {name}", (t,), change(t, columns, function), right)
-
+        of = on(table)
         yield of("lat, lon exchanged", PLACES, lambda a: a[:, ::-1], named(PLACES, "exchange"))
         yield of("west as east", PLACES[1:], lambda a: -a, named(PLACES[1:], "-1", "sign", "west"))
         yield of("north as south", PLACES[:1], lambda a: -a, named(PLACES[:1], "-1", "sign", "south"))
@@ -280,28 +255,23 @@ def of_places() -> Iterator[Mistake]:
         yield of("lon times 10", PLACES[1:], lambda a: 10 * a, named(PLACES[1:], "divide|unit|ddmm|degE7|sigma"))
         for name, part in (("0, 0 in the first 2 rows", slice(0, 2)), ("0, 0 in the middle", slice(8, 10))):
             right = ("missing = .*0", r"\b0, 0\b", "leave out lines", "no fix")
-            yield Mistake(f"{table}: {name}", (table,), some(table, PLACES, part, 0.0), right)
+            yield Mistake(f"{table}: {name}", some(table, PLACES, part, 0.0), right)
         stale = ("(fix|ship|lat_deg).*(repeat|stale|same|stuck)", "(repeat|stale).*(fix|ship|lat_deg)")
-        yield Mistake(f"{table}: 5 rows repeat", (table,), repeated(table, PLACES, slice(7, 12)), stale)
-        yield Mistake(f"{table}: half of the rows repeat", (table,), change(table, PLACES, frozen(0.25, 0.75)), stale)
-        yield Mistake(f"{table}: one row 44 m off", (table,), moved(table, 44.0), (rf"{table}|Position",))
-    yield Mistake("fixes: letters N and W not mapped", ("fixes",), lettered, named(PLACES, "side", "W", "-1"))
-    yield Mistake(
-        "fixes: 5 % 40 m off", ("fixes",), wild_places, ("fixes.*(outlier|jump|robust|leave)", "Position=", "Position")
-    )
+        yield Mistake(f"{table}: 5 rows repeat", repeated(table, PLACES, slice(7, 12)), stale)
+        yield Mistake(f"{table}: half of the rows repeat", change(table, PLACES, frozen(0.25, 0.75)), stale)
+        yield Mistake(f"{table}: one row 44 m off", moved(table, 44.0), (rf"{table}|Position",))
+    yield Mistake("fixes: letters N and W not mapped", lettered, named(PLACES, "side", "W", "-1"))
+    yield Mistake("fixes: 5 % 40 m off", wild_places, ("fixes.*(outlier|jump|robust|leave)", "Position=", "Position"))
     yield Mistake(
         "fixes: sigma 10 times too small",
-        ("fixes",),
         grown("fixes", sigma_x_m=0.1, sigma_y_m=0.1),
         ("fixes.*sigma|sigma_x_m|Position",),
     )
-    yield Mistake("fixes: arm 5 m off", ("fixes",), grown("fixes", arm_x_m=14.0), ("arm",))
+    yield Mistake("fixes: arm 5 m off", grown("fixes", arm_x_m=14.0), ("arm",))
 
 
 def of_acoustics() -> Iterator[Mistake]:
-    def of(name: str, columns: list[str], function: Callable[[Array], Any], right: tuple[str, ...]) -> Mistake:
-        return Mistake(f"usbl: {name}", ("usbl",), change("usbl", columns, function), right)
-
+    of = on("usbl")
     R, B, E = ([name] for name in SEEN)
     for name, factor in {"cm": 100.0, "mm": 1000.0, "ft": FOOT, "km": 0.001}.items():
         yield of(f"range in {name}", R, lambda a, f=factor: f * a, unit(R, name, factor) + named(R, "multiply"))
@@ -315,17 +285,16 @@ def of_acoustics() -> Iterator[Mistake]:
     yield of("elevation upward", E, lambda a: -a, named(E, "-1", "sign"))
     yield of("elevation from the vertical", E, lambda a: 90 - a, ("elevation_rad",))
     yield of("bearing, elevation exchanged", [*B, *E], lambda a: a[:, ::-1], named([*B, *E], "exchange"))
-    yield Mistake("usbl: bearing from north", ("usbl",), from_north, ("bearing_rad|yaw_rad",))
+    yield Mistake("usbl: bearing from north", from_north, ("bearing_rad|yaw_rad",))
     for name, part in (("3 rows", slice(70, 73)), ("5 %", 0.05)):
         right = ("missing = ", "usbl.*(none|special|jump|outlier)", "leave out lines", "usbl|RangeBearing")
-        yield Mistake(f"usbl: range 0 in {name}", ("usbl",), some("usbl", R, part, 0.0), right)
-        yield Mistake(f"usbl: range 9999 in {name}", ("usbl",), some("usbl", R, part, 9999.0), right)
+        yield Mistake(f"usbl: range 0 in {name}", some("usbl", R, part, 0.0), right)
+        yield Mistake(f"usbl: range 9999 in {name}", some("usbl", R, part, 9999.0), right)
     yield Mistake(
         "usbl: repeats for 80 s",
-        ("usbl",),
         repeated("usbl", SEEN, slice(70, 90)),
         ("usbl.*(repeat|same|stale)", "repeat.*(usbl|range)"),
     )
-    yield Mistake("usbl: 5 % 40 m off", ("usbl",), some("usbl", R, 0.05, 0.0, 40.0), ("usbl|range_m|robust",))
+    yield Mistake("usbl: 5 % 40 m off", some("usbl", R, 0.05, 0.0, 40.0), ("usbl|range_m|robust",))
     small = grown("usbl", sigma_range_m=0.1, sigma_bearing_rad=0.1, sigma_elevation_rad=0.1)
-    yield Mistake("usbl: sigma 10 times too small", ("usbl",), small, ("usbl|sigma_range_m",))
+    yield Mistake("usbl: sigma 10 times too small", small, ("usbl|sigma_range_m",))

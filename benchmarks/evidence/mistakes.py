@@ -19,7 +19,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,7 +29,7 @@ from cures import Cure, Unfollowable, cures_of
 from mistake_base import Mistake
 from mistake_kinds import MISTAKES
 from mistake_missions import MISSIONS, Survey, toml
-from script import make_page, markdown
+from script import make_page, markdown, pooled
 
 from nls.cli import main as command
 from sim.cli import main as simulated
@@ -43,12 +42,12 @@ SILENT, UNMEASURED, LOUD, CURED, HARMLESS = "silent", "unmeasured", "loud", "cur
 KINDS = (SILENT, UNMEASURED, LOUD, CURED, HARMLESS)  # the worst first
 ROW = re.compile(r"(\w+|max\|dx\|)  ")  # of the table of a command
 MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
+LOGS = "DVL", "GT"  # of an AUV
 PUBLIC = {  # logs by the mapping of the documentation
     **{
         f"AUV at sea, trajectory {k}": (
             "auv-dvl",
-            f"underwater-auv-dvl/DVL_trajectory{k}.csv",
-            f"underwater-auv-dvl/GT_trajectory{k}.csv",
+            *(f"underwater-auv-dvl/{x}_trajectory{k}.csv" for x in ("DVL", "GT")),
         )
         for k in range(1, 8)
     },
@@ -97,7 +96,7 @@ class Answer:
         return {f"{name.partition(' (')[0]} of {file}": float(sizes[name]) for name, file in named}
 
     def misses(self, mistake: Mistake) -> bool:
-        """Whether it says that nothing checks what is wrong, or nothing as small as that."""
+        """True where the answer says that nothing checks what is wrong, or nothing as small as that."""
         return any(below > mistake.size for what, below in self.unchecked.items() if what in mistake.quantities)
 
     @property
@@ -264,9 +263,8 @@ def without_mistake(data: Path | None, seeds: int, folder: Path) -> Iterator[tup
         return
     for name, (mapping, *logs) in PUBLIC.items():
         target = str(folder / "public" / mapping / name)
-        answer = asked(
-            "import", *(str(data / log) for log in logs), "--map", str(MAPPINGS / f"{mapping}.toml"), "-o", target
-        )
+        paths = (str(data / log) for log in logs)
+        answer = asked("import", *paths, "--map", str(MAPPINGS / f"{mapping}.toml"), "-o", target)
         yield judged(name, answer if answer.status else asked("solve", target))
 
 
@@ -277,9 +275,8 @@ def judged(name: str, answer: Answer) -> tuple[str, int, int, str]:
 
 def verdicts(missions: Iterable[str], only: str, seeds: int, jobs: int) -> list[Verdict]:
     """Of all mistakes in some missions and seeds."""
-    pairs = itertools.product(missions, range(seeds), [only])
-    with ProcessPoolExecutor(jobs) as pool:
-        return [verdict for given in pool.map(verdicts_of, *zip(*pairs, strict=True)) for verdict in given]
+    pairs = zip(*itertools.product(missions, range(seeds), [only]), strict=True)
+    return [verdict for given in pooled(jobs, verdicts_of, *pairs) for verdict in given]
 
 
 def verdicts_of(mission: str, seed: int, only: str) -> list[Verdict]:
@@ -298,8 +295,8 @@ def possible(survey: Survey) -> list[Mistake]:
     """Mistakes that its logs can have; where there is a ship, every third of those that a dive has, too."""
     own, others = list[Mistake](), list[Mistake]()
     for mistake in MISTAKES:
-        if set(mistake.tables) <= survey.logs.keys():
-            (own if {"usbl", "ship"} & {*mistake.tables} else others).append(mistake)
+        if mistake.table in ("", *survey.logs):
+            (own if mistake.table in ("usbl", "ship") else others).append(mistake)
     return others[:: 3 if own else 1] + own
 
 
@@ -314,13 +311,8 @@ def summary(by_mission: Mapping[str, Sequence[Verdict]]) -> list[str]:
     for mission, given in by_mission.items():
         kinds = Counter(v.kind for v in given)
         harm = [v for v in given if v.kind not in (HARMLESS, UNMEASURED)]
-        counts = [
-            len(given),
-            sum(v.named for v in harm),
-            sum(v.right for v in harm),
-            *(kinds[kind] for kind in KINDS[::-1]),
-        ]
-        rows.append((mission, *map(str, counts)))
+        named, right = sum(v.named for v in harm), sum(v.right for v in harm)
+        rows.append((mission, len(given), named, right, *(kinds[kind] for kind in KINDS[::-1])))
     titles = ("mission", "mistakes", "named", "cause right", "harmless", "cured", "still loud", UNMEASURED, "silent")
     return markdown(titles, rows)
 
@@ -332,12 +324,12 @@ def tables(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]])
         of_mission = [v for v in given if v.mission == mission]
         names = dict.fromkeys(v.mistake for v in of_mission)
         by_mission[mission] = [worst([v for v in of_mission if v.mistake == name]) for name in names]
-    lines = [*EXPLAINED.splitlines(), "", *summary(by_mission), "", "## Logs without a mistake", ""]
+    lines = [EXPLAINED, *summary(by_mission), "## Logs without a mistake"]
     rows = [(*numbers, said.replace("|", "\\|")) for *numbers, said in clean]
     lines += markdown(("log", "missions", "alarms", "remarks"), rows)
     for mission, worsts in by_mission.items():
         titles = ("mistake", "verdict", "cause", "cure as printed, or what was said", "error before, m", "after, m")
-        lines += ["", f"## {mission}", "", *markdown(titles, (v.cells for v in worsts), names=4)]
+        lines += [f"## {mission}", *markdown(titles, (v.cells for v in worsts), names=4)]
     return lines
 
 
@@ -350,12 +342,12 @@ def page(mission: str | None, only: str, seeds: int, controls: int, jobs: int) -
     with TemporaryDirectory() as name:
         clean = list(without_mistake(data, controls, Path(name)))
     minutes = (time.monotonic() - began) / 60
-    return [f"- `python {' '.join(sys.argv)}`, {minutes:.0f} min in {jobs} processes", "", *tables(given, clean)]
+    return [f"- `python {' '.join(sys.argv)}`, {minutes:.0f} min in {jobs} processes", *tables(given, clean)]
 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "mistakes.md", "Mistakes in logs", page),
+        *("Mistakes in logs", page),
         mission={"choices": MISSIONS, "help": "one of them alone"},
         only={"default": "", "metavar": "PATTERN", "help": "mistakes whose name has this regular expression"},
         seeds=(SEEDS, "of every mission"),

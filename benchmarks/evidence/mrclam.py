@@ -7,7 +7,6 @@ the logs of these robots: see the constants.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from logs import Mrclam
 
 from factors import BearingRange, Between, Covariance, Diagonal, Prior
@@ -18,7 +17,6 @@ from nls.starts import locate_points
 from sim import LandmarkWorld
 from sim.landmark_world import KNOWN_START
 
-Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
 # m/s, m/s, rad/s, each per sqrt(Hz): legs of 1 to 4 s are off by 0.011-0.015, 0.002-0.008 and 0.03-0.06 times sqrt(s)
 DENSITY = np.diag([0.02, 0.005, 0.05])

@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 from script import make_page, markdown
 
+from models.algebra import Array
 from models.geodesy import LocalPlane
 
-Array = npt.NDArray[np.float64]
 FOLDER = Path(__file__).with_suffix("")
 SECONDS = 600  # for a command
 
@@ -65,20 +65,24 @@ class Run:
     lines: list[str]
     seconds: float
 
+    def said(self, *kinds: str) -> list[str]:
+        """Texts of the lines of some kinds."""
+        return [text for kind, text in map(kind_of, self.lines) if kind in kinds]
+
     @property
     def notes(self) -> list[str]:
-        """Its notes and warnings."""
-        return [text for line in self.lines for kind, text in [kind_of(line)] if kind in ("note", "warning")]
+        """Notes and warnings."""
+        return self.said("note", "warning")
 
     @property
     def refusal(self) -> str:
         """The line that ended it; empty where it ran through."""
-        return next((text for line in self.lines for kind, text in [kind_of(line)] if kind == "error"), "")
+        return next(iter(self.said("error")), "")
 
     @property
     def result(self) -> str:
-        """Whether it converged, and its doubt."""
-        text = next((text for line in self.lines for kind, text in [kind_of(line)] if kind == "result"), "")
+        """The verdict on convergence, and its doubt."""
+        text = next(iter(self.said("result")), "")
         verdict, but, doubt = text.partition("; but ")
         return f"{verdict.partition(':')[0]}{but}{doubt}"
 
@@ -160,7 +164,7 @@ def count(file: Path) -> int:
     return sum(1 for _ in file.open("rb"))
 
 
-def imported(log: Log, logs: Path, folder: Path) -> tuple[list[str], list[str]]:
+def imported(log: Log, logs: Path, folder: Path) -> tuple[list[Any], list[str]]:
     """The row of a log, and what was said of it: the refusal, or the result and the warnings."""
     paths, mission = [logs / name for name in log.files], folder / log.name
     draft = nls("import", *paths)
@@ -169,19 +173,10 @@ def imported(log: Log, logs: Path, folder: Path) -> tuple[list[str], list[str]]:
     done = nls("solve", mission, "-o", mission / "solved") if taken.status == 0 else taken
     solved = (mission / "solved" / "trajectory.csv").exists()
     span, off = (f"{number:.3g}" for number in against(mission, mission / "solved")) if solved else ("", "")
-    row = [
-        log.name,
-        str(sum(map(count, paths))),
-        str(log.first_edits),
-        str(log.refused),
-        f"{log.minutes:g}",
-        f"{'' if text else 'no draft, '}{edits(text, log.mapping.read_text(encoding='utf-8'))}",
-        f"{len(taken.notes)}, {len(done.notes)}",
-        f"{taken.status}, {done.status}",
-        f"{draft.seconds + taken.seconds + done.seconds:.1f}",
-        span,
-        off,
-    ]
+    now = f"{'' if text else 'no draft, '}{edits(text, log.mapping.read_text(encoding='utf-8'))}"
+    row = [log.name, sum(map(count, paths)), log.first_edits, log.refused, f"{log.minutes:g}", now]
+    row += [f"{len(taken.notes)}, {len(done.notes)}", f"{taken.status}, {done.status}"]
+    row += [f"{draft.seconds + taken.seconds + done.seconds:.1f}", span, off]
     doubts = [line for line in done.notes if "implausible" in line]
     said = [done.refusal] if done.status == 2 else [done.result, *doubts]
     return row, [line.replace(f"{folder}/", "").replace(f"{logs}/", "").replace(f"{FOLDER}/", "") for line in said]
@@ -189,7 +184,7 @@ def imported(log: Log, logs: Path, folder: Path) -> tuple[list[str], list[str]]:
 
 ORIGINS = ["log", "vehicle", "repository on github.com", "commit", "path", "license"]
 NUMBERS = ["log", "lines", "edits", "refused", "min", "edits now", "notes", "exit", "s", "span [m]", "off [m]"]
-LEGEND = """
+LEGEND = """\
 *Edits*, *refused* and *min* were noted by hand at the first import of each log, by one who knows the page on imports
 but not the log: lines of the mapping that differed from the draft, commands that refused, and minutes from the first
 look at the file to a chart that was believed. What follows is measured by this program. *Edits now* are those against
@@ -218,11 +213,10 @@ def page(logs: Path | None) -> list[str]:
         [log.name, log.vehicle, log.repository, f"`{log.commit[:10]}`", ", ".join(log.files.values()), log.license]
         for log in all_logs
     ]
-    table, legend = markdown(NUMBERS, rows), LEGEND.splitlines()
-    heading = ["", "What the charts showed, and the result with its doubts:", ""]
-    return [*markdown(ORIGINS, origins, 6), *legend, "", *table, *heading, *words]
+    lines = [*markdown(ORIGINS, origins, 6), LEGEND, *markdown(NUMBERS, rows)]
+    return [*lines, "What the charts showed, and the result with its doubts:", "\n".join(words)]
 
 
 if __name__ == "__main__":
     where = {"type": Path, "metavar": "DIR", "help": "folder of the logs"}
-    make_page(__doc__, "public_logs.md", "Public logs, from the file to the chart", page, logs=where)
+    make_page("Public logs, from the file to the chart", page, logs=where)

@@ -11,19 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from logs import AuvDvl, Caves, HoloOcean, read_auv_dvl, read_caves, read_holoocean
-from script import make_page
+from script import make_page, markdown
 
 from factors import Between, Covariance, Diagonal, Position, Prior
 from models import SE3, wrap
-from models.algebra import distance_along
+from models.algebra import Array, Index, distance_along
 from models.dead_reckoning import Legs, integrate
 from models.manifolds.euler import quaternion_from_angles, to_se3
 from nls import FactorGraph, LevenbergMarquardt, Values, kinds
 from nls.metrics import ate
 
-Array = npt.NDArray[np.float64]
 SEEDS = range(20)
 (x,) = kinds("x")
 
@@ -53,7 +51,7 @@ class Track:
 
     @property
     def height(self) -> float:
-        """The same of z alone, m."""
+        """Root mean square error of z alone, m."""
         return float(np.sqrt(np.mean((self.X[:, 2] - self.truth[:, 2]) ** 2)))
 
 
@@ -84,29 +82,12 @@ EVERY, AROUND = 200, 10  # samples from pose to pose; heights averaged before an
 GYRO_BIAS = 0.03  # rad/s; the gyro of the log is off by up to 0.05, and wanders
 
 
-def holoocean_legs(log: HoloOcean, k: npt.NDArray[np.intp], true_attitude: bool) -> Legs:
+def holoocean_legs(log: HoloOcean, k: Index, true_attitude: bool) -> Legs:
     """Legs between the samples k."""
-    t = log.t[k]
+    given = {"boundaries": log.t[k], "sigma_v": log.sigma_v, "mount": log.mount}
     if true_attitude:
-        return integrate(
-            log.t,
-            log.v_d,
-            attitude=log.X[:, 3:],
-            boundaries=t,
-            sigma_v=log.sigma_v,
-            sigma_attitude=1e-5,
-            mount=log.mount,
-        )
-    return integrate(
-        log.t,
-        log.v_d,
-        log.w,
-        boundaries=t,
-        sigma_v=log.sigma_v,
-        sigma_w=log.sigma_w,
-        sigma_bias=GYRO_BIAS,
-        mount=log.mount,
-    )
+        return integrate(log.t, log.v_d, attitude=log.X[:, 3:], sigma_attitude=1e-5, **given)
+    return integrate(log.t, log.v_d, log.w, sigma_w=log.sigma_w, sigma_bias=GYRO_BIAS, **given)
 
 
 def holoocean(log: HoloOcean) -> list[Track]:
@@ -198,63 +179,46 @@ def page(data: Path) -> list[str]:
     """The tables, in Markdown."""
     lines = [
         "## AUV at sea",
-        "",
         "DVL of an AUV of the A18-D class, 1 Hz, 400 s a trajectory, against its fibre-optic INS. The lever arm of "
-        "the DVL is",
-        "not published and not corrected. *True attitude* is that of the INS. *Sensor* is a simulated sensor: "
-        "median and largest",
-        f"of {len(SEEDS)} seeds. Its noise is 0.1 deg in roll and pitch and 0.3 deg in yaw. Its yaw offset is 0.5 "
-        "deg and its",
-        "random walk 0.02 deg/sqrt(s) (1 sigma).",
-        "",
-        "| trajectory | distance [m] | true attitude: drift [%] | ATE [m] | sensor: drift [%] | most [%] | ATE [m] |",
-        "|---|---|---|---|---|---|---|",
+        "the DVL is\nnot published and not corrected. *True attitude* is that of the INS. *Sensor* is a simulated "
+        f"sensor: median and largest\nof {len(SEEDS)} seeds. Its noise is 0.1 deg in roll and pitch and 0.3 deg in "
+        "yaw. Its yaw offset is 0.5 deg and its\nrandom walk 0.02 deg/sqrt(s) (1 sigma).",
     ]
+    rows = []
     for number in range(1, 8):
         log = read_auv_dvl(data / "underwater-auv-dvl", number)
         true, noisy = auv_dvl(log, "true"), [auv_dvl(log, "sensor", seed) for seed in SEEDS]
         drift, errors = [track.drift for track in noisy], [track.ate for track in noisy]
-        lines.append(
-            f"| {number} | {true.distance:.0f} | {true.drift:.2f} | {true.ate:.2f} | {np.median(drift):.2f} | "
-            f"{max(drift):.2f} | {np.median(errors):.2f} |"
-        )
-    log = read_holoocean(data / "underwater-holoocean" / "underwater_data.txt.gz")
+        numbers = true.drift, true.ate, np.median(drift), max(drift), np.median(errors)
+        rows.append([number, f"{true.distance:.0f}", *(f"{x:.2f}" for x in numbers)])
+    titles = ["trajectory", "distance [m]", "true attitude: drift [%]", "ATE [m]", "sensor: drift [%]", "most [%]"]
+    lines += markdown([*titles, "ATE [m]"], rows, 7 * "-")
+    tracks = holoocean(read_holoocean(data / "underwater-holoocean" / "underwater_data.txt.gz"))
+    rows = [[t.name, f"{t.distance:.1f}", f"{t.drift:.2f}", f"{t.ate:.3f}", f"{t.height:.3f}"] for t in tracks]
     lines += [
-        "",
         "## HoloOcean",
-        "",
-        "Simulated dive of 18 s, 200 Hz, exact truth. The gyro has 1 deg/s of noise and a bias that wanders up to",
+        "Simulated dive of 18 s, 200 Hz, exact truth. The gyro has 1 deg/s of noise and a bias that wanders up to\n"
         "3 deg/s; no sensor of the log sees the heading.",
-        "",
-        "| sensors | distance [m] | drift [%] | ATE [m] | z, rms [m] |",
-        "|---|---|---|---|---|",
+        *markdown(["sensors", "distance [m]", "drift [%]", "ATE [m]", "z, rms [m]"], rows, 5 * "-"),
     ]
-    for track in holoocean(log):
-        lines.append(
-            f"| {track.name} | {track.distance:.1f} | {track.drift:.2f} | {track.ate:.3f} | {track.height:.3f} |"
-        )
     cave = read_caves(data / "underwater-caves")
     track, legs = caves(cave)
-    lines += [
-        "",
-        "## Caves",
-        "",
-        "DVL of an AUV led by a diver, 33 min. The log has no heading sensor: the heading is the course of the "
-        "published SLAM",
-        "track. So these figures show how well distances are kept, not how well the vehicle navigates.",
-        f"{legs}.",
-        "",
-        "| sensors | distance [m] | end beside the published track [%] | rms [m] |",
-        "|---|---|---|---|",
-        f"| {track.name} | {track.distance:.0f} | {track.drift:.2f} | {track.ate:.2f} |",
-        "",
-        "| cones | tape [m] | dead-reckoned [m] | published track [m] | between the sightings [s] |",
-        "|---|---|---|---|---|",
+    row = [track.name, f"{track.distance:.0f}", f"{track.drift:.2f}", f"{track.ate:.2f}"]
+    taped = [
+        [f"{a} to {b}", f"{tape:.0f}", *map("{:.1f}".format, two), f"{s:.0f}"] for a, b, tape, *two, s in cones(cave)
     ]
-    for a, b, tape, reckoned, published, seconds in cones(cave):
-        lines.append(f"| {a} to {b} | {tape:.0f} | {reckoned:.1f} | {published:.1f} | {seconds:.0f} |")
-    return lines
+    titles = ["cones", "tape [m]", "dead-reckoned [m]", "published track [m]", "between the sightings [s]"]
+    return [
+        *lines,
+        "## Caves",
+        "DVL of an AUV led by a diver, 33 min. The log has no heading sensor: the heading is the course of the "
+        "published SLAM\ntrack. So these figures show how well distances are kept, not how well the vehicle "
+        f"navigates.\n{legs}.",
+        *markdown(["sensors", "distance [m]", "end beside the published track [%]", "rms [m]"], [row], 4 * "-"),
+        "",
+        *markdown(titles, taped, 5 * "-"),
+    ]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "real_logs.md", "Dead reckoning on public logs", page)
+    make_page("Dead reckoning on public logs", page)

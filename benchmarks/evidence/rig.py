@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from script import make_page
+from script import Table, make_page, markdown
 
 import sim
 from models import SE3
+from models.algebra import Array
 from nls import GaussNewton, LevenbergMarquardt, UnderconstrainedError, Values, kinds
 from nls.analysis import Motions, Observability, helpful_motions, observability
 from nls.filters.consistency import nees_bounds
@@ -25,7 +25,6 @@ from nls.optimizers import Optimizer
 from nls.starts import rig as start_of
 from sim.camera_sonar import Rig
 
-Array = npt.NDArray[np.float64]
 Start = Callable[[Rig, int], Values]
 x, s = kinds("x", "s")
 
@@ -86,45 +85,29 @@ def mean_most(numbers: Array, digits: int) -> str:
     return f"{np.nanmean(numbers):.{digits}f} ({np.nanmax(numbers):.{digits}f})"
 
 
-def row(start: str, optimizer: str, runs: list[Run]) -> str:
-    """One line of the first table."""
+def row(start: str, optimizer: str, runs: list[Run]) -> list[str]:
+    """Cells of one line of the first table."""
     before, after = np.array([r.before for r in runs]).T, np.array([r.after for r in runs]).T
     status = ", ".join(f"{n} {word}" for word, n in Counter(r.status for r in runs).most_common())
     ratio = np.array([r.chi2_dof for r in runs])
     cells = [start, optimizer]
     cells += [f"{b.mean():.2f} -> {mean_most(a, 2)}" for b, a in zip(before, after, strict=True)]
     cells += [f"{np.nanmean(ratio):.4f} ({np.nanmin(ratio):.3f}-{np.nanmax(ratio):.3f})"]
-    cells += [mean_most(np.array([r.iterations for r in runs], dtype=float), 1), status]
-    return f"| {' | '.join(cells)} |"
-
-
-def errors_table(runs: dict[tuple[str, str], list[Run]]) -> list[str]:
-    """Before and after, a row a start and an optimizer."""
-    return [
-        "| start | optimizer | cameras, cm, aligned | points, cm, aligned | cameras, cm, not aligned "
-        "| sonar, cm | sonar, deg | chi2 / dof | iterations | status |",
-        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|:--|",
-        *(row(start, optimizer, found) for (start, optimizer), found in runs.items()),
-    ]
+    return [*cells, mean_most(np.array([r.iterations for r in runs], dtype=float), 1), status]
 
 
 def consistency_table(told: list[Observability], e: Array) -> list[str]:
     """Predicted and observed sigma of the sonar's place; e (seeds, 6) are its errors."""
     predicted, observed = np.mean([t.sigma for t in told], axis=0), np.sqrt(np.mean(np.square(e), axis=0))
-    lines = [
-        "| component | predicted at the truth | observed (rms error) | observed / predicted | compared, predicted "
-        "| compared, observed |",
-        "|:--|--:|--:|--:|--:|--:|",
-    ]
+    titles = ["component", "predicted at the truth", "observed (rms error)", "observed / predicted"]
+    table = Table([*titles, "compared, predicted", "compared, observed"])
     for k, name in enumerate(told[0].components):
         unit, size, group = ("mm", 1e3, slice(0, 3)) if k < 3 else ("deg", np.degrees(1.0), slice(3, 6))
         best = group.start + int(np.argmin(predicted[group]))
-        lines.append(
-            f"| {name} | {size * predicted[k]:.3g} {unit} | {size * observed[k]:.3g} {unit} "
-            f"| {observed[k] / predicted[k]:.2f} | {predicted[k] / predicted[best]:.1f} x {told[0].components[best]} "
-            f"| {observed[k] / observed[best]:.1f} x {told[0].components[best]} |"
-        )
-    return lines
+        sizes = [f"{size * sigma[k]:.3g} {unit}" for sigma in (predicted, observed)]
+        compared = [f"{sigma[k] / sigma[best]:.1f} x {told[0].components[best]}" for sigma in (predicted, observed)]
+        table.add(name, *sizes, f"{observed[k] / predicted[k]:.2f}", *compared)
+    return table
 
 
 @dataclass
@@ -147,12 +130,8 @@ def sigmas(seed: int) -> Sigmas:
 
 def motions_table(found: Motions) -> list[str]:
     """Sigma before / after, a row a motion."""
-    names = found.before.components
-    return [
-        f"| one more view after | {' | '.join(names)} |",
-        "|:--|" + "--:|" * len(names),
-        *(f"| {m.name} | {' | '.join(f'{g:.3f}' for g in m.gain)} |" for m in found.ranking),
-    ]
+    rows = ([m.name, *(f"{g:.3f}" for g in m.gain)] for m in found.ranking)
+    return markdown(["one more view after", *found.before.components], rows)
 
 
 def before_and_after(seeds: int) -> list[str]:
@@ -172,9 +151,10 @@ def before_and_after(seeds: int) -> list[str]:
         for r, b in zip(found, runs[BOTH, "Gauss-Newton"], strict=True)
         if r.values is not None and b.values is not None
     )
+    titles = ["start", "optimizer", "cameras, cm, aligned", "points, cm, aligned", "cameras, cm, not aligned"]
+    titles += ["sonar, cm", "sonar, deg", "chi2 / dof", "iterations", "status"]
     return [
-        *errors_table(runs),
-        "",
+        *markdown(titles, (row(*names, found) for names, found in runs.items()), "llrrrrrrrl"),
         "Root mean square errors of positions: mean over the seeds at the start -> at the end (worst seed). *Aligned*: "
         "one rigid motion of cameras and points together, no scale. *Not aligned*: the first camera is where it is "
         "held, the others are counted. Sonar: position and angle of its axes, which need no alignment. chi2 / dof: "
@@ -193,11 +173,9 @@ def consistency(seeds: int) -> list[str]:
     low, high = nees_bounds(6, seeds)
     return [
         *consistency_table([f.told for f in found], np.array([f.e for f in found])),
-        "",
         "In axes of the sonar (x forward, y right, z down). Predicted: the Cramer-Rao bound of "
-        "`nls.analysis.observability`, "
-        f"mean over the scenes. An rms of {seeds} errors is itself known to {100 / np.sqrt(2 * seeds):.0f} %.",
-        "",
+        "`nls.analysis.observability`, mean over the scenes. "
+        f"An rms of {seeds} errors is itself known to {100 / np.sqrt(2 * seeds):.0f} %.",
         f"NEES of the six numbers: mean {np.mean([f.nees for f in found]):.2f}, expected 6, in {low:.2f}-{high:.2f} "
         "with 95 %.",
     ]
@@ -208,19 +186,12 @@ def page(seeds: int, sigma_seeds: int) -> list[str]:
     first = sim.rig(np.random.default_rng(0))
     return [
         first.description,
-        "",
         f"## Before and after, seeds 0 to {seeds - 1}",
-        "",
         *before_and_after(seeds),
-        "",
         f"## The place of the sonar, predicted and observed, seeds 0 to {sigma_seeds - 1}",
-        "",
         *consistency(sigma_seeds),
-        "",
         "## Which motion would help, seed 0",
-        "",
         *motions_table(helpful_motions(first.graph, first.truth, s[0], frame=first.truth[s[0]])),
-        "",
         "Sigma of each component of the sonar's place before / after; axes of the motion are those of the sonar. "
         "*stay* is a second look from the last place. Sorted by pitch, the weakest.",
     ]
@@ -228,4 +199,4 @@ def page(seeds: int, sigma_seeds: int) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"seeds": (20, "scenes"), "sigma_seeds": (100, "predicted, observed")}
-    make_page(__doc__, "rig.md", "A camera and a sonar, calibrated on the fly", page, **counts)
+    make_page("A camera and a sonar, calibrated on the fly", page, **counts)

@@ -9,6 +9,7 @@ file as it ends, and those that are there are not run again: results/robust_tria
 from __future__ import annotations
 
 import os
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +30,10 @@ from robust_trials import (
     tasks,
 )
 from script import ONE_THREAD, make_page, markdown
-from wrong_closures import KINDS, SETS, Array, X
+from wrong_closures import KINDS, SETS, X
 
 import nls
+from models.algebra import Array
 from nls.plot.picture import write_picture
 from nls.plot.style import ESTIMATE, HELD, REJECTED, TRUE
 
@@ -55,14 +57,7 @@ def counts(trials: list[Trial]) -> str:
 def clean(trials: list[Trial]) -> list[str]:
     """Graphs without a wrong closure."""
     rows = [
-        [
-            t.task.name,
-            f"{t.right:,}",
-            str(t.lost),
-            f"{0.01 * t.right:.1f}",
-            "yes" if t.doubts else "no",
-            f"{t.seconds:.1f}",
-        ]
+        [t.task.name, f"{t.right:,}", t.lost, f"{0.01 * t.right:.1f}", "yes" if t.doubts else "no", f"{t.seconds:.1f}"]
         for t in of(trials, "clean")
     ]
     return markdown(("graph", "closures", "rejected", "expected", "doubtful", "s"), rows)
@@ -71,27 +66,22 @@ def clean(trials: list[Trial]) -> list[str]:
 def by_kind(trials: list[Trial]) -> list[str]:
     """Every graph with every kind of wrong closures."""
     rows = []
-    for name in SETS:
-        for kind in KINDS:
-            found = [of(trials, "kinds", name=name, kind=kind, amount=share) for share in SHARES]
-            if any(found):
-                seconds = np.median([t.seconds for trials_of in found for t in trials_of])
-                rows.append([name, kind, *map(counts, found), f"{seconds:.1f}"])
-    sums = [counts(of(trials, "kinds", amount=share)) for share in SHARES]
-    return markdown(
-        ("graph", "wrong ones", *(f"{100 * s:.0f} %" for s in SHARES), "s"), [*rows, ["**all**", "", *sums, ""]], 2
-    )
+    for name, kind in product(SETS, KINDS):
+        found = [of(trials, "kinds", name=name, kind=kind, amount=share) for share in SHARES]
+        if any(found):
+            seconds = np.median([t.seconds for trials_of in found for t in trials_of])
+            rows.append([name, kind, *map(counts, found), f"{seconds:.1f}"])
+    rows.append(["**all**", "", *(counts(of(trials, "kinds", amount=share)) for share in SHARES), ""])
+    return markdown(("graph", "wrong ones", *(f"{100 * s:.0f} %" for s in SHARES), "s"), rows, 2)
 
 
 def protocol(trials: list[Trial]) -> list[str]:
     """Success rates by share of wrong closures."""
     rows = []
-    for name in PROTOCOL:
-        found = [of(trials, "protocol", name=name, amount=ratio) for ratio in RATIOS]
-        rows.append([name, *(rate(trials_of) for trials_of in found)])
-    for title, names in (("**plane**", set(PROTOCOL) - set(SPACE)), ("**space**", set(SPACE))):
+    groups = [*((name, {name}) for name in PROTOCOL), ("**plane**", {*PROTOCOL} - {*SPACE}), ("**space**", {*SPACE})]
+    for title, names in groups:
         found = [[t for t in of(trials, "protocol", amount=ratio) if t.task.name in names] for ratio in RATIOS]
-        rows.append([title, *(rate(trials_of) for trials_of in found)])
+        rows.append([title, *map(rate, found)])
     return markdown(("graph", *(f"{100 * ratio:.0f} %" for ratio in RATIOS)), rows)
 
 
@@ -158,41 +148,26 @@ def tables(trials: list[Trial], closures: list[str]) -> list[str]:
         "box. The ATE is measured from the optimum without wrong closures, rigidly aligned",
         "- *doubtful*: the result states a doubt, right or wrong; the command line exits with 1",
         f"- *silent*: wrong without a word. **{silent} of {len(trials)} trials.**",
-        "",
         "## Clean graphs",
-        "",
         "Rejected right closures, and how many chance rejects at 99 %.",
-        "",
         *clean(trials),
-        "",
         "## Six kinds of wrong closures",
-        "",
         "Solved / doubtful / silent, by the share of wrong closures among all. A choice that keeps less than half "
         "of the closures is doubtful by definition, as at 80 %. *random*, *local* and their groups come from the "
         "generator of Sünderhauf and Protzel (IROS 2012). An *alias* claims for two other poses the measurement of "
         f"a right closure. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds.",
-        "",
         *by_kind(trials),
-        "",
         "![maps of one trial, and the outcomes of all](robust.png)",
-        "",
         "## The protocol of the field",
-        "",
         "Percent of right maps, doubtful or not; numbers of trials in brackets. Columns: number of wrong closures "
         "in percent of the right ones. The four kinds of the generator take turns over ten runs. The best "
         "published rates are above 90 % in the plane and 83 % in space at up to 50 % (TACO, arXiv 2606.29851, "
         "2026).",
-        "",
         *protocol(trials),
-        "",
         "## Twenty closures",
-        "",
         f"Graphs of which {TWENTY} right closures are left ({', '.join(FEW_SETS)}): solved / doubtful / silent.",
-        "",
         *twenty(trials),
-        "",
         "## Real closures",
-        "",
         *closures,
     ]
 
@@ -209,7 +184,7 @@ def page(data: Path, out: Path, seeds: int, large: int, minutes: float, trials: 
 
 if __name__ == "__main__":
     make_page(
-        *(__doc__, "robust.md", "Wrong loop closures", page),
+        *("Wrong loop closures", page),
         seeds=(5, "trials of every kind"),
         large={"type": int, "default": 1, "help": "the same on large graphs, and with few closures (default 1)"},
         minutes={"type": float, "default": 60.0, "help": "no trial begins after so many (default 60)"},

@@ -8,20 +8,20 @@ random in the horizontal, dives evenly and turns to and fro. NEES is e' Sigma^-1
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import numpy.typing as npt
 from script import make_page, markdown
 
 import nls
 from models import SE3, euler
+from models.algebra import Array
 from nls import Marginals
 from nls.missions.folder.table import csv_text
 from nls.missions.importing import import_logs, read_mapping, write_imported
 
-Array = npt.NDArray[np.float64]
 (x,) = nls.kinds("x")
 DURATION, PING, ROW = 1200.0, 4.0, 0.5  # s: of a mission, between two pings, between two rows of compass and depth
 HEADING, TILT, DEPTH = np.radians(2.0), np.radians(1.0), 0.1  # sigmas, rad and m
@@ -155,35 +155,28 @@ def raw(folder: Path, truth: tuple[Array, Array]) -> float:
 def page(seeds: int) -> list[str]:
     """The table, in Markdown."""
     rows = []
-    for walk in WALKS:
-        for name, (mapping, away) in CASES.items():
-            arm, found, alone = ARM * away, [], []
-            for seed in range(seeds):
-                with TemporaryDirectory() as folder:
-                    truth = simulate(Path(folder), walk, seed, arm)
-                    alone.append(raw(Path(folder), truth))
-                    found.append(errors(Path(folder), mapping, walk, truth))
-            mean = {key: float(np.mean([one[key] for one in found])) for key in found[0]}
-            spread = float(np.std([one["nees"] for one in found], ddof=1) / np.sqrt(seeds)) if seeds > 1 else np.nan
-            rows.append(
-                (
-                    *(name, f"{walk:g}", *(f"{m:.2f}" for m in (np.mean(alone), mean["rmse"], mean["stated"]))),
-                    *(f"{mean['nees']:.2f} +- {spread:.2f}", f"{mean['ratio']:.3f}", f"{mean['warnings'] * seeds:.0f}"),
-                )
-            )
+    for walk, (name, (mapping, away)) in product(WALKS, CASES.items()):
+        found = []
+        for seed in range(seeds):
+            with TemporaryDirectory() as folder:
+                truth = simulate(Path(folder), walk, seed, ARM * away)
+                found.append({"raw": raw(Path(folder), truth), **errors(Path(folder), mapping, walk, truth)})
+        mean = {key: float(np.mean([one[key] for one in found])) for key in found[0]}
+        spread = float(np.std([one["nees"] for one in found], ddof=1) / np.sqrt(seeds)) if seeds > 1 else np.nan
+        cells = [name, f"{walk:g}", *(f"{mean[key]:.2f}" for key in ("raw", "rmse", "stated"))]
+        cells += [f"{mean['nees']:.2f} +- {spread:.2f}", f"{mean['ratio']:.3f}", f"{mean['warnings'] * seeds:.0f}"]
+        rows.append(cells)
     titles = ("mission", "walk", "positions", "solution", "stated", "NEES", "chi2 / dof", "warnings")
     return [
         f"{seeds} missions of {DURATION / 60:g} min each, a ping every {PING:g} s. Compass {np.degrees(HEADING):.0f} "
-        f"deg, tilt {np.degrees(TILT):.0f} deg, depth {DEPTH} m.",
-        f"Positions: {RANGE:g} m + {100 * SHARE:g} % of the distance. Ranges {RANGE:g} m, directions {DIRECTION} rad.",
-        "Walk: m/sqrt(s), as simulated and as stated. Positions: rmse of x and y of those by USBL as they are, m.",
+        f"deg, tilt {np.degrees(TILT):.0f} deg, depth {DEPTH} m.\n"
+        f"Positions: {RANGE:g} m + {100 * SHARE:g} % of the distance. Ranges {RANGE:g} m, directions {DIRECTION} rad.\n"
+        "Walk: m/sqrt(s), as simulated and as stated. Positions: rmse of x and y of those by USBL as they are, m.\n"
         "Solution: rmse of x and y, m; stated: root of the mean of the trace of its covariance. NEES: 2 expected.",
-        "",
         *markdown(titles, rows),
-        "",
         "Positions as they are, of a transponder with a lever arm, are not those of the vehicle.",
     ]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "rov.md", "An ROV without a DVL", page, seeds=(20, "missions of every row"))
+    make_page("An ROV without a DVL", page, seeds=(20, "missions of every row"))

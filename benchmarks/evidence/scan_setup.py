@@ -8,16 +8,14 @@ nothing is written.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from script import make_page
+from script import Table, make_page, timed
 
 from factors.keys import kinds
+from models.algebra import Array
 from nls.metrics import ate
 from nls.missions.checks.scan_mounting import COMPONENTS, Mounting
 from nls.missions.checks.words import LABELS, shown
@@ -34,7 +32,6 @@ from nls.sonar.scans import (
     mounting,
 )
 
-Array = npt.NDArray[np.float64]
 (x,) = kinds("x")
 
 
@@ -161,20 +158,16 @@ def brief(finding: SetupFinding) -> str:
     return f"{name} {n.get('component', '')} {n['value']:.2f} +- {n['sigma']:.2f} {unit}".replace("  ", " ")
 
 
-def row(log: Log, setup: Setup, rounds: int, report: Callable[[str], None]) -> tuple[list[str], list[str]]:
+def row(log: Log, setup: Setup, rounds: int) -> tuple[list[object], list[str]]:
     """A row of the table, and the sentences."""
     graph, values = dead_reckoning(log.track(setup.late), drift(setup.sigmas))
     scans = scans_of(log, setup)
     closing, before = mapped(log, setup, rounds)
-    start = time.process_time()
-    findings = check_setup(graph, values, scans, closing, log.times)
-    seconds = time.process_time() - start
+    findings, seconds = timed(check_setup, graph, values, scans, closing, log.times)
     cure = cured(setup, findings)
     after = "" if cure is None else f"{mapped(log, cure, rounds)[1]:.2f}"
     named = "; ".join(map(brief, findings)) or "nothing"
-    kept = int(closing.matches.kept.sum())
-    cells = [setup.name, named, f"{kept}", f"{before:.2f}", after, f"{seconds:.1f}"]
-    report(" | ".join(cells))
+    cells = [setup.name, named, closing.matches.kept.sum(), f"{before:.2f}", after, f"{seconds:.1f}"]
     return cells, [f"- *{setup.name}*: {finding.says}." for finding in findings]
 
 
@@ -199,21 +192,16 @@ def observable(estimate: Mounting) -> list[str]:
 def page(data: Path, rounds: int) -> list[str]:
     """All but the head."""
     log = read(data / "aracati")
-    rows, sentences = [], []
+    table, sentences = Table(["setup", "named", "closures", "ATE, m", "ATE cured, m", "check, s"], names=2), []
     for setup in SETUPS:
-        cells, words = row(log, setup, rounds, lambda line: print(line, flush=True))
-        rows.append(cells)
+        cells, words = row(log, setup, rounds)
+        table.add(*cells)
         sentences += words
     graph, values = dead_reckoning(log.track(0.0))
     estimate = mounting(graph, values, scans_of(log, SETUPS[0]), log.times)
-    head = ["setup", "named", "closures", "ATE, m", "ATE cured, m", "check, s"]
     return [
         "## Aracati 2017, an imaging sonar in a harbor",
-        "",
-        f"| {' | '.join(head)} |",
-        "|:--|:--|--:|--:|--:|--:|",
-        *(f"| {' | '.join(cells)} |" for cells in rows),
-        "",
+        *table,
         f"- ATE: rms distance of the keyframes from DGPS after a rigid alignment, with {rounds} rounds of closing.",
         "- ATE cured: the same after closing again with the setup that the finding asks for.",
         "- Errors of right and cured setups vary by chance. Small differences between them mean nothing.",
@@ -221,16 +209,12 @@ def page(data: Path, rounds: int) -> list[str]:
         "- The place of the sonar on the vehicle is not published. The setup *right* puts it at the origin of dead "
         "reckoning.",
         "- Turned: the rigid alignment removes a turn of the map. So the error shows neither the fault nor its cure.",
-        "",
         "## The right setup: estimates of the mounting",
-        "",
         *(f"- {line}" for line in observable(estimate)),
-        "",
         "## The findings",
-        "",
         *sentences,
     ]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "scan_setup.md", "Wrong setups of a scan mission", page, rounds=(3, "of closing"))
+    make_page("Wrong setups of a scan mission", page, rounds=(3, "of closing"))

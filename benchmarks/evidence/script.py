@@ -5,6 +5,7 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from harness import ONE_THREAD, Table, line_of, make_page, markdown, positive, public_data, spread
+from harness import GTSAM, ONE_THREAD, Table, child, fresh, line_of, make_page, markdown, over, pooled, spread, timed
 
-__all__ = ["ONE_THREAD", "Table", "line_of", "make_page", "markdown", "positive", "public_data", "spread"]
+__all__ = ["GTSAM", "ONE_THREAD", "Table", "child", "fresh", "line_of", "make_page", "markdown"]
+__all__ += ["over", "pooled", "spread", "timed"]

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from logs import read_victoria_park
-from script import make_page
+from script import Table, make_page
 from victoria_park import victoria_park
 
 import nls
@@ -24,7 +25,8 @@ from factors.base import Factor, Model
 from factors.replaced import replaced
 from factors.robust import EFFICIENT, Kernel
 from models import SE2
-from nls import FactorGraph, Keys, Marginals, Values, variance_components
+from models.algebra import Array, Mask
+from nls import FactorGraph, Keys, Marginals, Result, Values, variance_components
 from nls.analysis import VarianceComponents
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Nearest
@@ -32,7 +34,6 @@ from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
 from nls.metrics import ate
 
-Array = npt.NDArray[np.float64]
 HUBER, CAUCHY = Huber(EFFICIENT["huber"]), Cauchy(EFFICIENT["cauchy"])
 A, L, x = nls.kinds("A", "L", "x")
 BEACONS = ("held", "with priors", "unknown")
@@ -60,8 +61,12 @@ class Solution:
     """A solved graph: with its noise, its optimum, and the scales where there are some."""
 
     graph: FactorGraph
-    values: Values
+    result: Result
     scales: VarianceComponents | None
+
+    @property
+    def values(self) -> Values:
+        return self.result.values
 
     @property
     def scale_text(self) -> str:
@@ -75,11 +80,15 @@ def solve(graph: FactorGraph, values: Values, method: Method) -> Solution:
     """The optimum from the start that the library chooses."""
     if method.kernel is not None:
         graph = graph.robust(method.kernel)
-    start, *_ = nls.initialize(graph, values)
-    if method.groups is None:
-        return Solution(graph, graph.optimize(start).values, None)
-    scales = variance_components(graph, start, method.groups)
-    return Solution(scales.graph, scales.result.values, scales)
+    return solve_from(graph, nls.initialize(graph, values)[0], method.groups)
+
+
+def solve_from(graph: FactorGraph, start: Values, groups: Groups | None) -> Solution:
+    """The optimum from a start."""
+    if groups is None:
+        return Solution(graph, graph.optimize(start), None)
+    scales = variance_components(graph, start, groups)
+    return Solution(scales.graph, scales.result, scales)
 
 
 @dataclass(frozen=True)
@@ -131,22 +140,15 @@ def goats(data: Path, number: int, beacons: str) -> tuple[FactorGraph, Values]:
 def goats_tables(data: Path) -> tuple[list[str], dict[tuple[int, str], Solution]]:
     """Every method, and the solutions with one scale a unit under Cauchy."""
     lines, kept = [], {}
-    for number in (14, 15):
-        for beacons in BEACONS:
-            graph, values = goats(data, number, beacons)
-            lines += [
-                f"### GOATS {number}, beacons {beacons}",
-                "",
-                "| sigmas | kernel | ATE | rigid | sigma | NEES | inside 95 % | scales |",
-                "|:--|:--|--:|--:|--:|--:|--:|:--|",
-            ]
-            for method in METHODS:
-                solution = solve(graph, values, method)
-                lines.append(f"| {method} | {judged(solution, values, 'A')} | {solution.scale_text} |")
-                print(lines[-1], flush=True)
-                if method == Method(CAUCHY, "units"):
-                    kept[number, beacons] = solution
-            lines.append("")
+    for number, beacons in product((14, 15), BEACONS):
+        graph, values = goats(data, number, beacons)
+        table = Table(["sigmas", "kernel", "ATE", "rigid", "sigma", "NEES", "inside 95 %", "scales"], "llrrrrrl")
+        for method in METHODS:
+            solution = solve(graph, values, method)
+            table.add(method, judged(solution, values, "A"), solution.scale_text)
+            if method == Method(CAUCHY, "units"):
+                kept[number, beacons] = solution
+        lines += [f"### GOATS {number}, beacons {beacons}", *table]
     return lines, kept
 
 
@@ -160,11 +162,8 @@ def residuals_at(factor: Factor, values: Values) -> tuple[Model, Array]:
 
 def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
     """What the file's poses say of the measurements, beside what the solution says."""
-    lines = [
-        "| log | ranges: rms of residuals at the truth | at the solution | medians by beacon at the truth | "
-        "lag 1, 10 | steps x, y: rms at the truth | at the solution |",
-        "|:--|--:|--:|:--|--:|--:|--:|",
-    ]
+    titles = ["log", "ranges: rms of residuals at the truth", "at the solution", "medians by beacon at the truth"]
+    table = Table([*titles, "lag 1, 10", "steps x, y: rms at the truth", "at the solution"], "lrrlrrr")
     for number in (14, 15):
         graph, truth = goats(data, number, "held")
         steps, ranges = graph.factors
@@ -174,18 +173,15 @@ def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
         right = np.abs(r_at[:, 0]) < 15  # the others are outliers of both
         beacon = ranges.keys[1].numbers
         medians = ", ".join(f"{np.median(r[beacon == k]):+.1f}" for k in np.unique(beacon))
-        lags = [lagged(r[:, 0], beacon, right, lag) for lag in (1, 10)]
-        lines.append(
-            f"| GOATS {number} | {rms(r[right]):.2f} m | {rms(r_at[right]):.2f} m | {medians} m | "
-            f"{lags[0]:.2f}, {lags[1]:.2f} | {rms(e[:, :2]):.2f} m | {rms(e_at[:, :2]):.2f} m |"
-        )
-        print(lines[-1], flush=True)
-    return lines
+        lags = ", ".join(f"{lagged(r[:, 0], beacon, right, lag):.2f}" for lag in (1, 10))
+        *of_ranges, at_truth, there = (f"{rms(a):.2f} m" for a in (r[right], r_at[right], e[:, :2], e_at[:, :2]))
+        table.add(f"GOATS {number}", *of_ranges, f"{medians} m", lags, at_truth, there)
+    return table
 
 
 def controls(data: Path) -> list[str]:
     """Scales of the ranges where these belong to another pose, or the speed of sound is another; beacons held."""
-    lines = ["| ranges | GOATS 14 | GOATS 15 |", "|:--|--:|--:|"]
+    table = Table(["ranges", "GOATS 14", "GOATS 15"])
     cases = {"as logged": (0, 1.0), "of the pose before": (-1, 1.0), "of the pose after": (1, 1.0)}
     for name, (shift, scale) in {**cases, "1 % shorter": (0, 0.99), "1 % longer": (0, 1.01)}.items():
         cells = []
@@ -198,16 +194,15 @@ def controls(data: Path) -> list[str]:
             scales = solve(other, values, Method(CAUCHY, "kinds")).scales
             assert scales is not None
             cells.append(f"{scales.components[1].scale:.2f} ± {scales.components[1].sigma:.2f}")
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-        print(lines[-1], flush=True)
-    return lines
+        table.add(name, *cells)
+    return table
 
 
 def rms(a: Array) -> float:
     return float(np.sqrt(np.square(a).mean()))
 
 
-def lagged(r: Array, beacon: npt.NDArray[np.int64], right: npt.NDArray[np.bool_], lag: int) -> float:
+def lagged(r: Array, beacon: npt.NDArray[np.int64], right: Mask, lag: int) -> float:
     """Correlation of residuals of one beacon so many measurements apart, mean of the beacons."""
     own = [r[(beacon == k) & right] for k in np.unique(beacon)]
     return float(np.mean([np.corrcoef(e[:-lag], e[lag:])[0, 1] for e in own]))
@@ -230,10 +225,7 @@ def twin(solution: Solution, stated: FactorGraph, rng: np.random.Generator) -> F
 def twins(data: Path, kept: dict[tuple[int, str], Solution], seeds: int) -> list[str]:
     """Mean NEES over simulated twins, with stated and with estimated sigmas."""
     low, high = nees_bounds(2, seeds)
-    lines = [
-        f"| twin of | stated | estimate | estimate:units | bounds of {seeds} runs |",
-        "|:--|--:|--:|--:|--:|",
-    ]
+    table = Table(["twin of", "stated", "estimate", "estimate:units", f"bounds of {seeds} runs"])
     for (number, beacons), solution in kept.items():
         stated, _ = goats(data, number, beacons)
         cells = []
@@ -241,18 +233,11 @@ def twins(data: Path, kept: dict[tuple[int, str], Solution], seeds: int) -> list
             means = []
             for seed in range(seeds):
                 graph = twin(solution, stated, np.random.default_rng([number, BEACONS.index(beacons), seed]))
-                start = solution.values
-                if groups is None:
-                    solved = Solution(graph, graph.optimize(start).values, None)
-                else:
-                    scales = variance_components(graph, start, groups)  # type: ignore[arg-type]
-                    solved = Solution(scales.graph, scales.result.values, scales)
+                solved = solve_from(graph, solution.values, groups)
                 means.append(judged(solved, solution.values, "A").nees.mean())
             cells.append(f"{np.mean(means):.3g}")
-        name = f"GOATS {number}, beacons {beacons}"
-        lines.append(f"| {name} | {' | '.join(cells)} | {low:.2f} to {high:.2f} |")
-        print(lines[-1], flush=True)
-    return lines
+        table.add(f"GOATS {number}, beacons {beacons}", *cells, f"{low:.2f} to {high:.2f}")
+    return table
 
 
 # --- logs with fair sigmas --------------------------------------------------------------------------------------------
@@ -260,26 +245,14 @@ def twins(data: Path, kept: dict[tuple[int, str], Solution], seeds: int) -> list
 
 def others(data: Path) -> list[str]:
     """plaza2 and Victoria Park."""
-    lines = [
-        "| log | sigmas | kernel | chi2 | degrees of freedom | rigid ATE | NEES | scales |",
-        "|:--|:--|:--|--:|--:|--:|--:|:--|",
-    ]
+    titles = ["log", "sigmas", "kernel", "chi2", "degrees of freedom", "rigid ATE", "NEES", "scales"]
+    table = Table(titles, "lllrrrrl")
     graph, truth, _ = nls.load(data / "range-only" / "plaza2.pyfg.gz")
-    for method in (
-        Method(None, None),
-        Method(None, "kinds"),
-        Method(None, "units"),
-        Method(CAUCHY, None),
-        Method(CAUCHY, "kinds"),
-    ):
-        solution = solve(graph, truth, method)
-        judgement = judged(solution, truth, "A")
-        result = solution.graph.optimize(solution.values)
-        lines.append(
-            f"| plaza2 | {method} | {result.chi2_final:.5g} | {result.dof} | {judgement.rigid:.3f} | "
-            f"{judgement.nees.mean():.3g} | {solution.scale_text} |"
-        )
-        print(lines[-1], flush=True)
+    for kernel, groups in ((None, None), (None, "kinds"), (None, "units"), (CAUCHY, None), (CAUCHY, "kinds")):
+        solution = solve(graph, truth, method := Method(kernel, groups))
+        judgement, result = judged(solution, truth, "A"), solution.graph.optimize(solution.values)
+        cells = ["plaza2", method, f"{result.chi2_final:.5g}", result.dof, f"{judgement.rigid:.3f}"]
+        table.add(*cells, f"{judgement.nees.mean():.3g}", solution.scale_text)
     park = victoria_park(read_victoria_park(data / "victoria-park"))
     ekf = EKF(associate=Nearest(0.99))
     track = ekf.run(park.graph, park.start)
@@ -287,16 +260,11 @@ def others(data: Path) -> list[str]:
     values = graph.optimize(start).values
     graph, start = park.named(park.again(values), values[x])
     for groups in (None, "kinds"):
-        scales = None if groups is None else variance_components(graph, start)
-        result = graph.optimize(start) if scales is None else scales.result
-        solution = Solution(graph if scales is None else scales.graph, result.values, scales)
-        error = park.gps_error(result.values[x]).rmse
-        lines.append(
-            f"| Victoria Park | {Method(None, groups)} | {result.chi2_final:.5g} | {result.dof} | "  # type: ignore[arg-type]
-            f"{error:.3f} | | {solution.scale_text} |"
-        )
-        print(lines[-1], flush=True)
-    return lines
+        solution = solve_from(graph, start, groups)
+        result, error = solution.result, park.gps_error(solution.values[x]).rmse
+        cells = ["Victoria Park", Method(None, groups), f"{result.chi2_final:.5g}", result.dof]
+        table.add(*cells, f"{error:.3f} | | {solution.scale_text}")
+    return table
 
 
 def page(data: Path, seeds: int) -> Sequence[str]:
@@ -309,9 +277,7 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "`nls solve --sigmas estimate` finds one scale on the stated sigmas of every kind of measurement. "
         "`estimate:units` finds one for the lengths and one for the angles of a kind. Both use the residuals "
         "alone. The truth is used only in the columns that compare with it.",
-        "",
         "## GOATS: an AUV among four acoustic beacons",
-        "",
         "- The files state 2 cm and 2 mrad for a step of dead reckoning and 0.75 m for a range.",
         "- Poses are compared with the vertices of the file, which its source gives as truth.",
         f"- Beacons are held where the file has them, have priors of {SURVEYED:g} m there, or are unknown. The "
@@ -324,10 +290,8 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "Errors along a track are not independent.",
         "- *Inside 95 %*: poses whose truth is within the ellipse of 95 %.",
         f"- Kernels: {HUBER}, {CAUCHY}.",
-        "",
         *tables,
         "Estimation lowers the NEES by one to three orders of magnitude.",
-        "",
         "- GOATS 15 ends at 2.2 to 3.0 where the places of the beacons are measurements with an estimated scale, "
         "not held. Of the poses, 85 to 94 % are inside their ellipse.",
         "- With unknown beacons, `estimate:units` and a kernel, both logs are inside the bounds of a single pose. "
@@ -335,44 +299,30 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "- With held beacons both logs are above the bounds, with priors GOATS 14 is.",
         "- Outliers decide the scale where there is no kernel. A dozen ranges of beacon 3 of GOATS 14 are up to "
         "200 m wrong. Sigmas that cover these are too large for the rest.",
-        "",
         "The remaining error is not one of scale:",
-        "",
         *reasons(data, kept),
-        "",
         "- Residuals are in the units of the measurement, without ranges that are 15 m off at the solution. The "
         "solution: Cauchy, `estimate:units`, beacons held.",
         "- Lag: correlation of the residuals at the truth of one beacon, 1 and 10 of its ranges apart.",
-        "",
         "Ranges and steps fit the solution better than the truth. Steps of the truth differ from dead reckoning by "
         "more than a meter each. So the truth of these files is probably an estimate of its own, meters beside the "
         "log. Its range errors differ from beacon to beacon and last for several ranges. Every model here takes "
         "errors for independent. Its sigmas shrink with the number of ranges, and lasting errors do not. No scale "
         "repairs that, and none was tuned to the truth.",
-        "",
         "A delay of the pings is not the reason, nor is a speed of sound that is 1 % wrong. The ranges as logged "
         "need the smallest scale. Scale of the ranges, Cauchy, beacons held:",
-        "",
         *controls(data),
-        "",
         "### Simulated twins",
-        "",
         "Same geometry and same stated sigmas as in the file. The errors are independent and have the estimated "
         "sigmas (Cauchy, `estimate:units`). Mean NEES of the positions; bounds as for one pose a run.",
-        "",
         *twins(data, kept, seeds),
-        "",
         "Where errors are as the model says, covariances pass with a scale for each unit. One scale a kind keeps "
         "the stated ratio between positions and headings. Here that ratio is wrong by a factor of 20, most so "
         "without known beacons.",
-        "",
         "## Logs with fair sigmas",
-        "",
         "plaza2: against RTK GPS. Victoria Park: trees found again as on the page about landmark logs; the error is "
         "the distance of GPS from the track.",
-        "",
         *others(data),
-        "",
         "Both tracks get better with estimated sigmas. The NEES of plaza2 gets worse. Its odometry is better than "
         "stated, so the sigmas shrink. Its range errors last (they depend on beacon and distance), so the smaller "
         "sigmas are too small.",
@@ -380,5 +330,4 @@ def page(data: Path, seeds: int) -> Sequence[str]:
 
 
 if __name__ == "__main__":
-    count = (20, "simulated twins of a log")
-    make_page(__doc__, "sigmas.md", "Sigmas that the residuals show", page, seeds=count)
+    make_page("Sigmas that the residuals show", page, seeds=(20, "simulated twins of a log"))

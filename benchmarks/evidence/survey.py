@@ -11,23 +11,20 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import process_time
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from script import make_page, spread
+from script import Table, make_page, over, spread, timed
 
 import nls
 import sim
 from models import SE3
+from models.algebra import Array
 from nls import Kind, Marginals, kinds
 from nls.filters.consistency import nees_bounds
 from nls.metrics import ate
 from nls.missions.folder.table import csv_text
-from sim.monte_carlo import runs
 
-Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 UNITS = {  # of a calibration: how it is printed, its unit in that of the file, digits
     "sound_speed_scale": ("speed of sound too high by, %", 100.0, 3),
@@ -55,17 +52,15 @@ def solved(seed: int, outliers: float = 0.0, kernel: bool = True, beacons: bool 
                 rows = table["name"] != "sound_speed_scale"  # nothing measures it any more
             text = csv_text(names, *(table[column][rows] for column in names))
             Path(folder, f"{name}.csv").write_bytes(text)
-        began = process_time()
-        graph, start, report = nls.load(folder)
-        result = graph.optimize(start)
-        seconds = process_time() - began
+        (graph, start, report), loading = timed(nls.load, folder)
+    result, seconds = timed(graph.optimize, start)
     values = result.values
     marginals = Marginals(graph, values)
     times, numbers = report.vertex_times["x"], values.stack("x").numbers
     X, truth = values[x[numbers]], log.track.pose(times)
     record: Record = {
         "converged": result.converged,
-        "seconds": seconds,
+        "seconds": loading + seconds,
         "poses": len(numbers),
         "chi2_dof": result.chi2_final / result.dof,
         "dead_reckoning": ate(start[x[numbers]], truth).rmse,
@@ -88,68 +83,51 @@ def solved(seed: int, outliers: float = 0.0, kernel: bool = True, beacons: bool 
     return record
 
 
-def over(seeds: int, **options: Any) -> dict[str, Array]:
-    """The numbers of every seed, by name, on all cores."""
-    records = runs(partial(solved, **options), range(seeds), progress=True)
-    return {name: np.array([record[name] for record in records]) for name in records[0]}
-
-
 def calibrations(clean: dict[str, Array], seeds: int) -> list[str]:
     """A row a calibration."""
     half = 1.96 / np.sqrt(seeds)  # of the mean of z
     low, high = (float(np.sqrt(bound / 1.0)) for bound in nees_bounds(1, seeds))
-    lines = [
-        f"| calibration | true | mean estimate | sigma | mean of z, expected within +-{half:.2f} "
-        f"| rms of z, expected {low:.2f}-{high:.2f} | within {FAR:g} sigma |",
-        "|:--|--:|--:|--:|--:|--:|--:|",
-    ]
+    titles = ["calibration", "true", "mean estimate", "sigma", f"mean of z, expected within +-{half:.2f}"]
+    table = Table([*titles, f"rms of z, expected {low:.2f}-{high:.2f}", f"within {FAR:g} sigma"])
     true = sim.survey(np.random.default_rng(0), legs=1, leg=10.0).calibration
     for name, (label, unit, digits) in UNITS.items():
         z = clean[f"z {name}"]
         mean, rms = float(z.mean()), float(np.sqrt(np.mean(z**2)))
-        lines.append(
-            f"| {label} | {unit * true[name]:.4g} | {unit * clean[name].mean():.{digits}f} | "
-            f"{unit * clean[f'sigma {name}'].mean():.{digits}f} | {mean:+.2f}{outside(abs(mean) <= half)} | "
-            f"{rms:.2f}{outside(low <= rms <= high)} | {np.sum(np.abs(z) <= FAR)}/{seeds} |"
-        )
-    return lines
+        numbers = [f"{unit * clean[column].mean():.{digits}f}" for column in (name, f"sigma {name}")]
+        numbers += [f"{mean:+.2f}{outside(abs(mean) <= half)}", f"{rms:.2f}{outside(low <= rms <= high)}"]
+        table.add(label, f"{unit * true[name]:.4g}", *numbers, f"{np.sum(np.abs(z) <= FAR)}/{seeds}")
+    return table
 
 
 def positions(clean: dict[str, Array], seeds: int) -> list[str]:
     """A row a place."""
     bounds = nees_bounds(3, seeds)
     half = 1.96 * float(clean["nees_all"].std()) / np.sqrt(seeds)
-    lines = ["| position | NEES, expected 3 | within | mean sigma, m |", "|:--|--:|--:|--:|"]
+    table = Table(["position", "NEES, expected 3", "within", "mean sigma, m"])
     for place, low, high in (("middle", *bounds), ("last", *bounds), ("all", 3 - half, 3 + half)):
         mean = float(clean[f"nees_{place}"].mean())
         label = f"{PLACES} over the survey" if place == "all" else place
-        lines.append(
-            f"| {label} | {mean:.2f}{outside(low <= mean <= high)} | {low:.2f}-{high:.2f} | "
-            f"{clean[f'sigma_{place}'].mean():.3f} |"
-        )
-    return lines
+        numbers = f"{mean:.2f}{outside(low <= mean <= high)}", f"{low:.2f}-{high:.2f}"
+        table.add(label, *numbers, f"{clean[f'sigma_{place}'].mean():.3f}")
+    return table
 
 
 def wrong_fixes(clean: dict[str, Array], seeds: int) -> list[str]:
     """A row a log: without wrong fixes, with them and a kernel, with them and none; with beacons and without."""
-    lines = [
-        "| log | USBL fixes | error, m | times the error without wrong fixes | converged | s |",
-        "|:--|:--|--:|--:|--:|--:|",
-    ]
+    titles = ["log", "USBL fixes", "error, m", "times the error without wrong fixes", "converged", "s"]
+    table = Table(titles, names=2)
     for log, options in (("with beacons", {}), ("USBL alone below", {"beacons": False})):
-        right = over(seeds, **options) if options else clean
+        right = over(partial(solved, **options), seeds) if options else clean
+        spoiled = partial(solved, outliers=WRONG, **options)
         for fixes, numbers, most in (
             ("all right", right, np.inf),
-            (f"{100 * WRONG:.0f} % wrong, kernel", over(seeds, outliers=WRONG, **options), WORSE),
-            (f"{100 * WRONG:.0f} % wrong, no kernel", over(seeds, outliers=WRONG, kernel=False, **options), np.inf),
+            (f"{100 * WRONG:.0f} % wrong, kernel", over(spoiled, seeds), WORSE),
+            (f"{100 * WRONG:.0f} % wrong, no kernel", over(partial(spoiled, kernel=False), seeds), np.inf),
         ):
             times = float(numbers["ate"].mean() / right["ate"].mean())
-            lines.append(
-                f"| {log} | {fixes} | {spread(numbers['ate'])} | {times:.2f}{outside(times < most)} | "
-                f"{int(numbers['converged'].sum())}/{seeds} | {numbers['seconds'].mean():.1f} |"
-            )
-            print(lines[-1], flush=True)
-    return lines
+            cells = [log, fixes, spread(numbers["ate"]), f"{times:.2f}{outside(times < most)}"]
+            table.add(*cells, f"{numbers['converged'].sum()}/{seeds}", f"{numbers['seconds'].mean():.1f}")
+    return table
 
 
 def outside(right: bool) -> str:
@@ -160,38 +138,29 @@ def outside(right: bool) -> str:
 def page(seeds: int) -> list[str]:
     """The page."""
     log = sim.survey(np.random.default_rng(0))
-    clean = over(seeds)
+    clean = over(solved, seeds)
     return [
         f"{log.duration} s and {log.distance:.0f} m of way, {clean['poses'].mean():.0f} poses. At the start, by "
         f"dead reckoning, positions are {spread(clean['dead_reckoning'])} m off. Chi2 over the degrees of freedom: "
         f"{spread(clean['chi2_dof'])}. Numbers in brackets are the least and the most of the seeds.",
-        "",
         f"## Calibrations, seeds 0 to {seeds - 1}",
-        "",
         *calibrations(clean, seeds),
-        "",
         "z: the error of an estimate in its standard deviations. The log states 0 for each, with standard "
         "deviations of 3 %, 2 %, 2.9 deg and 0.5 s.",
-        "",
         f"## Positions, seeds 0 to {seeds - 1}",
-        "",
         *positions(clean, seeds),
-        "",
         "- NEES: e' P^-1 e of the position in three dimensions, with the error e and its covariance P. Its mean "
         "should lie within the 95 % bounds.",
         "- Positions are at whole seconds, where no sensor is interpolated.",
         f"- Positions of one seed share errors. So the bounds of all {PLACES} are 1.96 standard errors, from the "
         "spread between the seeds.",
         "- Sigma: in the horizontal, per axis.",
-        "",
         f"## Wrong USBL fixes, seeds 0 to {seeds - 1}",
-        "",
         *wrong_fixes(clean, seeds),
-        "",
         "Error: rmse of all positions, nothing aligned. A wrong fix has any bearing and a range that is 80 to 160 m "
         "too long. s: processor time from the folder to the optimum.",
     ]
 
 
 if __name__ == "__main__":
-    make_page(__doc__, "survey.md", "A survey from its raw log", page, seeds=(100, "of every table"))
+    make_page("A survey from its raw log", page, seeds=(100, "of every table"))

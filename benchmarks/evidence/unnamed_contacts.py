@@ -10,14 +10,12 @@ found is solved as `nls solve` does, and beside it that of the clean mission wit
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from time import process_time
 
 import numpy as np
-from script import make_page
+from script import Table, make_page, pooled, timed
 
 import sim
 from factors import Cauchy, Robust, sonar_factors
@@ -61,15 +59,12 @@ class Trial:
     seconds: float
 
 
-def trial(case: tuple[str, str, int]) -> Trial:
+def trial(scene: str, spoiled: str, seed: int) -> Trial:
     """Associate the contacts of one mission, solve, and compare."""
-    scene, spoiled, seed = case
     mission = SCENES[scene](np.random.default_rng(seed), **SPOILED[spoiled])
     clean = SCENES[scene](np.random.default_rng(seed))
-    others = FactorGraph(mission.graph.factors[:4])
-    began = process_time()
-    associated = associate(others, Values.of([mission.start.stack("x")]), mission.contacts, mission.sonar.aperture)
-    seconds = process_time() - began
+    others, poses = FactorGraph(mission.graph.factors[:4]), Values.of([mission.start.stack("x")])
+    associated, seconds = timed(associate, others, poses, mission.contacts, mission.sonar.aperture)
     contacts = associated.sightings
     pose, target = contacts.keys[:2]
     robust = Robust(contacts.noise, Cauchy(2.0))
@@ -92,25 +87,21 @@ def trial(case: tuple[str, str, int]) -> Trial:
 
 def rows(trials: list[Trial]) -> list[str]:
     """A row a scene and a way to spoil it."""
-    lines = [
-        "| scene | contacts | seeds | precision | recall | explained | ATE reckoned, m | named, m | without names, m "
-        "| over named, mean (largest) | above reckoned | settled | s |",
-        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+    titles = ["scene", "contacts", "seeds", "precision", "recall", "explained", "ATE reckoned, m", "named, m"]
+    titles += ["without names, m", "over named, mean (largest)", "above reckoned", "settled", "s"]
+    table = Table(titles, names=2)
     for scene, spoiled in product(SCENES, SPOILED):
         of = [t for t in trials if (t.scene, t.spoiled) == (scene, spoiled)]
         if not of:
             continue
         names = ("ate", "named", "reckoned", "precision", "recall")
         ate, named, reckoned, precision, recall = (np.array([getattr(t, name) for t in of]) for name in names)
-        lines.append(
-            f"| {scene} | {spoiled} | {len(of)} | {precision.mean():.3f} | {recall.mean():.3f} "
-            f"| {100 * np.mean([t.share for t in of]):.1f} % | {reckoned.mean():.3f} | {named.mean():.4f} "
-            f"| {ate.mean():.4f} | {ate.mean() / named.mean():.2f} ({(ate / named).max():.2f}) "
-            f"| {int((ate > reckoned).sum())} of {len(of)} | {sum(t.settled for t in of)} of {len(of)} "
-            f"| {np.mean([t.seconds for t in of]):.0f} |"
-        )
-    return lines
+        cells = [scene, spoiled, len(of), f"{precision.mean():.3f}", f"{recall.mean():.3f}"]
+        cells += [f"{100 * np.mean([t.share for t in of]):.1f} %", f"{reckoned.mean():.3f}", f"{named.mean():.4f}"]
+        cells += [f"{ate.mean():.4f}", f"{ate.mean() / named.mean():.2f} ({(ate / named).max():.2f})"]
+        cells += [f"{count} of {len(of)}" for count in ((ate > reckoned).sum(), sum(t.settled for t in of))]
+        table.add(*cells, f"{np.mean([t.seconds for t in of]):.0f}")
+    return table
 
 
 def draw(trials: list[Trial], path: Path) -> None:
@@ -152,16 +143,13 @@ def page(seeds: int, processes: int, out: Path) -> list[str]:
         for seed in range(max(1, seeds // 5) if spoiled in SWEEP else seeds)
     ]
     trials = []
-    with ProcessPoolExecutor(processes) as pool:
-        for done in pool.map(trial, cases):
-            trials.append(done)
-            print(done, file=sys.stderr, flush=True)
+    for done in pooled(processes, trial, *zip(*cases, strict=True)):
+        trials.append(done)
+        print(done, file=sys.stderr, flush=True)
     draw(trials, out / "unnamed_contacts.png")
     return [
         *rows(trials),
-        "",
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
-        "",
         "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which "
         "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
         "means of the seeds. s: processor time of the association.",
@@ -170,4 +158,4 @@ def page(seeds: int, processes: int, out: Path) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"seeds": (20, "of every row"), "processes": (1, "at once")}
-    make_page(__doc__, "unnamed_contacts.md", "Contacts without names", page, **counts)
+    make_page("Contacts without names", page, **counts)

@@ -8,14 +8,12 @@ wrong landmark; these are taken out at the end, all at once.
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from time import process_time
 
 import numpy as np
-import numpy.typing as npt
-from script import make_page, markdown
+from script import make_page, markdown, pooled
 
 import nls
 from factors import BearingRange, Between, Diagonal, Factor, Isotropic, Prior
@@ -23,7 +21,6 @@ from models import SE2, R
 from models.algebra import wrap
 from nls import FactorGraph, Values
 
-Array = npt.NDArray[np.float64]
 x, l = nls.kinds("x", "l")
 POSES, LANDMARKS, REACH, SHARE, TOL = 80, 15, 6.0, 0.05, 1e-4
 ODOMETRY, SIGHTING = (0.05, 0.05, 0.01), (0.02, 0.1)
@@ -135,29 +132,25 @@ def chi2_of(graph: FactorGraph, start: Values) -> float:
 
 def summed(name: str, trials: list[Trial]) -> list[object]:
     """A row of the table."""
-    return [
-        name,
-        len(trials),
-        *(sum(getattr(trial, name) for trial in trials) for name in ("updates", "wrong")),
-        *(sum(len(trial.failed[right]) for trial in trials) for right in (True, False)),
-        *(sum(getattr(trial, name) for trial in trials) for name in ("batches", "above")),
-        sum(bool(trial.removal) for trial in trials),
-        sum(trial.equal for trial in trials),
-        f"{max(trial.off for trial in trials):.1e}",
-        f"{np.median([1e3 * trial.seconds / trial.updates for trial in trials]):.1f}",
-    ]
+    updates, wrong, batches, above, equal = (
+        sum(getattr(trial, attribute) for trial in trials)
+        for attribute in ("updates", "wrong", "batches", "above", "equal")
+    )
+    failed = (sum(len(trial.failed[right]) for trial in trials) for right in (True, False))
+    cells = [name, len(trials), updates, wrong, *failed, batches, above]
+    cells += [sum(bool(trial.removal) for trial in trials), equal, f"{max(trial.off for trial in trials):.1e}"]
+    return [*cells, f"{np.median([1e3 * trial.seconds / trial.updates for trial in trials]):.1f}"]
 
 
 def page(clean: int, wrong: int, processes: int) -> list[str]:
     """The page without its head."""
     rows = []
-    with ProcessPoolExecutor(processes) as pool:
-        for name, share, count in (("right names", 0.0, clean), ("5 % wrong names", SHARE, wrong)):
-            trials = list(pool.map(partial(tried, share), range(count)))
-            for trial in trials:
-                if not trial.equal or any(trial.failed.values()):
-                    print(name, trial, flush=True)
-            rows.append(summed(name, trials))
+    for name, share, count in (("right names", 0.0, clean), ("5 % wrong names", SHARE, wrong)):
+        trials = list(pooled(processes, partial(tried, share), range(count)))
+        for trial in trials:
+            if not trial.equal or any(trial.failed.values()):
+                print(name, trial, flush=True)
+        rows.append(summed(name, trials))
     heads = ("worlds", "how many", "updates", "wrong ones", "right ones that failed", "wrong ones that failed")
     more = ("by a batch solution", "gap above tol", "removals that failed", "ends at the batch", "farthest off", "ms")
     return [
@@ -165,11 +158,10 @@ def page(clean: int, wrong: int, processes: int) -> list[str]:
         "- *ends at the batch*: chi2 is within tol of the lowest batch solution of the right measurements, started at "
         "the smoother's end and at the truth; wrong ones are removed before",
         "- *farthest off*: the same difference, the largest, as a part of chi2; *ms*: an update, the median",
-        "",
         *markdown((*heads, *more), rows),
     ]
 
 
 if __name__ == "__main__":
     counts = {"clean": (200, "worlds without wrong names"), "wrong": (50, "worlds with wrong names")}
-    make_page(__doc__, "updates.md", "Updates, one by one", page, **counts, processes=(2, "at once"))
+    make_page("Updates, one by one", page, **counts, processes=(2, "at once"))

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from factors import BearingRange, Between, Covariance, Diagonal, Prior
 from models import SE2, R
-from models.algebra import Index
+from models.algebra import Array, Index, Mask
 from models.dead_reckoning import integrate_plane
 from models.sensors import point_from_direction_range
 from models.vehicles import ackermann
@@ -25,7 +25,6 @@ from nls.metrics import TrajectoryError, ate
 from nls.starts import locate_points
 from sim.landmark_world import KNOWN_START
 
-Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
 # of speed and steering, m/s and rad, and of slip ahead, across and in yaw, m/s and rad/s, all per sqrt(Hz): over 1.1 s
 # scans and odometry differ by 0.04 m ahead, 0.07 m across and 0.005 rad
@@ -116,7 +115,7 @@ def victoria_park(log: VictoriaPark, seconds: float = np.inf) -> Park:
     return Park(log, t, graph, start, len(inside), int(seen.sum()))
 
 
-def confirmed(scan: Index, P: Array) -> npt.NDArray[np.bool_]:
+def confirmed(scan: Index, P: Array) -> Mask:
     """Which sightings (n,) at P (n, 2) were also made near there in `OFTEN` of the `AROUND` scans before and after."""
     apart = 1e4 * scan[:, None]  # m, between one scan and the next: one search tree holds them all
     tree = cKDTree(np.hstack([P, apart]))

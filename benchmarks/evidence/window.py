@@ -9,8 +9,6 @@ worlds whose factors its wheel has.
 
 from __future__ import annotations
 
-import os
-import subprocess
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -18,19 +16,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from script import ONE_THREAD, make_page, markdown
+from script import GTSAM, Table, fresh, make_page, over
 
 import nls
 import sim
 from factors import BearingRange, Between, Diagonal, Factor, Position, Prior
 from models import SE2, Manifold, R, wrap
+from models.algebra import Array
 from nls import FactorGraph, Incremental, Marginals, Values, kinds
 from nls.filters.consistency import nees_bounds
 from nls.incremental.steps import steps
-from sim.monte_carlo import runs
 
-Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
 LAGS = (5, 10, 20)
 FIRST, STEP, SEEN = np.array([0.01, 0.01, 0.1]), np.array([0.05, 0.05, 0.01]), np.array([0.01, 0.1])
@@ -155,9 +151,7 @@ def peer(gtsam: str, world: Callable[[int], World], seeds: int, lag: int) -> Arr
         file, out = Path(folder) / "worlds.npz", Path(folder) / "out.npz"
         arrays: dict[str, Any] = {f"{k}/{name}": a for k, w in enumerate(made) for name, a in w.numbers.items()}
         np.savez(file, count=seeds, **arrays)
-        script = Path(__file__).parents[1] / "peers" / "fixed_lag.py"
-        command = [gtsam, "-P", str(script), str(file), str(out), str(lag)]
-        subprocess.run(command, check=True, env=os.environ | ONE_THREAD)
+        fresh(gtsam, "-P", Path(__file__).parents[1] / "peers" / "fixed_lag.py", file, out, lag).check_returncode()
         with np.load(out) as found:
             X, P = found["X"], found["P"]
     rows = []
@@ -168,19 +162,17 @@ def peer(gtsam: str, world: Callable[[int], World], seeds: int, lag: int) -> Arr
     return np.array(rows)
 
 
-def headings(seeds: int, gtsam: str | None) -> list[list[str]]:
+def headings(seeds: int, gtsam: str | None) -> list[str]:
     """A row for every world and lag: yaw off the batch, and its sigma."""
-    rows = []
+    titles = ["world", "lag", "sigma, batch", "off, window", "sigma, window", "off, GTSAM", "sigma, GTSAM"]
+    table = Table(titles)
     for name, world in WORLDS.items():
-        found = runs(partial(estimates, world=world, lags=LAGS), range(seeds), progress=True)
-        batch = np.array([record["batch"] for record in found])[:, 2]
+        found = over(partial(estimates, world=world, lags=LAGS), seeds)
         for lag in LAGS:
-            cells = [name, str(lag), span(batch)]
-            for each in (np.array([record[str(lag)] for record in found]), gtsam and peer(gtsam, world, seeds, lag)):
-                cells += ["", ""] if each is None or isinstance(each, str) else off(each)
-            rows.append(cells)
-            print(*cells, sep=" | ", flush=True)
-    return rows
+            theirs = peer(gtsam, world, seeds, lag) if gtsam else None
+            cells = [name, lag, span(found["batch"][:, 2]), *off(found[str(lag)])]
+            table.add(*cells, *(["", ""] if theirs is None else off(theirs)))
+    return table
 
 
 def off(each: Array) -> list[str]:
@@ -193,38 +185,29 @@ def span(numbers: Array) -> str:
     return f"{numbers.min():.4f}-{numbers.max():.4f}"
 
 
-def consistency(count: int, gtsam: str | None) -> list[list[str]]:
+def consistency(count: int, gtsam: str | None) -> list[str]:
     """A row for every world and lag: the mean NEES of the last pose."""
-    rows = []
+    table = Table(["world", "lag", "bounds", "batch", "window", "GTSAM"])
     for name, (world, lags) in CONSISTENT.items():
-        found = runs(partial(estimates, world=world, lags=lags), range(count), progress=True)
+        found = over(partial(estimates, world=world, lags=lags), count)
         low, high = nees_bounds(last_of(world(0))[1].dim, count)
         for lag in lags:
             theirs = peer(gtsam, world, count, lag) if gtsam else None
-            means = [np.mean([record[key][0] for record in found]) for key in ("batch", str(lag))]
-            cells = [f"{mean:.2f}" for mean in means] + ["" if theirs is None else f"{theirs[:, 0].mean():.2f}"]
-            rows.append([name, str(lag), f"{low:.2f}-{high:.2f}", *cells])
-            print(*rows[-1], sep=" | ", flush=True)
-    return rows
+            means = ("" if e is None else f"{e[:, 0].mean():.2f}" for e in (found["batch"], found[str(lag)], theirs))
+            table.add(name, lag, f"{low:.2f}-{high:.2f}", *means)
+    return table
 
 
 def page(seeds: int, runs: int, gtsam: str | None) -> list[str]:
     """The page without its head."""
-    titles = ["world", "lag", "sigma, batch", "off, window", "sigma, window", "off, GTSAM", "sigma, GTSAM"]
     return [
         f"## Heading, seeds 0 to {seeds - 1}",
-        "",
         "Only the prior of the first pose tells the heading: 0.1 rad. Yaw of the last of "
         f"{POSES + 1} poses, rad: the largest difference from the batch, and the smallest and largest sigma.",
-        "",
-        *markdown(titles, headings(seeds, gtsam)),
-        "",
+        *headings(seeds, gtsam),
         f"## Consistency, seeds 0 to {runs - 1}",
-        "",
         "Mean NEES of the last pose. That of a consistent estimator is within the bounds in 95 % of all cases.",
-        "",
-        *markdown(["world", "lag", "bounds", "batch", "window", "GTSAM"], consistency(runs, gtsam)),
-        "",
+        *consistency(runs, gtsam),
         "- GTSAM: `IncrementalFixedLagSmoother`, relinearized from 0.001 on, three updates a step. Variables of its "
         "prior keep their linearization point.",
         "- Its wheel has neither sonar contacts nor depth with tilt.",
@@ -232,6 +215,5 @@ def page(seeds: int, runs: int, gtsam: str | None) -> list[str]:
 
 
 if __name__ == "__main__":
-    wheel = {"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"}
     counts = {"seeds": (20, "of the headings"), "runs": (100, "of the NEES")}
-    make_page(__doc__, "window.md", "A window of poses", page, **counts, gtsam=wheel)
+    make_page("A window of poses", page, **counts, gtsam=GTSAM)

@@ -7,18 +7,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 import nls
 from factors import Between
 from factors.keys import Keys
 from models import LieGroup
-from models.algebra import Index
+from models.algebra import Index, Mask
 from nls import FactorGraph, Values
 from nls.metrics import ate
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 SETS = {
     "CSAIL": "pose-graphs-2d/CSAIL.g2o",
     "FR079": "pose-graphs-2d/FR079_P_toro.graph",
@@ -90,7 +87,7 @@ def solved(path: Path) -> Solved:
 
 
 def few(right: Solved, count: int, rng: np.random.Generator, spread: bool | None = None) -> Solved:
-    """The same graph with so many of its closures, drawn at random, or in two runs, and its own optimum.
+    """The graph with so many of its closures, drawn at random, or in two runs, and its own optimum.
 
     Spread ones hold all of the map, two runs two places of it. The generator decides where it is not said.
     """

@@ -12,13 +12,11 @@ tries several starts and goes on to the optimum.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from time import process_time
 
 import numpy as np
-from script import make_page
+from script import Table, make_page, pooled, spread, timed
 
 import nls
 import sim
@@ -72,50 +70,38 @@ def run(scene: str, seed: int) -> list[Run]:
 
 def solved(mission: sim.Mission) -> Run:
     """The default solution."""
-    began = process_time()
-    plain = mission.graph.optimize(mission.start, nls.LevenbergMarquardt(nls.Stop(max_iterations=STEPS)))
-    judged = process_time()
+    few = nls.LevenbergMarquardt(nls.Stop(max_iterations=STEPS))
+    plain, first = timed(mission.graph.optimize, mission.start, few)
     values, left = plain.values, 0
     out = [np.zeros(len(factor), dtype=bool) for factor in mission.graph.factors]
     report = LoadReport("", "mission", "3-D", "log")
-    if (choice := choice_of(mission.graph, mission.start, plain, report)) is not None:
+    choice, second = timed(choice_of, mission.graph, mission.start, plain, report)
+    if choice is not None:
         values, out, left = choice.result.values, [w == 0 for w in choice.weights], len(choice.left)
-    seconds = judged - began, process_time() - judged
     wrong, rejected = mission.wrong, out[4]
     named = [i for pair in exchanged_contacts(mission.graph, values, out) for _, i in pair.places]
     counts = int(rejected.sum()), int((rejected & wrong).sum()), int(wrong.sum()), left, len(named)
     rightly, judged_wrong = int(wrong[named].sum()), bool(rejected.any())
-    return Run(mission.ate(mission.start), mission.ate(values), judged_wrong, *counts, rightly, seconds)
+    return Run(mission.ate(mission.start), mission.ate(values), judged_wrong, *counts, rightly, (first, second))
 
 
 def table(scene: str, found: list[list[Run]]) -> list[str]:
     """A row for every way a mission is spoiled."""
-    lines = [
-        f"## {scene.capitalize()}",
-        "",
-        "| wrong contacts | dead reckoning, m | solved, m | times the clean run | worse than dead reckoning | judged "
-        "| left out | landmarks that left | precision | recall | named as exchanged (right) | plain, s | choice, s |",
-        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+    titles = ["wrong contacts", "dead reckoning, m", "solved, m", "times the clean run", "worse than dead reckoning"]
+    titles += ["judged", "left out", "landmarks that left", "precision", "recall", "named as exchanged (right)"]
+    rows = Table([*titles, "plain, s", "choice, s"])
     clean = np.array([runs[0].ate for runs in found])
     for way, runs in zip(SPOILED, zip(*found, strict=True), strict=True):
         ate, dead = np.array([r.ate for r in runs]), np.array([r.dead for r in runs])
         rejected, right, wrong = (sum(getattr(r, name) for r in runs) for name in ("rejected", "right", "wrong"))
-        plain, choice = np.mean([r.seconds for r in runs], axis=0)
-        lines.append(
-            f"| {way} | {spread(dead)} | {spread(ate)} | {ate.mean() / clean.mean():.2f} ({(ate / clean).min():.2f}-"
-            f"{(ate / clean).max():.2f}) | {int((ate > dead).sum())}/{len(runs)} | {sum(r.judged for r in runs)}/"
-            f"{len(runs)} | {rejected / len(runs):.0f} of {wrong / len(runs):.0f} | "
-            f"{np.mean([r.left for r in runs]):.1f} | {share(right, rejected)} | {share(right, wrong)} | "
-            f"{np.mean([r.named for r in runs]):.0f} ({np.mean([r.rightly for r in runs]):.0f}) | {plain:.1f} | "
-            f"{choice:.1f} |"
-        )
-    return [*lines, ""]
-
-
-def spread(numbers: np.ndarray) -> str:
-    """Mean, and smallest and largest."""
-    return f"{numbers.mean():.3f} ({numbers.min():.3f}-{numbers.max():.3f})"
+        times = f"{ate.mean() / clean.mean():.2f} ({(ate / clean).min():.2f}-{(ate / clean).max():.2f})"
+        cells = [way, spread(dead), spread(ate), times, f"{(ate > dead).sum()}/{len(runs)}"]
+        cells += [f"{sum(r.judged for r in runs)}/{len(runs)}"]
+        cells += [f"{rejected / len(runs):.0f} of {wrong / len(runs):.0f}", f"{np.mean([r.left for r in runs]):.1f}"]
+        cells += [share(right, rejected), share(right, wrong)]
+        cells += [f"{np.mean([r.named for r in runs]):.0f} ({np.mean([r.rightly for r in runs]):.0f})"]
+        rows.add(*cells, *(f"{seconds:.1f}" for seconds in np.mean([r.seconds for r in runs], axis=0)))
+    return [f"## {scene.capitalize()}", *rows]
 
 
 def share(part: int, whole: int) -> str:
@@ -125,13 +111,8 @@ def share(part: int, whole: int) -> str:
 
 def page(seeds: int, jobs: int) -> list[str]:
     """The tables of both scenes."""
-    lines = []
-    with ProcessPoolExecutor(jobs) as pool:
-        for scene in SCENES:
-            lines += table(scene, list(pool.map(partial(run, scene), range(seeds))))
-            print("\n".join(lines), flush=True)
     return [
-        *lines,
+        *(line for scene in SCENES for line in table(scene, list(pooled(jobs, partial(run, scene), range(seeds))))),
         f"- Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned.",
         "- Times the clean run: mean ATE over that of the same missions without wrong contacts. Brackets: the "
         "least and most of a seed.",
@@ -146,4 +127,4 @@ def page(seeds: int, jobs: int) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"seeds": (20, "missions of every row"), "jobs": (2, "processes")}
-    make_page(__doc__, "wrong_contacts.md", "Wrong contacts of a sonar", page, **counts)
+    make_page("Wrong contacts of a sonar", page, **counts)

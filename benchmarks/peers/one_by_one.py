@@ -5,6 +5,7 @@ python benchmarks/peers/one_by_one.py CITY.npz
 
 from __future__ import annotations
 
+import json
 import sys
 from time import process_time
 
@@ -26,7 +27,7 @@ def main(path: str) -> None:
     for k, pose in enumerate(X.tolist()):
         values.insert(k, gtsam.Pose2(*pose))
     result = gtsam.GaussNewtonOptimizer(graph, values, gtsam.GaussNewtonParams()).optimize()
-    print(added - began, process_time() - added, 2 * graph.error(result))
+    print(json.dumps([added - began, process_time() - added, 2 * graph.error(result)]))
 
 
 if __name__ == "__main__":

@@ -31,13 +31,13 @@ def test_a_page(part: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.
 
     def made(*words: object) -> None:
         monkeypatch.setattr("sys.argv", ["page.py", *map(str, words)])
-        quick = {"action": "store_true", "help": "less"}
-        harness.make_page("Doc.", "page.md", "To {last}", page, str.upper, seeds=(3, "seeds"), quick=quick)
+        harness.make_page("To {last}", page, str.upper, seeds=(3, "seeds"), quick="less")
 
     monkeypatch.setenv("LEADLINE_DATA", str(tmp_path / "public"))
     made("--quick", "--out", tmp_path / "new")
-    title, *_, head, rule, row = (tmp_path / "new" / "page.md").read_text().splitlines()
-    assert (title, head, rule, row) == ("# To 2", "| folder | seeds |", "|:--|--:|", "| public | 1.0 (0.0-2.0) |")
+    title, *_, blank, head, rule, row = (tmp_path / "new" / "test_scripts.md").read_text().splitlines()
+    assert (title, blank) == ("# To 2", "")
+    assert (head, rule, row) == ("| folder | seeds |", "|:--|--:|", "| public | 1.0 (0.0-2.0) |")
     for words in (["--seeds", "0"], ["--out", Path(__file__) / "below"]):
         with pytest.raises(SystemExit):
             made(*words)
@@ -49,6 +49,14 @@ def test_a_page(part: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.
 def test_a_child(
     part: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["page.py", "--child", "a"])
-    part("harness").make_page("Doc.", "page.md", "Title", lambda: [], str.upper)
-    assert json.loads(capsys.readouterr().out) == "A"
+    for words, measure in (["a"], str.upper), (["up", "a"], {"up": str.upper}):
+        monkeypatch.setattr("sys.argv", ["page.py", "--child", *words])
+        part("harness").make_page("Title", lambda: [], measure)
+        assert json.loads(capsys.readouterr().out) == "A"
+
+
+def test_blank_lines(part: Callable[[str], Any]) -> None:
+    lines = ["# title", "- a", "- b\n  of b", "| t |", "|--:|", "", "| u |", "text\nof two lines", "text"]
+    assert list(part("harness").spaced(lines)) == [
+        *("# title", "", "- a", "- b\n  of b", "", "| t |", "|--:|", "", "| u |", "", "text\nof two lines", "", "text")
+    ]
