@@ -80,7 +80,7 @@ class Stop:
 
     @property
     def patient(self) -> Stop:
-        """As it is; with the limit of all steps of the default where none is given."""
+        """Thresholds as they are; with the limit of all steps of the default where none is given."""
         return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
 
     @property
@@ -246,7 +246,7 @@ class Step:
 
     @cached_property
     def ending(self) -> bool:
-        """Whether this fall, and all that follow it as a geometric series, are no more than little."""
+        """Whether the fall, and all that follow it as a geometric series, are no more than little."""
         level = 0 <= self.fall <= self.little and not self.missed
         return level and (
             self.fall <= ROUNDING * self.chi2 or self.fall <= self.little * ((self.old_fall - self.fall) / self.fall)

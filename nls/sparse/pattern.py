@@ -104,7 +104,7 @@ class Pattern:
         return self._latest
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
-        """Whether this is the numbering of some factors over some variables, wherever these are."""
+        """Whether the pattern is the numbering of some factors over some variables, wherever these are."""
         return (
             len(self.batches) == len(factors)
             and all(batch.model.factor is factor for batch, factor in zip(self.batches, factors, strict=True))

@@ -286,7 +286,7 @@ def test_an_odometer_that_says_its_poses_is_one_of_ours(kind: str) -> None:
 
 
 def test_sequential_matches_are_neither_odometry_nor_closures() -> None:
-    """They are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
+    """Matches are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
     i, j, z = square(RNG(6))
     k = np.arange(0, 117, 2)
     near = SE2.compose(SE2.compose(z[k], z[k + 1]), z[k + 2])

@@ -251,7 +251,7 @@ def sparsity(data: ReportData) -> Html:
 
 
 def provenance(data: ReportData) -> Html | None:
-    """Where it comes from."""
+    """Where the solution comes from."""
     facts = listed(data.facts.items(), class_="facts")
     return section("provenance", "Where does it come from?", facts) if data.facts else None
 

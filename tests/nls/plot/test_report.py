@@ -34,7 +34,7 @@ def solved(group: LieGroup = SE2, **options: Any) -> tuple[nls.FactorGraph, nls.
 
 
 def test_the_page_says_what_the_result_says() -> None:
-    """The same bytes every time; only the time differs."""
+    """Every time with the same bytes; only the time differs."""
     graph, start, result = solved()
     options: dict[str, Any] = {"title": "a survey", "init": "chordal", "facts": {"convention": "log"}}
     text, again = (report(graph, start, result, **options, seconds={"solve": s, "read": 1.0}) for s in (0.5, 0.25))
@@ -185,7 +185,7 @@ def test_bars_are_drawn_to_scale() -> None:
 
 
 def test_a_matrix_of_many_numbers_is_not_even_drawn_as_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its dots count, not the variables of the graph: the drawing of 11 edges of space has 280 kB, the image 80."""
+    """Dots count, not the variables of the graph: the drawing of 11 edges of space has 280 kB, the image 80."""
     drawn: list[tuple[int, str]] = []
 
     def counted(figure: Figure, kind: str) -> bytes:

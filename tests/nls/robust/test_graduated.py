@@ -52,7 +52,7 @@ def wrong_closures(world: sim.World, count: int, rng: np.random.Generator, group
 
 
 def loose(factor: Factor, times: float) -> Between:
-    """The same measurements with sigmas so many times larger."""
+    """Measurements with sigmas so many times larger."""
     W = factor.bind(SE2, SE2).W / times
     W = W if W.ndim == 3 else W[:, :, None] * np.eye(3)
     information = np.broadcast_to(W.mT @ W, (len(factor), 3, 3))

@@ -89,7 +89,7 @@ def forgotten(values: Values, *kept: int) -> Values:
 
 
 def held(*factors: Factor) -> FactorGraph:
-    """Their graph, the first pose fixed."""
+    """A graph with the first pose fixed."""
     return FactorGraph(factors, [x[40]])
 
 
