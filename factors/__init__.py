@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from factors.xyh import XYH as XYH
     from factors.zpr import ZPR as ZPR
 
+    __all__: list[str]
+
 _WHERE = {
     "factors.base": "Factor",
     "factors.bearing": "Bearing",
@@ -82,12 +84,9 @@ _WHERE = {
     "factors.xyh": "XYH",
     "factors.zpr": "ZPR",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-
-__all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:  # mypy would take it for a circle
     import nls.lazy  # refuses packages of other programs that shadow `models`, too
 
-    __getattr__, __dir__ = nls.lazy.importer("factors", _MODULE)
+    __getattr__, __dir__, __all__ = nls.lazy.importer("factors", _WHERE)
     del TYPE_CHECKING

@@ -91,10 +91,7 @@ _WHERE = {
     "nls.system": "LinearSystem",
     "nls.values": "Values",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-
-__all__ = sorted([*_MODULE, "plot"])  # to a type checker: all that is imported under its own name
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = importer("nls", _MODULE)
+    __getattr__, __dir__, __all__ = importer("nls", _WHERE, "plot")
     del importer, TYPE_CHECKING  # no names for users

@@ -118,9 +118,7 @@ class FactorGraph:
         """Undo `fix` for these variables."""
         if not isinstance(keys, Keys):
             raise GraphError(f"FactorGraph.release: expected variables such as x[0], got {keys!r:.80}")
-        self.fixed = [
-            Keys(k.kind, k.numbers[~np.isin(k.numbers, keys.numbers)]) if k.kind == keys.kind else k for k in self.fixed
-        ]
+        self.fixed = [k[~np.isin(k.numbers, keys.numbers)] if k.kind == keys.kind else k for k in self.fixed]
 
     def robust(self, kernel: Kernel) -> FactorGraph:
         """A graph of the same measurements, each under a robust kernel; this one stays as it is."""

@@ -20,20 +20,25 @@ __all__ = ["importer", "postpone", "refuse_shadows"]
 SIBLINGS = ("models", "factors", "sim")  # installed beside `nls`
 
 
-def importer(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The ``__getattr__`` and the ``__dir__`` of a package.
+def importer(
+    package: str, where: Mapping[str, str], *more: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """The ``__getattr__``, the ``__dir__`` and the ``__all__`` of a package.
 
     Parameters
     ----------
     package : its name.
-    modules : the module of every name that is imported when it is first used.
+    where : by module the names that are imported when they are first used, with spaces between them.
+    more : modules of the package that are public names of it.
 
     Returns
     -------
     get : of a name: a public object or a module of the package, imported now and kept. Raises AttributeError for
         others.
     names : what ``dir`` shows: ``__all__`` and what Python knows of every module.
+    public : the names.
     """
+    modules = {name: module for module, names in where.items() for name in names.split()}
 
     def get(name: str) -> Any:
         if name in modules:
@@ -55,11 +60,11 @@ def importer(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], 
         setattr(sys.modules[package], name, value)
         return value
 
-    def names() -> list[str]:
+    def shown() -> list[str]:
         module = vars(sys.modules[package])
         return sorted({*module["__all__"], *(name for name in module if name.startswith("__"))})
 
-    return get, names
+    return get, shown, sorted([*modules, *more])
 
 
 def postpone(package: str, names: Sequence[str]) -> None:

@@ -113,9 +113,7 @@ class LinearSystem:
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
         b = (self.b[batch.rows].reshape(len(batch), batch.model.dim) for batch in self.pattern.batches)
-        return self.pattern.by_column(
-            [apply(A_k.mT, b_batch) for A_k in A] for A, b_batch in zip(self.blocks, b, strict=True)
-        )
+        return self.pattern.by_column([apply(A_k.mT, b_k) for A_k in A] for A, b_k in zip(self.blocks, b, strict=True))
 
     @cached_property
     def H_blocks(self) -> Array:

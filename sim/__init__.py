@@ -56,10 +56,7 @@ _WHERE = {
     "sim.worlds.survey": "survey",
     "sim.worlds.torus": "torus",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-
-__all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = importer("sim", _MODULE)
+    __getattr__, __dir__, __all__ = importer("sim", _WHERE)
     del importer, TYPE_CHECKING  # no names for users

@@ -123,10 +123,8 @@ def certifiable(graph: FactorGraph, values: Values) -> Problem:
     poses, first = graphs[0], int(graphs[0].order[0])
     if (apart := poses.component != poses.component[first]).any():
         name, of = (repr(poses.pattern.key(int(poses.variables[node]))) for node in (np.argmax(apart), first))
-        raise GraphError(
-            f"certify: {name} and {of} are not connected; expected one connected pose graph: certify its parts one by "
-            "one"
-        )
+        expected = "expected one connected pose graph: certify its parts one by one"
+        raise GraphError(f"certify: {name} and {of} are not connected; {expected}")
     anchors = [batch.variables[0] for batch in poses.pattern.batches if isinstance(batch.model.factor, Prior)]
     held = np.unique(np.concatenate([poses.variables[poses.fixed], *anchors]))
     if len(held) > 1:

@@ -53,11 +53,8 @@ def axes(
             raise OptionError("view", view, f"none: kind {keys.kind!r}, in {manifold}, has no position")
         return manifold.world_axes(X)[:, :k], manifold.components[:k]
     if frame is None and manifold.body_axes:
-        raise OptionError(
-            "frame",
-            None,
-            f'frame="body" or frame="world": say along which axes the covariance of {keys.kind} in {manifold} is',
-        )
+        which = f"say along which axes the covariance of {keys.kind} in {manifold} is"
+        raise OptionError("frame", None, f'frame="body" or frame="world": {which}')
     J = manifold.world_axes(X) if frame == "world" and manifold.body_axes else None
     return J, manifold.components
 

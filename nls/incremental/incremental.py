@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -154,16 +154,14 @@ class Incremental:
 
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:
-        """All is as before where something fails."""
-        kept: list[Any] = [self._system, self._arrivals, self._window, self._decision]
-        marks, numbers = [part.mark() for part in kept], (self.gap, self._undecided)
-        try:
+        """All is as before where something fails, also where the user interrupts."""
+        parts: tuple[Any, ...] = (self._decision, self._window, self._arrivals, self._system)
+        with ExitStack() as undo:
+            undo.callback(vars(self).update, gap=self.gap, _undecided=self._undecided)
+            for part in parts:
+                undo.callback(part.back_to, part.mark())
             yield
-        except BaseException:  # also where the user interrupts; it is raised again
-            for part, mark in zip(kept, marks, strict=True):
-                part.back_to(mark)
-            self.gap, self._undecided = numbers
-            raise
+            undo.pop_all()
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.

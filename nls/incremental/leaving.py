@@ -38,9 +38,8 @@ class Decision:
         if every is not None:
             check_whole("Incremental: decide_every", every, 1, "a whole number of closures of at least 1, or None")
             if lag is not None:
-                raise OptionError(
-                    "Incremental: decide_every", every, "None with a lag: closures are judged along the whole path"
-                )
+                expected = "None with a lag: closures are judged along the whole path"
+                raise OptionError("Incremental: decide_every", every, expected)
         self.every = every
         self.rejected: list[tuple[Factor, Factor]] = []
         self._new = 0

@@ -153,10 +153,8 @@ def points(known: Known, kind: str, space: Manifold, measurements: dict[int, lis
         H, d = sp.csr_array(graph.linearize(values).H), space.dim
     except (EvaluationError, SingularGeometryError):
         return []
-    blocks = (H[d * k : d * (k + 1), d * k : d * (k + 1)] for k in range(len(starts)))
-    return [
-        New(Keys(kind, n), space, X) for (n, X), block in zip(starts.items(), blocks, strict=True) if _full_rank(block)
-    ]
+    known_well = [_full_rank(H[d * k : d * (k + 1), d * k : d * (k + 1)]) for k in range(len(starts))]
+    return [New(Keys(kind, n), space, X) for (n, X), good in zip(starts.items(), known_well, strict=True) if good]
 
 
 def _joined(known: Known, space: Manifold, factors: list[Factor]) -> FactorGraph:

@@ -57,10 +57,9 @@ class Arrivals:
             space = self._known.space(kind) or stack.manifold
             if space is not stack.manifold:
                 raise GraphError(f"{kind} is in {space}, its start values are in {stack.manifold}")
-            starts = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
-            self._known = replace(
-                self._known, spaces=self._known.spaces | {kind: space}, starts=self._known.starts | starts
-            )
+            new = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
+            spaces, starts = self._known.spaces | {kind: space}, self._known.starts | new
+            self._known = replace(self._known, spaces=spaces, starts=starts)
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | Ready]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""

@@ -22,10 +22,7 @@ _WHERE = {
     "nls.io.report": "LoadReport Source",
     "nls.io.trajectory": "read_kitti read_tum write_kitti write_tum",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-
-__all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = importer("nls.io", _MODULE)
+    __getattr__, __dir__, __all__ = importer("nls.io", _WHERE)
     del importer, TYPE_CHECKING

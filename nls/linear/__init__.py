@@ -33,9 +33,8 @@ __all__ = [
     "truncated_inverse",
 ]
 
-SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Cholesky, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
-}
+_ALL = (Cholesky, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
+SOLVERS: dict[str, type[LinearSolver]] = {solver.name: solver for solver in _ALL}
 
 
 def backends() -> dict[str, str]:

@@ -103,9 +103,8 @@ class Factorization:
         diagonal = self.hessian.diagonal(S)
         if not np.isfinite(diagonal).all():
             if np.isinf(diagonal).any():
-                raise EvaluationError(
-                    "the squares of weights or Jacobians overflow in A'A; check sigmas and units", where="A'A"
-                )
+                why = "the squares of weights or Jacobians overflow in A'A; check sigmas and units"
+                raise EvaluationError(why, where="A'A")
             raise SingularSystemError("A'A is not finite")
         pivots = self.decomposition.factorize(S)
         refuse_vanishing(pivots, diagonal)

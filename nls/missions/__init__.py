@@ -21,10 +21,7 @@ _WHERE = {
     "nls.missions.landmarks": "Elevations elevations",
     "nls.missions.solution": "Track track_of",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-
-__all__ = sorted(_MODULE)
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = importer("nls.missions", _MODULE)
+    __getattr__, __dir__, __all__ = importer("nls.missions", _WHERE)
     del importer, TYPE_CHECKING

@@ -46,6 +46,4 @@ def default_optimizer(
     return Automatic(stop, callback)
 
 
-OPTIMIZERS: dict[str, type[Optimizer]] = {
-    optimizer.name: optimizer for optimizer in (GaussNewton, LevenbergMarquardt, Dogleg)
-}
+OPTIMIZERS: dict[str, type[Optimizer]] = {kind.name: kind for kind in (GaussNewton, LevenbergMarquardt, Dogleg)}

@@ -80,7 +80,7 @@ class Stop:
 
     @property
     def patient(self) -> Stop:
-        """As it is; with the limit of all steps of the default where none is given."""
+        """Thresholds as they are; with the limit of all steps of the default where none is given."""
         return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
 
     @property
@@ -171,9 +171,8 @@ class Record:
 
 
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
-SHORT_OF_ESTIMATE = (
-    0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
-)
+# Of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls.
+SHORT_OF_ESTIMATE = 0.01
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 ROUNDING_OF_ERROR = 1e-15  # relative rounding of an error: of the numbers whose difference it is
 
@@ -247,7 +246,7 @@ class Step:
 
     @cached_property
     def ending(self) -> bool:
-        """Whether this fall, and all that follow it as a geometric series, are no more than little."""
+        """Whether the fall, and all that follow it as a geometric series, are no more than little."""
         level = 0 <= self.fall <= self.little and not self.missed
         return level and (
             self.fall <= ROUNDING * self.chi2 or self.fall <= self.little * ((self.old_fall - self.fall) / self.fall)
@@ -321,7 +320,4 @@ class Step:
     def _short(self, dx: Array) -> bool:
         D = self.watch.scale(self.system)
         length, start = np.linalg.norm(D * dx), D * self.system.pattern.restrict(self.watch.start)
-        return bool(
-            length <= SHORT_OF_ESTIMATE * np.linalg.norm(start)
-            or length <= SHORT_OF_ESTIMATE * np.linalg.norm(D * self._coordinates)
-        )
+        return bool(length <= SHORT_OF_ESTIMATE * max(np.linalg.norm(start), np.linalg.norm(D * self._coordinates)))

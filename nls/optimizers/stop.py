@@ -265,19 +265,12 @@ def pulled(step: Step) -> Verdict | None:
     )
 
 
-LIMITS: tuple[Rule, ...] = (up_and_down, iteration_limit, time_limit)
-BEFORE_A_STEP: tuple[Rule, ...] = (unknown_lost, zero, scaled_gradient)
-OUTCOMES: tuple[Rule, ...] = (
-    chi2_unbounded,
-    promise_missed,
-    update_norm,
-    relative_decrease,
-    noise_floor,
-    plateau,
-    cycle,
-)
+Rules = tuple[Rule, ...]
+LIMITS: Rules = (up_and_down, iteration_limit, time_limit)
+BEFORE_A_STEP: Rules = (unknown_lost, zero, scaled_gradient)
+OUTCOMES: Rules = (chi2_unbounded, promise_missed, update_norm, relative_decrease, noise_floor, plateau, cycle)
 AFTER_A_STEP = OUTCOMES + LIMITS
-AFTER_A_REFUSAL: tuple[Rule, ...] = (level_refused, promise_small, promise_invisible, *LIMITS)
-NO_STEP_LEFT: tuple[Rule, ...] = (no_rise, stationary, every_step_refused)
-AT_THE_END: tuple[Rule, ...] = (pulled,)
+AFTER_A_REFUSAL: Rules = (level_refused, promise_small, promise_invisible, *LIMITS)
+NO_STEP_LEFT: Rules = (no_rise, stationary, every_step_refused)
+AT_THE_END: Rules = (pulled,)
 GUARDS = (unknown_lost, above_the_best)

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from nls.missions.pictures.sonar import polar_image as polar_image
 
 OF_MISSIONS = {
-    "elevation_map": "nls.missions.pictures.elevation_map",
-    "fan_image": "nls.missions.pictures.sonar",
-    "frustum": "nls.missions.pictures.sonar",
-    "polar_image": "nls.missions.pictures.sonar",
+    "nls.missions.pictures.elevation_map": "elevation_map",
+    "nls.missions.pictures.sonar": "fan_image frustum polar_image",
 }
 
 __all__ = [
@@ -48,4 +46,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = importer("nls.plot", OF_MISSIONS)
+    __getattr__, __dir__, _ = importer("nls.plot", OF_MISSIONS)

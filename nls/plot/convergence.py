@@ -35,9 +35,8 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     axes = axes_or_new(axes, (5, 4))
     number = [iteration.number for iteration in result.history]
     chi2 = np.array([iteration.chi2 for iteration in result.history])
-    falls = (
-        bool((chi2 > 0).all()) and chi2.max() > 10 * chi2.min()
-    )  # a smaller range has no ticks on a logarithmic axis
+    # a smaller range has no ticks on a logarithmic axis
+    falls = bool((chi2 > 0).all()) and chi2.max() > 10 * chi2.min()
     # a smaller part cannot be read off the number itself
     last = chi2[-1] if np.ptp(chi2) < 1e-3 * chi2.max() else 0.0
     (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0])

@@ -38,10 +38,8 @@ from nls.robust.loop_graph import LoopGraph, Neighbors, unit_variance
 from nls.values import Values
 
 LARGE = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
-WIDER_GATE, FITS = (
-    1.6,
-    0.999,
-)  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
+# A group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4.
+WIDER_GATE, FITS = 1.6, 0.999
 
 
 @dataclass(frozen=True)

@@ -104,10 +104,8 @@ class Preselection:
     def _dearer(self, times: float) -> bool:
         """Whether all closures take so many times the operations of those that agree with a neighbor."""
         loops = self.loops
-        every = np.ones(len(loops.closures), dtype=bool)
-        whole, supported = (
-            self.problem.flops(loops.values, loops.masks(m)) for m in (every, loops.neighbors.support > 0)
-        )
+        chosen = np.ones(len(loops.closures), dtype=bool), loops.neighbors.support > 0
+        whole, supported = (self.problem.flops(loops.values, loops.masks(mask)) for mask in chosen)
         return whole > times * supported
 
     def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:

@@ -277,9 +277,8 @@ def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) ->
         return 0.0  # a group that is too large to be judged checks itself
     prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
     excess = max(distance - (int(given_up.sum()) - len(least)) * d, 0.0)
-    return exp(
-        min(sum(log(prior * peak * passing) for passing in least) + excess / 2, 700.0)
-    )  # the largest exponent of a float
+    # 700 is the largest exponent of a float
+    return exp(min(sum(log(prior * peak * passing) for passing in least) + excess / 2, 700.0))
 
 
 def _sigmas(result: Result) -> float:

@@ -99,7 +99,7 @@ class Elimination:
         self.blocks, self.again, self.twin = sort[new], sort[again], new.cumsum()[again] - 1
 
     def serves(self, u: Index, v: Index, V: int, order: Order | None) -> bool:
-        """Whether this elimination is the one of these pairs."""
+        """Whether the elimination is that of some pairs."""
         return self.V == V and self.order is order and np.array_equal(self.u, u) and np.array_equal(self.v, v)
 
 

@@ -79,9 +79,8 @@ class Pattern:
         self.eliminations = Eliminations()
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
-        self._sums = Scatter(
-            [batch.slots for batch in self.batches], ends - self.dims, int(ends[-1]) if len(ends) else 0
-        )
+        total = int(ends[-1]) if len(ends) else 0
+        self._sums = Scatter([batch.slots for batch in self.batches], ends - self.dims, total)
         self._hold(np.zeros(len(self.dims), dtype=bool) if held is None else held)
 
     def _hold(self, held: Mask) -> None:
@@ -105,7 +104,7 @@ class Pattern:
         return self._latest
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
-        """Whether this is the numbering of some factors over some variables, wherever these are."""
+        """Whether the pattern is the numbering of some factors over some variables, wherever these are."""
         return (
             len(self.batches) == len(factors)
             and all(batch.model.factor is factor for batch, factor in zip(self.batches, factors, strict=True))
@@ -161,9 +160,8 @@ class Pattern:
         """indices and indptr of A by rows, and which numbers of the blocks are in it (None: all, nothing is held)."""
         indices, counts = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for batch in self.batches:
-            columns = np.concatenate(
-                [self._columns(v, m.dim) for v, m in zip(batch.variables, batch.model.manifolds, strict=True)], axis=1
-            )  # (k, D), -1 where held
+            slots = zip(batch.variables, batch.model.manifolds, strict=True)
+            columns = np.concatenate([self._columns(v, m.dim) for v, m in slots], axis=1)  # (k, D), -1 where held
             indices.append(np.repeat(columns, batch.model.dim, axis=0).reshape(-1))
             counts.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
         every = np.concatenate(indices)

@@ -50,9 +50,8 @@ def openmp() -> bool:
 def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
     """Numbers of libraries to turn, looked for once per set of bindings."""
     paths = _mapped()
-    knobs = [
-        _knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in _opened(paths, "libgomp")
-    ]
+    gomp = _opened(paths, "libgomp")
+    knobs = [_knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in gomp]
     openblas = [lib for lib in _opened(paths, *OPENBLAS) if _function(lib, "get_parallel")]  # not the reference BLAS
     # an OpenBLAS without threads says 0, one with its own 1; 2 are those of OpenMP
     strange = any(_function(lib, "get_parallel")() not in (0, 1) for lib in openblas)

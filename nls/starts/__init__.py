@@ -70,9 +70,8 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
 # chi2 per measured row, or degree of freedom, of a poor start: noise gives 1, chordal starts of public pose graphs
 # without false closures and starts that Gauss-Newton converges from seldom over 10
 POOR = 10.0
-COMPARED_STEPS = (
-    20  # at most, from each start; simulated range-only missions need 5, the marine one with poor headings 10
-)
+# At most, from each start; simulated range-only missions need 5, the marine one with poor headings 10.
+COMPARED_STEPS = 20
 SAME_CHI2 = 1e-6  # relative: chi2 that differs by less is of the same poses, or of the same optimum
 REFUSED = (UnderconstrainedError, EvaluationError, SingularGeometryError)
 

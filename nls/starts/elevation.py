@@ -82,12 +82,8 @@ def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -
     """
     expected = "an angle in (-pi / 2, pi / 2), rad"
     check_between("first_sighting: elevation", elevation, -pi / 2, pi / 2, expected)
-    return values.replaced(
-        {
-            arcs.kind: _placed(values, arcs, arcs.points(elevation))
-            for arcs in first_arcs(graph.factors, values, graph.fixed)
-        }
-    )
+    every = first_arcs(graph.factors, values, graph.fixed)
+    return values.replaced({arcs.kind: _placed(values, arcs, arcs.points(elevation)) for arcs in every})
 
 
 def search_elevation(graph: FactorGraph, values: Values, limit: float | None = None, steps: int = 14) -> Values:

@@ -161,7 +161,7 @@ def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
 
 
 def _read(factor: Sighting, values: Values) -> list[npt.NDArray[Any]]:
-    """Of those that say something pose, point and C, b, J_b, Sigma_uv of pixels, O, z, sigma_r, sonar of contacts."""
+    """Sightings that say something: pose, point and C, b, J_b, Sigma_uv of pixels, O, z, sigma_r, sonar of contacts."""
     model, X = values.gather(factor)
     Sigma, good = covariance(factor, values)
     pose, point, *sonar = (values.stack(keys.kind).index(keys) for keys in factor.keys)

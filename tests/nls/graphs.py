@@ -13,7 +13,7 @@ from factors import Between, Diagonal, Factor, Information, Isotropic, Noise, Pr
 from factors.base import Jacobians
 from factors.keys import Keys
 from models import SE2, SE3, SO2, SO3, LieGroup, Manifold, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls import FactorGraph, LinearSystem, Result, Status, Values, kinds
 
 GROUPS: tuple[LieGroup, ...] = (R(1), R(2), R(3), SO2, SE2, SO3, SE3)
@@ -89,6 +89,16 @@ def pose_graph(
     return Sample(graph, values, Values({x: (group, X, number)}))
 
 
+def two_components(anchored: bool = False) -> Sample:
+    """Trajectories of the plane that nothing joins, x0 ... x7 and x50 ... x57, the first of them anchored or not."""
+    first, other = pose_graph(SE2, seed=5, anchored=anchored), pose_graph(SE2, seed=6, anchored=False)
+    graph = FactorGraph(first.graph.factors)
+    for f in between(other):
+        graph.add(Between(x[f.keys[0].numbers + 50], x[f.keys[1].numbers + 50], f.z, f.noise))
+    values = Values({x: (SE2, np.concatenate([first.values[x], other.values[x]]), [*range(8), *range(50, 58)])})
+    return Sample(graph, values, values)
+
+
 class Seen(Factor):
     """A point in the frame of a pose of the plane: h = R'(l - t), H_x = [-I, (h_2, -h_1)'], H_l = R'."""
 
@@ -126,9 +136,8 @@ def mixed(seed: int = 0, held: bool = False) -> Sample:
     number, points, scalars = np.array(ODD[:n]), np.array([5, -1, 77, 6]), np.array([3, 2])
     i, j = rng.integers(0, n, 14), np.tile(np.arange(k), 4)[:14]
     z = in_frame(X[i], L[j]) + 0.05 * rng.normal(size=(14, 2))
-    graph = FactorGraph(
-        [measured(SE2, X, number, [0, 2, 2, 4], [1, 1, 3, 3], Information(informations(4, 3, rng)), seed)]
-    )
+    full = Information(informations(4, 3, rng))
+    graph = FactorGraph([measured(SE2, X, number, [0, 2, 2, 4], [1, 1, 3, 3], full, seed)])
 
     def reprojected(pose: Array, point: Array) -> Array:
         return z - in_frame(pose, point)
@@ -137,9 +146,8 @@ def mixed(seed: int = 0, held: bool = False) -> Sample:
         return s * in_frame(a, point) - in_frame(X[[5, 5]], L[[0, 2]])
 
     graph.add(Factor.from_function(reprojected, [x[number[i]], l[points[j]]], 2, Isotropic(0.1)))
-    graph.add(
-        Seen(x[number[[4, 5, 5, 4]]], l[points[[3, 3, 1, 1]]], in_frame(X[[4, 5, 5, 4]], L[[3, 3, 1, 1]]), Isotropic(1))
-    )
+    a, c = [4, 5, 5, 4], [3, 3, 1, 1]
+    graph.add(Seen(x[number[a]], l[points[c]], in_frame(X[a], L[c]), Isotropic(1)))
     graph.add(Factor.from_function(triple, [x[number[[5, 5]]], l[points[[0, 2]]], y[scalars]], 2, Diagonal([0.1, 0.2])))
     graph.add(Prior(x[number[[0, 3]]], X[[0, 3]], Diagonal([0.1, 0.2, 0.05])))
     graph.add(Prior(l[points[2]], [L[2, 1]] * 0 + L[2].tolist(), Isotropic(0.1), components=["y"]))
@@ -172,17 +180,34 @@ def between(sample: Sample) -> list[Between]:
     return [f for f in sample.graph.factors if isinstance(f, Between)]
 
 
+def forgotten(values: Values, place: float = 0.5) -> Values:
+    """The points l at one place."""
+    return values.replaced({l: np.full_like(values[l], place)})
+
+
 def distance(group: LieGroup, X: Array, Y: Array) -> float:
     """Largest tangent component between two stacks, element by element."""
     return float(np.abs(group.local(X, Y)).max(initial=0.0))
 
 
 def scalar(
-    residual: Callable[[Array], Array], start: float, jacobian: Callable[[Array], Array] | None = None, dim: int = 1
+    residual: Callable[[Array], Array],
+    start: npt.ArrayLike,
+    jacobian: Callable[[Array], Array] | None = None,
+    dim: int = 1,
 ) -> tuple[FactorGraph, Values]:
-    """One unknown p0 and a residual of it."""
+    """One variable p0, a number or several, and a residual of it."""
     jacobians = None if jacobian is None else (lambda X: [jacobian(X)])
-    return FactorGraph([Factor.from_function(residual, p[0], dim, jacobians=jacobians)]), Values({p: (R(1), [[start]])})
+    graph = FactorGraph([Factor.from_function(residual, p[0], dim, jacobians=jacobians)])
+    return graph, Values({p: (R(np.size(start)), [np.atleast_1d(start)])})
+
+
+def cube(side: int) -> tuple[Index, Index]:
+    """Pairs of neighbors among side^3 nodes: of all graphs of its size one with the worst fill."""
+    number = np.arange(side**3).reshape(side, side, side)
+    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[:, :, :-1], number[:, :, 1:])]
+    u, v = (np.concatenate([pair[s].reshape(-1) for pair in pairs]) for s in (0, 1))
+    return u, v
 
 
 def circle() -> tuple[FactorGraph, Values]:

@@ -44,13 +44,8 @@ ODD: tuple[Any, ...] = (
 
 
 def graph() -> FactorGraph:
-    return FactorGraph(
-        [
-            Prior(x[0], POSE, NOISE),
-            Between(x[0], x[1], [1.0, 0.0, 0.0], NOISE),
-            Landmark(x[0], l[0], [2.0, 3.0], NOISE),
-        ]
-    )
+    step, seen = Between(x[0], x[1], [1.0, 0.0, 0.0], NOISE), Landmark(x[0], l[0], [2.0, 3.0], NOISE)
+    return FactorGraph([Prior(x[0], POSE, NOISE), step, seen])
 
 
 def used(make: Callable[..., Factor]) -> Callable[..., object]:

@@ -236,7 +236,7 @@ def test_one_rise_of_gauss_newton_is_no_divergence(data: Path) -> None:
 def test_what_cannot_be_right_is_refused(
     name: str, dialect: str, hold: str, error: type[LeadlineError], message: str, data: Path
 ) -> None:
-    """When it is read, or else when it is solved."""
+    """While a file is read, or else while it is solved."""
 
     def solve() -> None:
         graph, values = load(data, name, dialect, hold)

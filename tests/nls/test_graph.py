@@ -1,4 +1,4 @@
-"""The graph: what is added, removed, held; what it counts and refuses."""
+"""The graph: what is added, removed, held; what it counts and refuses; single measurements become batches."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factors import Between, Isotropic, Prior
+import sim
+from factors import Between, Factor, Huber, Isotropic, Prior
 from models import SE2, R
 from nls import FactorGraph, GraphError, OptionError, Values, kinds
+from nls.graph import SMALLEST_BATCH
 from tests.nls.graphs import pose_graph
 
 x, l = kinds("x", "l")
@@ -117,10 +119,8 @@ def test_summary_counts_each_type_and_its_variables() -> None:
 
 
 def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same() -> None:
-    steps, prior = (
-        Between(x[[0, 1, 2]], x[[1, 2, 3]], [[1.0], [2.0], [4.0]], Isotropic(1.0)),
-        Prior(x[0], [0.0], Isotropic(1.0)),
-    )
+    steps = Between(x[[0, 1, 2]], x[[1, 2, 3]], [[1.0], [2.0], [4.0]], Isotropic(1.0))
+    prior = Prior(x[0], [0.0], Isotropic(1.0))
     graph = FactorGraph([steps, prior], fixed=[x[3]])
     part = graph.only([np.array([True, False, True]), np.array([False])])
     values = Values({x: (R(1), np.zeros((4, 1)))})
@@ -141,3 +141,77 @@ def test_masks_may_be_lists_and_must_fit() -> None:
     for wrong in ([], [two], [one, one], [np.array([0])], [np.array([1.0])], 5):
         with pytest.raises(GraphError, match="a mask of True and False for each of 1 factors, as long as it has"):
             graph.only(wrong)
+
+
+def by_ones(factor: Factor) -> list[Factor]:
+    return [factor[[k]] for k in range(len(factor))]
+
+
+@pytest.fixture
+def world() -> sim.World:
+    return sim.ring(np.random.default_rng(2), laps=4, per_lap=40)
+
+
+def test_one_by_one_is_the_same_as_in_batches(world: sim.World) -> None:
+    odometry, closures = world.graph.factors
+    closures = closures.robust(Huber(2.0))
+    single = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(0.1)), *by_ones(odometry), *by_ones(closures)])
+    batches = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(0.1)), odometry, closures])
+    mine, theirs = single.optimize(world.start), batches.optimize(world.start)
+    assert mine.chi2_final == pytest.approx(theirs.chi2_final, rel=1e-12)
+    np.testing.assert_allclose(mine.values[x], theirs.values[x], atol=1e-9)
+    names = [(type(f).__name__, len(f), f.kernel) for f in single.factors]
+    assert names == [(type(f).__name__, len(f), f.kernel) for f in batches.factors]
+    A, B = single.linearize(world.start), batches.linearize(world.start)
+    np.testing.assert_allclose(A.b, B.b, rtol=1e-14)
+
+
+def test_few_stay_alone(world: sim.World) -> None:
+    odometry = by_ones(world.graph.factors[0])[: SMALLEST_BATCH - 1]
+    graph = FactorGraph(odometry)
+    graph.chi2(world.start)
+    assert graph.factors == odometry
+
+
+def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim.World) -> None:
+    odometry, closures = world.graph.factors
+    steps = by_ones(odometry)
+    graph = FactorGraph([closures])
+    for k, step in enumerate(steps):
+        assert graph.add(step) is step
+        if k % 10 == 9:
+            graph.chi2(world.start)
+    assert graph.chi2(world.start) == pytest.approx(world.graph.chi2(world.start), rel=1e-12)
+    assert len(graph.factors) < 2 + SMALLEST_BATCH
+    rest = list(range(len(steps)))
+    for k in (0, 3, len(steps) - 1, 41):
+        graph.remove(steps[k])
+        rest.remove(k)
+        expected = FactorGraph([odometry[rest], closures]).chi2(world.start)
+        assert graph.chi2(world.start) == pytest.approx(expected, rel=1e-12)
+        with pytest.raises(GraphError, match="is not in this graph"):
+            graph.remove(steps[k])
+    for k in rest:
+        graph.remove(steps[k])
+    assert graph.factors == [closures]
+
+
+def test_a_factor_that_is_given_twice_counts_twice() -> None:
+    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(SMALLEST_BATCH)]
+    values = Values({x: (SE2, np.zeros((SMALLEST_BATCH, 3)))})
+    expected = sum(k * k for k in range(SMALLEST_BATCH))
+    for factors, chi2 in (([priors[3]] * SMALLEST_BATCH, 9 * SMALLEST_BATCH), ([priors[5], *priors], expected + 25)):
+        graph = FactorGraph(factors)
+        assert graph.chi2(values) == chi2
+        assert len(graph) == len(factors)
+        graph.remove(factors[0])
+        assert graph.chi2(values) == chi2 - factors[0].chi2(values)[0]
+
+
+def test_functions_stay_alone() -> None:
+    """Only the function knows its data."""
+    n = 2 * SMALLEST_BATCH
+    factors = [Factor.from_function(lambda X, k=k: X[:, :1] - k, x[k], 1) for k in range(n)]
+    graph = FactorGraph(factors)
+    assert graph.chi2(Values({x: (SE2, np.zeros((n, 3)))})) == sum(k * k for k in range(n))
+    assert graph.factors == factors

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 import nls
+import sim
 from factors import (
     Between,
     BetweenSensors,
@@ -53,15 +54,10 @@ def posed(group: LieGroup, i: list[int], j: list[int], n: int, fixed: tuple[int,
 def test_neighbors_in_number_are_odometry_and_other_relative_poses_closures() -> None:
     numbers = np.array([30, -5, 10, 20])  # in order: -5, 10, 20, 30
     z, level = [1.0, 0.0, 0.0], ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-    graph = FactorGraph(
-        [
-            Between(x[[-5, 20, -5]], x[[10, 10, 20]], z, UNIT),  # ahead, back, a jump
-            Prior(x[30], z, UNIT),
-            BetweenSensors(x[[30, 30]], x[[20, -5]], z, UNIT, level),
-            Between(x[[-5, 30]], y[[0, 0]], z, UNIT),  # y0 follows x30 in the stack
-            Between(y[0], y[1], z, UNIT),
-        ]
-    )
+    steps = Between(x[[-5, 20, -5]], x[[10, 10, 20]], z, UNIT)  # ahead, back, a jump
+    sensors, apart = BetweenSensors(x[[30, 30]], x[[20, -5]], z, UNIT, level), Between(y[0], y[1], z, UNIT)
+    across = Between(x[[-5, 30]], y[[0, 0]], z, UNIT)  # y0 follows x30 in the stack
+    graph = FactorGraph([steps, Prior(x[30], z, UNIT), sensors, across, apart])
     pattern = graph.pattern(Values({x: (SE2, np.zeros((4, 3)), numbers), y: (SE2, np.zeros((2, 3)))}))
     along = [[True, True, False], [False], [True, False], [False, False], [True]]
     others = [[False, False, True], [False], [False, True], [True, True], [False]]
@@ -255,9 +251,7 @@ class Counts(Factor):
 
 def square(rng: np.random.Generator) -> tuple[Index, Index, Array]:
     """Ends i and j of 120 steps, five times around a square, and of 20 closures, and z; the last closure is wrong."""
-    X = np.zeros((121, 3))
-    for k in range(120):
-        X[k + 1] = SE2.compose(X[[k]], [[1.0, 0.0, np.pi / 2 * (k % 3 == 2)]])[0]
+    X = sim.chain(SE2, np.zeros(3), np.tile([[1.0, 0, 0], [1, 0, 0], [1, 0, np.pi / 2]], (40, 1)))
     i, j = np.r_[np.arange(120), np.arange(0, 100, 5)], np.r_[np.arange(1, 121), np.arange(12, 112, 5)]
     z = SE2.compose(SE2.between(X[i], X[j]), SE2.exp(0.01 * rng.normal(size=(140, 3))))
     z[-1] += [0.8, -0.9, 0.7]
@@ -292,7 +286,7 @@ def test_an_odometer_that_says_its_poses_is_one_of_ours(kind: str) -> None:
 
 
 def test_sequential_matches_are_neither_odometry_nor_closures() -> None:
-    """They are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
+    """Matches are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
     i, j, z = square(RNG(6))
     k = np.arange(0, 117, 2)
     near = SE2.compose(SE2.compose(z[k], z[k + 1]), z[k + 2])

@@ -47,7 +47,7 @@ def test_names_come_from_where_the_type_checker_thinks(package: ModuleType) -> N
         alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names
     }
     modules = {"plot"} if said.pop("plot", "") else set()
-    assert said == package._MODULE
+    assert said == {name: module for module, names in package._WHERE.items() for name in names.split()}
     assert set(package.__all__) == {*said, *modules}
     for name, module in said.items():
         assert getattr(package, name) is getattr(sys.modules[str(module)], name)
@@ -88,13 +88,7 @@ def test_the_choices_of_the_command_line_are_those_of_the_library() -> None:
 def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -> None:
     """Without modules of NumPy that only ``from numpy import *`` asks for; a small one without sparse matrices."""
     graph = str(written(tmp_path, PLANE))
-    rest = (
-        "scipy.linalg",
-        "scipy.special",
-        "numpy.f2py.f2py2e",
-        "nls.missions",
-        "nls.robust",
-    )
+    rest: tuple[str, ...] = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.missions", "nls.robust")
     rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.page", "nls.cli.outliers")
     rest += ("scipy.sparse._base", "sksparse.cholmod")
     program = (
@@ -171,10 +165,8 @@ def test_the_check_refuses_what_writing_refuses(tmp_path: Path) -> None:
         reasons = []
         for graph, given in cases:
             values, report = nls.Values(given), nls.LoadReport("in", "other", "2-D", "log")
-            before, after = (
-                refusal(job, str(tmp_path / "out"), form, graph, values, report)
-                for job in (refuse_unwritable_graph, rendered)
-            )
+            job = str(tmp_path / "out"), form, graph, values, report
+            before, after = refusal(refuse_unwritable_graph, *job), refusal(rendered, *job)
             assert before == after
             reasons.append(before)
         assert reasons[1]

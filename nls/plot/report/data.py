@@ -67,7 +67,7 @@ class ReportData:
 
     @cached_property
     def covariances(self) -> Marginals | UnderconstrainedError | None:
-        """Those given, else of the optimum; None where there is none, the error where something is free."""
+        """Covariances as given or of the optimum; None where there is none, the error where something is free."""
         from nls.covariance import Marginals
 
         if self.marginals is not None or self.result is None or not self.result.converged:

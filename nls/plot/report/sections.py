@@ -191,10 +191,7 @@ def covariances(data: ReportData) -> Html | None:
             inside.append(picture(figure, alt, caption, data.size, MAP))
     weak = data.explanation.weakest[: 2 * ROWS]
     if weak:
-        rows = [
-            (repr(least.key), least.component, _sigma(least.sigma, least.unit), _sigma(least.typical, least.unit))
-            for least in weak
-        ]
+        rows = [(repr(w.key), w.component, _sigma(w.sigma, w.unit), _sigma(w.typical, w.unit)) for w in weak]
         heads = ("variable", "component", "sigma", "middle of all")
         inside.append(table("The least certain variable of each kind", heads, rows, (2, 3)))
     return section("covariances", "How sure is it?", tag("div", *inside, class_="pictures")) if inside else None
@@ -254,7 +251,7 @@ def sparsity(data: ReportData) -> Html:
 
 
 def provenance(data: ReportData) -> Html | None:
-    """Where it comes from."""
+    """Where the solution comes from."""
     facts = listed(data.facts.items(), class_="facts")
     return section("provenance", "Where does it come from?", facts) if data.facts else None
 

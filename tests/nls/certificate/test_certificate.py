@@ -204,7 +204,7 @@ def test_newton_never_goes_up(monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(costs) > 3
         assert (np.diff(costs) < 0).all()
         assert found.converged
-        assert found.cost <= costs[-1]
+        assert found.cost <= (1 + 1e-14) * costs[-1]  # two roundings of one cost
 
 
 def test_every_optimum_on_the_way_up_is_rounded() -> None:

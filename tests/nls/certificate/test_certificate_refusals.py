@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -77,9 +78,7 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -
     file, where = str(write(tmp_path, text)), tmp_path / "r.json"
     assert main(["solve", file, "--certify", "--verbose", "--json", str(where)]) == 0
     shown = capsys.readouterr().out
-    (row,) = [line for line in shown.splitlines() if line.startswith("certificate ")]
-    assert "certified" in row
-    assert row.endswith("This does not validate the measurements")
+    assert re.search("(?m)^certificate certified.*This does not validate the measurements$", shown)
     assert "SE-Sync cost: " in shown
     assert "\ncertify  " in shown
     report = json.loads(where.read_text())
@@ -116,10 +115,8 @@ def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp
     first = json.loads(where.read_text())
     lower = first["certificate"]["lower_chi2"]
     assert lower < 1e-3 * first["chi2_final"]
-    (way_on,) = [line.partition(": ")[2] for line in captured.out.splitlines() if "-> go on from there: " in line]
-    assert captured.err.splitlines()[-1].startswith("nls: refuted: ")
-    assert captured.err.splitlines()[-1].endswith(f"; go on from there: {way_on}")
-
+    (way_on,) = re.findall("-> go on from there: (.*)", captured.out)
+    assert re.search(rf"nls: refuted: .*; go on from there: {re.escape(way_on)}\n$", captured.err)
     assert main([*command, *way_on.split()]) == 0
     captured = capsys.readouterr()
     assert f"\nimproved    left at chi2 {first['chi2_final']:.9g}: went on from its better poses\n" in captured.out
@@ -131,8 +128,6 @@ def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp
     assert report["init"] == "better poses"
     graph, values, _ = nls.load(out)  # what is written is the better one
     assert graph.chi2(values) == pytest.approx(report["chi2_final"], rel=1e-4)
-    seconds = report["timings"]
-    assert seconds["total"] == pytest.approx(sum(seconds[k] for k in ("solved", "check", "certify", "write")))
 
 
 def test_the_command_line_goes_on_from_a_solution_that_stopped_too_early(tmp_path: Path, capsys: Captured) -> None:
@@ -143,7 +138,7 @@ def test_the_command_line_goes_on_from_a_solution_that_stopped_too_early(tmp_pat
     assert main([*command, "--certify"]) == 0
     shown = capsys.readouterr().out
     assert "\ncertificate undecided: this solution stopped too early: " in shown
-    (way_on,) = [line.partition(": ")[2] for line in shown.splitlines() if "-> go on from there: " in line]
+    (way_on,) = re.findall("-> go on from there: (.*)", shown)
     stopped = json.loads((tmp_path / "r.json").read_text())["chi2_final"]
     assert main([*command, *way_on.split()]) == 0
     shown = capsys.readouterr().out

@@ -200,15 +200,10 @@ def test_a_proof_that_rounding_widens_is_none() -> None:
 def test_undecided_where_chi2_ends_higher_or_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
     _, _, graph, values = problem_of(SE3, start=0.05)
     solution = graph.optimize(values).values
-    cases = {
-        "ends higher": {"chi2_final": 1.1 * graph.chi2(solution)},
-        "does not converge": {"status": nls.Status.MAX_ITERATIONS},
-    }
-    for ending, changed in cases.items():
-        monkeypatch.setattr(
-            "nls.certificate.verdict._optimized",
-            lambda graph, values, changed=changed: replace(graph.optimize(values), **changed),
-        )
+    higher, endless = {"chi2_final": 1.1 * graph.chi2(solution)}, {"status": nls.Status.MAX_ITERATIONS}
+    for ending, changed in {"ends higher": higher, "does not converge": endless}.items():
+        result = replace(graph.optimize(solution), **changed)
+        monkeypatch.setattr("nls.certificate.verdict._optimized", lambda *_, result=result: result)
         found = nls.certify(graph, solution)
         assert (found.verdict, found.better, found.proved) == ("undecided", None, True)
         assert f"optimized from the global optimum of the SE-Sync cost, {ending}\n" in found.report()
@@ -278,8 +273,7 @@ def test_a_pose_that_is_fixed_or_has_a_prior_keeps_its_place() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "cost"),
-    [("pose-graphs-2d/intel.g2o", 52.348227), ("pose-graphs-3d/parking-garage.g2o.gz", 1.262524)],
+    ("name", "cost"), [("pose-graphs-2d/intel.g2o", 52.348227), ("pose-graphs-3d/parking-garage.g2o.gz", 1.262524)]
 )
 def test_published_optima_are_certified(data: Path, name: str, cost: float) -> None:
     """D. Rosen et al., "SE-Sync", IJRR 38(2-3), 2019, tables 1 and 2, print 52.35 and 1.263."""

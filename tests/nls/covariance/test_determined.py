@@ -1,4 +1,4 @@
-"""Covariances where something is free: of what is determined, against dense projections; the rest refused by name."""
+"""Covariances where something is free, or nearly: against dense projections, by the factor R of A; refused by name."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 import nls
 from factors import Between, Diagonal, Factor, Isotropic, Prior, Range
-from models import SE2, SE3, R
+from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Mask
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Keys, Marginals, Values
-from tests.nls.graphs import Sample, between, l, pose_graph, x
+from tests.nls.graphs import Sample, l, pose_graph, two_components, walk, x
 from tests.nls.solving import make
 
 
@@ -38,17 +38,6 @@ def landmark_with_one_range() -> Sample:
     return Sample(graph, values, values)
 
 
-def two_components() -> Sample:
-    """An anchored trajectory x0 ... x7, and one of its own, x50 ... x57."""
-    first, other = pose_graph(SE2, seed=5), pose_graph(SE2, seed=6, anchored=False)
-    graph = FactorGraph(first.graph.factors)
-    for f in between(other):
-        i, j = f.keys
-        graph.add(Between(x[i.numbers + 50], x[j.numbers + 50], f.z, f.noise))
-    values = Values({x: (SE2, np.concatenate([first.values[x], other.values[x]]), [*range(8), *range(50, 58)])})
-    return Sample(graph, values, values)
-
-
 def pose_with_free_yaw() -> Sample:
     """A pose in space known but for its yaw, x0, and one known in all, x1."""
     X = SE3.exp(np.array([[1.0, 2.0, 3.0, 0, 0, 0], [0.5, 0, 1, 0.2, -0.1, 0.7]]))
@@ -70,8 +59,7 @@ def test_a_landmark_with_one_range(solver: str) -> None:
     pinv, determined = projected(sample.graph, sample.values)
     assert determined.tolist() == [True] * 24 + [False] * 2 + [True] * 2
     marginals = Marginals(sample.graph, sample.values, make(solver))
-    assert marginals.status(x) == ["estimated"] * 8
-    assert marginals.status(l) == ["free", "estimated"]
+    assert (marginals.status(x), marginals.status(l)) == (["estimated"] * 8, ["free", "estimated"])
     close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
     close(marginals.covariance(x[3], "body"), pinv[9:12, 9:12])
     close(marginals.covariance(l[1]), pinv[26:, 26:])
@@ -85,31 +73,26 @@ def test_a_landmark_with_one_range(solver: str) -> None:
         lambda: marginals.joint([x[3], l[0]], "body"),
         lambda: marginals.all(l),
     ):
-        with pytest.raises(
-            UnderconstrainedError, match=r"l0: x, y: not determined. 1 free direction moves it"
-        ) as caught:
+        with pytest.raises(UnderconstrainedError, match=r"l0: x, y: not determined. 1 free direction moves") as caught:
             ask()
-        assert caught.value.keys == (l[0],)
-        assert caught.value.nullity == 1
-        assert caught.value.components == ("l0: x, y",)
+        error = caught.value
+        assert (error.keys, error.nullity, error.components) == ((l[0],), 1, ("l0: x, y",))
     assert marginals.underconstrained is not None
     assert marginals.underconstrained.keys == (l[0],)
 
 
 def test_a_component_that_is_free() -> None:
-    sample = two_components()
+    sample = two_components(anchored=True)
     pinv, determined = projected(sample.graph, sample.values)
     assert determined.tolist() == [True] * 24 + [False] * 24
     marginals = Marginals(sample.graph, sample.values, gauge="none")
     assert marginals.status(x) == ["estimated"] * 8 + ["free"] * 8
     close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
     close(marginals.covariance(x[[5, 2]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (15, 6)]))
-    with pytest.raises(
-        UnderconstrainedError, match=r"x50: x, y, yaw; x57: x, y, yaw: .* 3 free directions move them"
-    ) as caught:
+    match = "x50: x, y, yaw; x57: x, y, yaw: .* 3 free directions move them"
+    with pytest.raises(UnderconstrainedError, match=match) as caught:
         marginals.covariance(x[[2, 50, 57]], "world")
-    assert caught.value.keys == (x[50], x[57])
-    assert caught.value.nullity == 3
+    assert (caught.value.keys, caught.value.nullity) == ((x[50], x[57]), 3)
     held = Marginals(sample.graph, sample.values)  # one of its poses held: all is determined
     assert held.underconstrained is None
     close(held.covariance(x[5], "body"), pinv[15:18, 15:18])
@@ -204,3 +187,57 @@ def test_random_graphs_of_points_against_the_projection(seed: int) -> None:
     for k in np.flatnonzero(~determined).tolist():
         with pytest.raises(UnderconstrainedError, match=f"^l{k}: "):
             marginals.covariance(l[k])
+
+
+# ---- by the factor R of A itself: where A'A loses a direction, and wherever it does not
+
+
+ORTHOGONAL = pytest.mark.skipif(nls.QR.missing() is not None, reason=str(nls.QR.missing()))
+
+
+@ORTHOGONAL
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@pytest.mark.parametrize("gauge", ["first", "free", "prior"])
+def test_it_is_that_of_the_normal_equations_where_these_keep_all(group: LieGroup, gauge: str) -> None:
+    sample = pose_graph(group, n=60, anchored=False)
+    graph = FactorGraph([*sample.graph.factors])
+    default, orthogonal = (Marginals(graph, sample.values, solver, gauge) for solver in (None, nls.QR()))
+    scale = np.abs(default.all(x, "body")).max()
+    np.testing.assert_allclose(orthogonal.all(x, "body"), default.all(x, "body"), atol=1e-9 * scale)
+    np.testing.assert_allclose(orthogonal.covariance(x[7], "body"), default.covariance(x[7], "body"), atol=1e-9 * scale)
+    joint, expected = (m.joint(x[[3, 50]], "body").matrix for m in (orthogonal, default))
+    np.testing.assert_allclose(joint, expected, atol=1e-9 * scale)
+
+
+@ORTHOGONAL
+@pytest.mark.parametrize(("n", "sigma"), [(20, 1000.0), (150, 300.0)])
+def test_the_cure_of_a_direction_that_is_lost_works_to_the_letter(n: int, sigma: float) -> None:
+    """A precise chain with a weak prior: its squares differ by 14 digits and more."""
+    X = walk(SE2, n, np.random.default_rng(0))
+    chain = Between(x[0 : n - 1], x[1:n], SE2.between(X[:-1], X[1:]), Isotropic(1e-4))
+    graph, values = FactorGraph([chain, Prior(x[0], X[0], Isotropic(sigma))]), Values({x: (SE2, X)})
+    with pytest.raises(UnderconstrainedError, match="linear_solver=") as caught:
+        Marginals(graph, values)
+    (cure,) = (line for line in str(caught.value).splitlines() if "linear_solver=" in line)
+    call = f"Marginals(graph, values, {cure.rpartition(': ')[2]})"
+    marginals = eval(call, {"Marginals": Marginals, "graph": graph, "values": values, "nls": nls})
+    np.testing.assert_allclose(np.sqrt(np.diag(marginals.covariance(x[0], "body"))), sigma, rtol=1e-5)
+    far = np.linalg.norm(X[-1, :2] - X[0, :2])  # a heading of so many rad moves the end by as much
+    trace = np.trace(marginals.covariance(x[n - 1], view="position"))
+    assert trace == pytest.approx(2 * sigma**2 + (far * sigma) ** 2, rel=1e-4)
+    assert marginals.all(x, "body").shape == (n, 3, 3)
+    assert graph.optimize(values, linear_solver=nls.QR()).converged
+
+
+@ORTHOGONAL
+def test_what_is_free_is_refused_all_the_same_and_not_by_a_cure_in_use() -> None:
+    X = walk(SE2, 5, np.random.default_rng(0))
+    chain = Between(x[0:4], x[1:5], SE2.between(X[:-1], X[1:]), Isotropic(0.1))
+    graph = FactorGraph([chain, Range(x[0], l[0], [3.0], Isotropic(0.1))])
+    values = Values({x: (SE2, X), l: (R(2), [[9.0, 9.0]])})
+    default, orthogonal = Marginals(graph, values), Marginals(graph, values, nls.QR())
+    assert orthogonal.status(l) == default.status(l) == ["free"]
+    np.testing.assert_allclose(orthogonal.all(x, "body"), default.all(x, "body"), atol=1e-9)
+    with pytest.raises(UnderconstrainedError, match="fix a pose") as caught:
+        Marginals(graph, values, nls.QR(), gauge="none")
+    assert "nls.QR()" not in str(caught.value)

@@ -9,13 +9,15 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Factor, Huber, Isotropic, Prior, Robust
+from factors import Factor, Huber, Isotropic, Prior, Robust
+from factors.keys import Keys
 from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from nls import FactorGraph, Kind, Marginals, Values
 from nls.covariance import marginals as module
-from tests.nls.graphs import ODD, SAMPLES, Sample, between, l, mixed, pose_graph, x
+from nls.covariance.selected import paired
+from tests.nls.graphs import ODD, SAMPLES, Sample, l, mixed, pose_graph, two_components, x
 from tests.nls.solving import make
 
 
@@ -108,16 +110,6 @@ def test_motions_of_pairs_against_the_dense_joint() -> None:
     points = mixed(0)
     with pytest.raises(GraphError, match="no poses of one group"):
         Marginals(points.graph, points.values).relative(x[40], l[5])
-
-
-def two_components() -> Sample:
-    first, second = pose_graph(SE2, seed=5, anchored=False), pose_graph(SE2, seed=6, anchored=False)
-    graph = FactorGraph(first.graph.factors)
-    for f in between(second):
-        i, j = f.keys
-        graph.add(Between(x[i.numbers + 50], x[j.numbers + 50], f.z, f.noise))
-    values = Values({x: (SE2, np.concatenate([first.values[x], second.values[x]]), [*range(8), *range(50, 58)])})
-    return Sample(graph, values, values)
 
 
 @pytest.mark.parametrize("case", ["one", "two", "space", "points"])
@@ -233,3 +225,19 @@ def test_wrong_uses() -> None:
     lying = FactorGraph([Factor.from_function(lambda X: X - 1.0, x[0], 2, relative=True)])
     with pytest.raises(GraphError, match="says relative=True and is not"):
         Marginals(lying, Values({x: (R(2), [0.0, 0.0])}), gauge="free")
+
+
+def test_a_pair_of_two_kinds_has_a_covariance_and_changes_none() -> None:
+    sample = mixed(0)
+    joint = Marginals(sample.graph, sample.values).joint([x[40], l[-1]], frame="body")
+    marginals = Marginals(sample.graph, sample.values, pairs=[(x[[40]], l[[-1]])])
+    cross = marginals.cross(x[[40]], l[[-1]], frame="body")[0]
+    np.testing.assert_allclose(cross, joint.block(x[40], l[-1]), atol=1e-12)
+    every = Marginals(sample.graph, sample.values).all(x, frame="body")
+    np.testing.assert_allclose(marginals.all(x, frame="body"), every, rtol=1e-9)
+
+
+def test_a_pair_counts_once_and_none_is_of_one_variable() -> None:
+    assert paired([(x[[3, 5]], x[[3, 5]]), (x[[]], l[[]])]) == []
+    (pair,) = paired([(x[[3, 1, 3, 4]], x[[5, 2, 5, 4]])])
+    assert pair.keys == (Keys("x", np.array([1, 3])), Keys("x", np.array([2, 5])))

@@ -128,11 +128,7 @@ def damaged(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes
     for k in range(count):
         at, n = int(rng.integers(len(data))), int(rng.integers(1, 200))
         one = bytes([data[at] ^ 1 << int(rng.integers(8))]) if k % 4 == 0 else rng.bytes(1)
-        yield (
-            data[:at]
-            if k % 4 == 3
-            else data[:at] + (rng.bytes(n) + data[at + n :] if k % 4 == 2 else one + data[at + 1 :])
-        )
+        yield data[:at] + (b"" if k % 4 == 3 else rng.bytes(n) + data[at + n :] if k % 4 == 2 else one + data[at + 1 :])
 
 
 def test_what_is_damaged_is_refused_or_the_same(tmp_path: Path) -> None:
@@ -197,9 +193,7 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
             read_smoother(path, Incremental)
     assert not touched.exists()
     save(tmp_path / "graph.npz", FactorGraph(), Values())
-    with pytest.raises(
-        GraphFileError, match=r"is no checkpoint; expected what nls\.Incremental\.save or nls stream wrote"
-    ):
+    with pytest.raises(GraphFileError, match=r"is no checkpoint; expected what nls\.Incremental\.save or nls stream"):
         Incremental.load(tmp_path / "graph.npz")
 
 

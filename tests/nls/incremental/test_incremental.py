@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,16 +14,21 @@ import nls
 import sim
 from factors import (
     Between,
+    BetweenSensors,
+    DriftingStep,
+    Factor,
     GemanMcClure,
     Huber,
     Isotropic,
     Position,
     Prior,
     Range,
+    Shifted,
 )
 from factors.function import FunctionFactor
 from factors.keys import Keys
 from models import SE2, SE3, R
+from models.algebra import Index
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Values, kinds
 from nls.incremental.steps import steps
@@ -28,7 +36,7 @@ from nls.linear import cholesky, updatable
 from tests.factors.samples import Sample, full_noise, situation
 from tests.factors.test_conformity import SAMPLES
 
-x, l = kinds("x", "l")
+x, l, c = kinds("x", "l", "c")
 STEP = Isotropic(0.1)
 
 
@@ -36,6 +44,14 @@ def first(values: Values) -> Values:
     """The first pose of some values."""
     stack = values.stack("x")
     return Values({x: (stack.manifold, stack.X[:1], stack.numbers[:1])})
+
+
+def grown(factors: Sequence[Factor], start: Values, smoother: Incremental | None = None) -> Incremental:
+    """A smoother, given step after step."""
+    smoother = smoother or Incremental()
+    for step in steps(factors):
+        smoother.update(step.factors, first(start))
+    return smoother
 
 
 def is_optimal(smoother: Incremental) -> None:
@@ -148,21 +164,16 @@ def test_random_graphs_removals_kernels_and_rebuilds(seed: int) -> None:
 def test_without_room_for_new_variables_it_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     world = sim.ring(np.random.default_rng(2), laps=1, per_lap=20)
     monkeypatch.setattr(updatable, "RESERVE", 7)
-    smoother = Incremental()
-    for k, step in enumerate(steps(world.graph.factors)):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
-    is_optimal(smoother)
+    is_optimal(grown(world.graph.factors, world.start))
 
 
 def test_without_suitesparse_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(updatable, "cholmod", lambda: None)
     monkeypatch.setattr(cholesky, "cholmod", lambda: None)
     world = sim.ring(np.random.default_rng(2), laps=2, per_lap=20)
-    smoother = Incremental()
-    for k, step in enumerate(steps([world.graph.factors[0]])):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
-        last = step.factors[0]
-    closures = world.graph.factors[1]
+    odometry, closures = world.graph.factors
+    smoother = grown([odometry[:-1]], world.start)
+    smoother.update(last := odometry[-1:])
     smoother.update(closures[(closures.keys[0].numbers != 39) & (closures.keys[1].numbers != 39)])
     is_optimal(smoother)
     assert "SuperLU" in smoother.linear_solver
@@ -174,17 +185,27 @@ def test_without_suitesparse_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_redescending_kernel_from_the_first_measurement_on() -> None:
     world = sim.ring(np.random.default_rng(4), laps=2, per_lap=20)
     wrong = Between(x[[2, 5]], x[[30, 22]], [[9.0, 0, 1], [0, 9, 2]], Isotropic(0.05)).robust(GemanMcClure(2.0))
-    smoother = Incremental()
-    for k, step in enumerate(steps([*world.graph.factors, wrong])):
-        smoother.update(step.factors, first(world.start) if k == 0 else None)
+    smoother = grown([*world.graph.factors, wrong], world.start)
     is_optimal(smoother)
     assert (wrong.weights(smoother.values) < 0.1).all()
 
 
-def test_options_and_unknown_variables_are_refused() -> None:
-    for tol in (0, 1, -1e-3, "1e-3", None):
-        with pytest.raises(OptionError, match="tol"):
-            Incremental(tol)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        *(({"tol": tol}, "tol") for tol in (0, 1, -1e-3, "1e-3", None)),
+        *(({"lag": lag}, "lag") for lag in (0, 2.0)),
+        ({"landmarks": "go"}, "landmarks"),
+        ({"decide_every": 0}, r"decide_every.*at least 1"),
+        ({"decide_every": 10, "lag": 5}, "None with a lag"),
+    ],
+)
+def test_options_are_refused_by_name(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(OptionError, match=said):
+        Incremental(**options)
+
+
+def test_unknown_variables_are_refused() -> None:
     smoother = Incremental()
     with pytest.raises(GraphError, match="x0 is not in the estimate"):
         smoother[x[0]]
@@ -193,9 +214,49 @@ def test_options_and_unknown_variables_are_refused() -> None:
         smoother.update([], Values({x: (SE3, SE3.identity())}))
 
 
-def test_covariances_are_those_of_the_batch() -> None:
-    world = sim.ring(np.random.default_rng(5), laps=1, per_lap=15)
-    smoother = Incremental(1e-9)
-    smoother.update(list(world.graph.factors), first(world.start))
-    expected = nls.Marginals(smoother.graph, smoother.values).covariance(x[7], frame="body")
-    np.testing.assert_allclose(smoother.covariance(x[7], frame="body"), expected, rtol=1e-9)
+# ---- batches that grow: what measurements have of their own stays theirs
+
+
+NOISE = Isotropic(0.1)
+OFFSETS = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.3], [0.5, 0.0, -1.0]])
+Z = np.array([[1.0, 0.1, 0.3], [0.9, 0.0, 0.1], [1.1, -0.1, 0.0]])
+
+MADE: dict[str, Callable[[Index], Factor]] = {
+    "numbers": lambda k: DriftingStep(x[k], x[k + 1], c[0], Z[k], NOISE, k + 1.0),
+    "pairs": lambda k: BetweenSensors(x[k], x[k + 1], Z[k], NOISE, (OFFSETS[k], OFFSETS[k - 1])),
+    "within": lambda k: Shifted(Position(x[k + 1], Z[k, :2], NOISE, offset=OFFSETS[k, :2]), np.eye(2), c[0]),
+}
+
+
+def start(n: int) -> Values:
+    return Values({x: (SE2, 0.1 * np.random.default_rng(0).normal(size=(n, 3))), c: (R(2), np.zeros((1, 2)))})
+
+
+@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("sizes", [(1, 1, 1), (2, 1), (1, 2)])
+def test_what_is_of_one_measurement_stays_with_it(name: str, sizes: tuple[int, ...]) -> None:
+    """However many arrive at once, the optimum is that of all in one graph."""
+    held = [Prior(x[np.arange(4)], start(4)[x], Isotropic(1.0)), Prior(c[0], [0.1, 0.2], Isotropic(0.5))]
+    smoother = Incremental(tol=1e-9)
+    smoother.update(held, start(4))
+    parts = [MADE[name](k) for k in np.split(np.arange(3), np.cumsum(sizes)[:-1])]
+    for part in parts:
+        smoother.update(part)
+    whole = FactorGraph([*held, *parts]).optimize(start(4)).values
+    for kind in (x, c):
+        np.testing.assert_allclose(smoother.values[kind], whole[kind], atol=2e-3)
+
+
+def test_rows_of_a_follow_the_values_after_measurements_left() -> None:
+    """Whatever part of its memory a batch uses: steps are taken with the A of where the variables are."""
+    smoother, k = Incremental(), np.arange(40)
+    smoother.update([Between(x[k], x[k + 1], [1.0, 0.0, 0.1], NOISE), Prior(x[0], [0, 0, 0], NOISE)], start(1))
+    batch = smoother._system.batches[0]
+    batch.drop(k < 35)
+    A, At = batch.A(200)
+    batch.variables[0].X[...] += [0.0, 1.0, 0.5]
+    batch.linearize()
+    expected = np.concatenate(batch.blocks(), axis=2).sum(axis=2).reshape(-1)
+    assert np.abs(expected).max() > 1
+    for rows in (A, At.T):
+        np.testing.assert_allclose(rows.sum(axis=1), expected, atol=1e-12)

@@ -1,34 +1,21 @@
-"""`nls.Incremental`: what fails leaves nothing behind, and what is taken out leaves as if it had never come."""
+"""`nls.Incremental`: what fails or is taken out leaves nothing behind; closures are judged anew while they come."""
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Sequence
+
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import nls
 import sim
-from factors import BearingRange, Between, Diagonal, Factor, Huber, Isotropic, Prior, Range
+from factors import BearingRange, Between, Diagonal, DriftingStep, Factor, Huber, Isotropic, Prior, Range
 from models import SE2, R
-from models.algebra import wrap
+from models.algebra import Array, wrap
 from models.errors import EvaluationError, GraphError, NoiseModelError, UnderconstrainedError
-from nls import FactorGraph, Incremental, Values
-from tests.nls.incremental.test_incremental import STEP, first, is_optimal, l, same, x
-
-Array = npt.NDArray[np.float64]
-
-
-def test_a_wrong_closure_is_taken_out() -> None:
-    world = sim.ring(np.random.default_rng(3), laps=2, per_lap=20)
-    wrong = Between(x[3], x[15], [5.0, 0, 1], Isotropic(0.05))
-    smoother = Incremental(1e-9)
-    smoother.update([*world.graph.factors, wrong], first(world.start))
-    bent = smoother.chi2
-    smoother.remove(wrong)
-    assert smoother.chi2 < bent / 2
-    same(smoother, world.graph.optimize(smoother.values), 1e-4)
-    with pytest.raises(GraphError, match=r"Between.*is not in the estimate"):
-        smoother.remove(wrong)
+from nls import FactorGraph, Incremental, Values, kinds
+from tests.nls.incremental.test_incremental import STEP, grown, is_optimal, l, same, x
 
 
 def test_what_would_be_free_stays() -> None:
@@ -71,15 +58,12 @@ def test_a_list_is_taken_out_whole_or_not_at_all() -> None:
 
 
 def test_a_measurement_that_waits_can_be_taken_back() -> None:
-    smoother = Incremental()
-    smoother.update(Prior(x[0], [0.0, 0, 0], STEP), Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), np.zeros((0, 2)))}))
-    ranges = Range(x[0], l[1], 2.0, STEP)
-    smoother.update(ranges)
-    assert [repr(keys) for keys in smoother.waiting] == ["l1"]
+    smoother, ranges = Incremental(), Range(x[0], l[1], 2.0, STEP)
+    start = Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), np.zeros((0, 2)))})
+    smoother.update([Prior(x[0], [0.0, 0, 0], STEP), ranges], start)
     assert smoother.pending == (ranges,)
     smoother.remove(ranges)
-    assert not smoother.waiting
-    assert not smoother.pending
+    assert smoother.waiting == smoother.pending == ()
 
 
 def beacons(landmark: bool = True) -> tuple[Incremental, list[Factor]]:
@@ -244,3 +228,106 @@ def test_an_update_whose_decision_fails_takes_nothing(monkeypatch: pytest.Monkey
     assert len(smoother.graph) == 3
     smoother.update(loops)
     assert len(smoother.graph) == 5
+
+
+# ---- loop closures judged anew
+
+
+(d,) = kinds("d")
+
+
+@pytest.fixture(scope="module")
+def spoiled() -> tuple[FactorGraph, sim.World]:
+    """Three laps of 50 poses, and twenty wrong closures among the right ones."""
+    world = sim.ring(np.random.default_rng(3), laps=3, per_lap=50)
+    rng = np.random.default_rng(1)
+    i, j = rng.integers(0, 60, 20), rng.integers(70, 150, 20)
+    wrong = Between(x[i], x[j], rng.normal(size=(20, 3)) * [5.0, 5.0, 1.0], Diagonal(x=0.05, y=0.05, yaw=0.01))
+    return FactorGraph([*world.graph.factors, wrong]), world
+
+
+def test_wrong_closures_are_out_in_the_end_and_the_map_is_that_of_the_right_ones(
+    spoiled: tuple[FactorGraph, sim.World],
+) -> None:
+    graph, world = spoiled
+    smoother = grown(graph.factors, world.truth, Incremental(1e-6, decide_every=15))
+    assert len(graph) == len(smoother.graph) + sum(map(len, smoother.rejected))
+    decided = smoother.decide()
+    wrong = {graph.factors[-1].describe(k) for k in range(20)}
+    out = {f.describe(k) for f in smoother.rejected for k in range(len(f))}
+    assert wrong <= out
+    assert len(out) <= len(wrong) + 2
+    assert len(decided.rejected) == sum(map(len, smoother.rejected))
+    best = smoother.graph.optimize(smoother.values)
+    assert abs(smoother.chi2 - best.chi2_final) <= smoother.gap + 1e-9 <= 1e-6 * smoother.chi2
+    right, trusting = (g.optimize(smoother.values).values for g in (world.graph, graph))
+    off = [np.linalg.norm((values[x] - right[x])[:, :2], axis=1).max() for values in (trusting, smoother.values)]
+    assert off[1] < 0.1 < 1 < off[0]
+
+
+def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = sim.ring(np.random.default_rng(3), laps=2, per_lap=40)
+    smoother = grown(world.graph.factors, world.truth, Incremental(1e-6))
+    before, n, judge = smoother.values, len(smoother.graph), nls.incremental.leaving.gnc
+
+    def wary(graph: FactorGraph, values: Values, doubted: Sequence[Factor] | None) -> nls.Robustified:
+        found = judge(graph, values, doubted=doubted)
+        loops = [np.abs(f.keys[0].numbers - f.keys[1].numbers) == 1 for f in graph.factors]
+        object.__setattr__(found, "weights", [mask.astype(float) for mask in loops])
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nls.incremental.leaving.gnc", wary)
+        smoother.decide()
+    assert sum(map(len, smoother.rejected)) == len(world.graph.factors[1])
+    again = pickle.loads(pickle.dumps(smoother))
+    for one in (smoother, again):
+        one.decide()
+        assert not one.rejected
+        assert len(one.graph) == n
+        np.testing.assert_allclose(one.values[x], before[x], atol=1e-3)
+
+
+def test_steps_with_a_drift_are_trusted_and_the_doubted_closures_judged() -> None:
+    """With drifts it is no pose graph: what may be wrong is named, also what comes later and what was out."""
+    around = 2 * np.pi * np.arange(41) / 20
+    truth = np.column_stack([6 * np.cos(around), 6 * np.sin(around), around])
+    steps = SE2.between(truth[:-1], truth[1:])
+    k, noise = np.arange(40), Diagonal(x=0.02, y=0.02, yaw=0.01)
+    reckoned = DriftingStep(x[k], x[k + 1], d[0], steps + np.array([0.05, 0.0, 0.0]), noise)
+    smoother = Incremental()
+    first = [Prior(x[0], truth[0], noise), Prior(d[0], [0.0, 0.0], Isotropic(0.5))]
+    smoother.update([*first, *reckoned], Values({x: (SE2, truth[:1]), d: (R(2), np.zeros((1, 2)))}))
+    i, j = np.arange(0, 20, 2), np.arange(20, 40, 2)
+    right = Between(x[i], x[j], SE2.between(truth[i], truth[j]), noise)
+    wrong = Between(x[[3, 5]], x[[30, 37]], [[2.0, 1.0, 0.5], [-3.0, 0.0, 1.0]], noise)
+    with pytest.raises(GraphError):
+        smoother.decide()
+    smoother.update(wrong)
+    smoother.update(right)
+    for _ in range(2):
+        decided = smoother.decide([right, wrong])
+        assert {out.factor for out in decided.rejected} == {"Between(x5, x37)", "Between(x3, x30)"}
+        assert sum(map(len, smoother.rejected)) == 2
+    best = FactorGraph([*first, reckoned, right]).optimize(smoother.values).values
+    np.testing.assert_allclose(smoother[x[np.arange(41)]], best[x], atol=1e-3)
+
+
+def test_a_closure_that_is_not_believed_can_be_removed(spoiled: tuple[FactorGraph, sim.World]) -> None:
+    graph, world = spoiled
+    smoother = grown(world.graph.factors, world.truth)
+    wrong = graph.factors[-1][:5]
+    smoother.update(wrong)
+    smoother.decide()
+    assert sum(map(len, smoother.rejected)) >= 5
+    smoother.remove(wrong)
+    assert not any(set(f.keys[0].numbers) & set(wrong.keys[0].numbers) for f in smoother.rejected)
+    with pytest.raises(GraphError, match="is not in the estimate"):
+        smoother.remove(wrong)
+
+
+def test_what_cannot_be_decided_is_refused() -> None:
+    smoother = Incremental()
+    smoother.update(Between(x[0], x[1], [1.0, 0, 0], Diagonal(x=1, y=1, yaw=1)), Values({x: (SE2, np.zeros((1, 3)))}))
+    with pytest.raises(GraphError, match="no loop closures"):
+        smoother.decide()

@@ -1,6 +1,8 @@
-"""A lag: what leaves, what stays, what comes too late."""
+"""A lag: what leaves, what stays, what comes too late; and what is known of the rest stays known."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,20 +17,25 @@ from factors import (
     Diagonal,
     Factor,
     Huber,
+    Information,
     Isotropic,
     Landmark,
+    Line,
     Prior,
     Range,
 )
 from factors.keys import Kind
-from models import SE2, SE3, R, euler, wrap
-from models.errors import GraphError, OptionError
-from nls import FactorGraph, Incremental, Marginals, Values, kinds
-from nls.incremental.marginal import MarginalPrior
+from models import LINE, SE2, SE3, LieGroup, Manifold, R, euler, wrap
+from models.algebra import Array
+from models.errors import GraphError, UnderconstrainedError
+from models.sensors import line_from_frame
+from nls import FactorGraph, GaussNewton, Incremental, Marginals, Values, kinds
+from nls.incremental.marginal import MarginalPrior, marginalized
 from nls.incremental.steps import steps
+from tests.combinations import for_all
+from tests.nls.incremental.test_incremental import STEP, grown
 
-x, l, s = kinds("x", "l", "s")
-STEP = Isotropic(0.1)
+x, l, s, o = kinds("x", "l", "s", "o")
 ORIGIN = Values({x: (SE2, [[0.0, 0.0, 0.0]])})
 
 
@@ -52,19 +59,15 @@ def test_within_the_window_closures_count_as_in_the_batch(known: bool, kernel: H
     closures = Between(x[n], x[n + 5], near, Isotropic(0.05))
     prior = [Prior(x[0], world.truth[x[0]], Isotropic(0.01))] if known else []
     graph = nls.FactorGraph([*prior, odometry, closures if kernel is None else closures.robust(kernel)])
-    short, long = Incremental(1e-9, lag=8), Incremental(1e-9)
-    for step in steps(graph.factors):
-        for smoother in (short, long):
-            smoother.update(step.factors, Values({x: (SE2, world.truth[x[:1]])}))
+    short, long = (grown(graph.factors, world.truth, Incremental(1e-9, lag=lag)) for lag in (8, None))
     assert kept(short) == [*range(32, 40)]
     assert not short.behind
     sigma = np.sqrt(np.diagonal(long.covariance(x[39], frame="body")))
     off = SE2.local(long[x[39]][None], short[x[39]][None])[0]
     assert (np.abs(off) < 0.1 * sigma).all(), off / sigma
     if known:
-        np.testing.assert_allclose(
-            short.covariance(x[39], frame="body"), long.covariance(x[39], frame="body"), rtol=0.1, atol=1e-4
-        )
+        covariances = (smoother.covariance(x[39], frame="body") for smoother in (short, long))
+        np.testing.assert_allclose(*covariances, rtol=0.1, atol=1e-4)
     left = short.left[x[:32]]
     assert np.abs(SE2.local(long[x[:32]], left)[:, :2]).max() < 1
 
@@ -122,8 +125,7 @@ def test_the_place_of_a_sensor_stays() -> None:
         z = SE2.compose(seen, SE2.exp(rng.normal(0, 0.001, 3)))
         seen_from = BetweenSensors(x[k], x[k + 1], z, Isotropic(0.001), s[0])
         smoother.update([Between(x[k], x[k + 1], u, Isotropic(0.001)), seen_from])
-    assert kept(smoother) == [27, 28, 29, 30]
-    assert kept(smoother, "s") == [0]
+    assert (kept(smoother), kept(smoother, "s")) == ([27, 28, 29, 30], [0])
     np.testing.assert_allclose(smoother[s[0]], mount, atol=0.005)
 
 
@@ -170,9 +172,7 @@ def test_bearings_and_ranges_never_sharpen_the_heading(turn: float, lag: int) ->
     factors, truth = around(x, l, 0, turn)
     best = FactorGraph(factors).optimize(truth).values
     sigma = Marginals(FactorGraph(factors), best).covariance(x[40], frame="body")[2, 2] ** 0.5
-    smoother, first = Incremental(1e-6, lag=lag), Values({x: (SE2, truth[x[:1]])})
-    for step in steps(factors):
-        smoother.update(step.factors, first)
+    smoother = grown(factors, truth, Incremental(1e-6, lag=lag))
     assert abs(smoother[x[40]][2] - best[x[40]][2]) < 0.01
     assert smoother.covariance(x[40], frame="body")[2, 2] ** 0.5 == pytest.approx(sigma, rel=0.02)
     assert sigma > 0.099
@@ -206,9 +206,8 @@ def test_depth_and_tilt_never_sharpen_the_heading(lag: int) -> None:
     """Steps, depth and tilt of a vehicle that rolls and pitches: the sigma of its heading is that of the batch."""
     rng, n = np.random.default_rng(3), 60
     a, noise = np.arange(n + 1) * 0.1, np.array([0.03, 0.03, 0.03, 0.003, 0.003, 0.003])
-    state = np.column_stack(
-        [0.1 * np.sin(3 * a), 0.1 * np.sin(2 * a), a, 8 * np.sin(a), -8 * np.cos(a), 0.5 * np.sin(a)]
-    )
+    sin, cos = np.sin, np.cos
+    state = np.column_stack([0.1 * sin(3 * a), 0.1 * sin(2 * a), a, 8 * sin(a), -8 * cos(a), 0.5 * sin(a)])
     truth, k = euler.to_se3(state), np.arange(n)
     moved = SE3.retract(SE3.between(truth[:-1], truth[1:]), rng.normal(0, noise, (n, 6)))
     tilt = state[:, [5, 1, 0]] + rng.normal(0, [0.02, 0.005, 0.005], (n + 1, 3))
@@ -217,19 +216,112 @@ def test_depth_and_tilt_never_sharpen_the_heading(lag: int) -> None:
         Between(x[k], x[k + 1], moved, Diagonal(noise)),
         ZPR(x[np.arange(n + 1)], tilt, Diagonal(depth=0.02, pitch=0.005, roll=0.005)),
     ]
-    graph, smoother = FactorGraph(factors), Incremental(1e-6, lag=lag)
-    best = graph.optimize(Values({x: (SE3, truth)})).values
-    for step in steps(factors):
-        smoother.update(step.factors, Values({x: (SE3, truth[:1])}))
+    graph, known = FactorGraph(factors), Values({x: (SE3, truth)})
+    best, smoother = graph.optimize(known).values, grown(factors, known, Incremental(1e-6, lag=lag))
     one, all_ = (s.covariance(x[n], frame="world")[5, 5] ** 0.5 for s in (smoother, Marginals(graph, best)))
     assert one == pytest.approx(all_, rel=0.002)
     assert euler.from_se3(smoother[x[n]])[2] == pytest.approx(euler.from_se3(best[x[n]])[2], abs=0.002)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [({"lag": 0}, "lag"), ({"lag": 2.0}, "lag"), ({"landmarks": "go"}, "landmarks"), ({"tol": -1}, "tol")],
-)
-def test_options_are_refused_by_name(options: dict[str, object], said: str) -> None:
-    with pytest.raises(OptionError, match=said):
-        Incremental(**options)  # type: ignore[arg-type]
+# ---- marginalizing
+
+
+close = np.testing.assert_allclose
+STEPS, SEEN = 9, [(0, 0), (0, 1), (1, 0), (2, 1), (3, 2), (4, 2), (5, 2), (5, 3), (6, 3), (8, 3)]
+
+
+def linear(seed: int = 0) -> tuple[FactorGraph, Values]:
+    """Points that walk and see points, everything a difference with full covariances: a linear problem."""
+    rng = np.random.default_rng(seed)
+
+    def informations(n: int) -> Array:
+        L = np.tril(rng.uniform(-0.3, 0.3, (n, 2, 2))) + np.eye(2) * rng.uniform(0.2, 1.0, (n, 1, 1))
+        return np.linalg.inv(L @ L.mT)
+
+    i, k = np.array(SEEN).T
+    at = np.arange(STEPS)
+    first = Prior(x[0], rng.normal(size=2), Information(informations(1)))
+    walk = Between(x[at[:-1]], x[at[1:]], rng.normal(size=(STEPS - 1, 2)), Information(informations(STEPS - 1)))
+    seen = Between(x[i], l[k], rng.normal(size=(len(i), 2)), Information(informations(len(i))))
+    return FactorGraph([first, walk, seen]), Values({x: (R(2), np.zeros((STEPS, 2))), l: (R(2), np.zeros((4, 2)))})
+
+
+def test_marginalizing_keeps_estimate_and_covariance_of_the_rest() -> None:
+    graph, values = linear(3)
+    best = graph.optimize(values, gauge="none").values
+    leaving = [x[[0, 2, 4]], l[[1]]]
+    left, rest = marginalized(graph.factors, values, leaving)
+    assert isinstance(left[-1], MarginalPrior)
+    assert not any(key in keys for gone in leaving for key in gone for f in left for keys in map(set, f.keys))
+    kept = x[[1, 3, 5, 6, 7, 8]]
+    reduced = FactorGraph(left)
+    again = reduced.optimize(rest, GaussNewton(), gauge="none").values
+    close(again[kept], best[kept], atol=1e-9)
+    whole, part = Marginals(graph, best, gauge="none"), Marginals(reduced, again, gauge="none")
+    close(part.joint([kept, l[[0, 2, 3]]]).matrix, whole.joint([kept, l[[0, 2, 3]]]).matrix, atol=1e-10)
+
+
+@for_all(scene=[sim.subsea, sim.lines])
+def test_a_prior_left_by_poses_has_the_derivatives_it_says(scene: Callable[..., sim.LandmarkWorld]) -> None:
+    generator = np.random.default_rng(5)
+    world = scene(np.random.default_rng(2), laps=1)
+    factors, _ = marginalized(world.graph.factors, world.start, [x[np.arange(20)]])
+    prior = factors[-1]
+    assert isinstance(prior, MarginalPrior)
+    manifolds = [world.start.stack(k.kind).manifold for k in prior.keys]
+    model = prior.bind(*manifolds)
+    X = [m.retract(x0[None], generator.normal(0, 0.4, (1, m.dim))) for m, x0 in zip(manifolds, prior.X0, strict=True)]
+    A, b = model.linearize(*X)
+    assert np.abs(b).max() > 1
+    for slot, m in enumerate(manifolds):
+        for c in range(m.dim):
+            delta = np.zeros((1, m.dim))
+            delta[0, c] = 1e-6
+            there, back = ([*X[:slot], m.retract(X[slot], s * delta), *X[slot + 1 :]] for s in (1, -1))
+            close(-A[slot][0, :, c], (model.error(*there) - model.error(*back))[0] / 2e-6, rtol=1e-5, atol=1e-4)
+
+
+def seen(space: LieGroup, target: Manifold, seed: int) -> tuple[list[Factor], Values]:
+    """Four poses that see three targets through a sensor of unknown place; from their steps and sightings alone."""
+    rng, n = np.random.default_rng(seed), np.arange(4)
+    X, noise = space.exp(rng.normal(0, 1, (4, space.dim))), Isotropic(0.1)
+    L = rng.normal(0, 5, (3, target.dim))
+    i, j = np.repeat(n, 3), np.tile(n[:3], 4)
+    sort = Line if target is LINE else Landmark
+    mount = space.exp(rng.normal(0, 0.3, (1, space.dim)))
+    z = sort(x[i], l[j], np.zeros((12, target.dim)), noise, mount).predict((space, target), X[i], L[j])[0]
+    z = target.retract(z, rng.normal(0, 0.1, (12, target.dim)))
+    moved = space.retract(space.between(X[:-1], X[1:]), rng.normal(0, 0.1, (3, space.dim)))
+    factors = [Between(x[n[:-1]], x[n[1:]], moved, noise), sort(x[i], l[j], z, noise, o[0])]
+    return factors, FactorGraph(factors).optimize(Values({o: (space, mount), x: (space, X), l: (target, L)})).values
+
+
+@for_all(spaces=[(SE2, R(2)), (SE2, LINE), (SE3, R(3))])
+def test_a_common_motion_costs_a_prior_of_relative_measurements_nothing(spaces: tuple[LieGroup, Manifold]) -> None:
+    group, target = spaces
+    factors, values = seen(group, target, 1)
+    prior = marginalized(factors, values, [x[[0, 1]]])[0][-1]
+    assert isinstance(prior, MarginalPrior)
+    assert prior.relative
+    assert prior.unmoved == (0,)
+    rng = np.random.default_rng(0)
+    model = prior.bind(*(values.stack(keys.kind).manifold for keys in prior.keys))
+    at = [m.retract(x0[None], rng.normal(0, 0.3, (1, m.dim))) for m, x0 in zip(model.manifolds, prior.X0, strict=True)]
+    for size in (0.1, 3.0):
+        G = group.exp(rng.normal(0, size, (1, group.dim)))
+        moved = [at[0], *(moved_by(group, G, m, X) for m, X in zip(model.manifolds[1:], at[1:], strict=True))]
+        close(model.error(*moved), model.error(*at), atol=1e-9)
+    assert np.abs(model.error(*at)).max() > 1
+
+
+def moved_by(group: LieGroup, G: Array, space: Manifold, X: Array) -> Array:
+    """Elements of a space after a motion of everything."""
+    return group.compose(G, X) if space is group else line_from_frame(G, X) if space is LINE else group.act(G, X)
+
+
+def test_a_landmark_that_is_not_determined_cannot_leave() -> None:
+    steps = Between(x[0:2], x[1:3], [[1.0, 0, 0]] * 2, Isotropic(0.1))
+    factors = [Prior(x[0], [0, 0, 0], Isotropic(0.1)), steps, Range(x[0], l[7], [5.0], Isotropic(0.1))]
+    values = Values({x: (SE2, SE2.identity(3)), l: (R(2), [[3.0, 4.0]], [7])})
+    with pytest.raises(UnderconstrainedError, match=r"l7 cannot leave the window.*Prior"):
+        marginalized(factors, values, [l[7]])

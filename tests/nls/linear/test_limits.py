@@ -18,17 +18,15 @@ from nls.gauge import choose_gauge
 from nls.linear import limits
 from nls.linear.limits import FRACTION, UNKNOWN, default_limit
 from nls.sparse.pattern import Pattern
-from tests.nls.graphs import pose_graph, x
+from tests.nls.graphs import cube, pose_graph, x
 
 SPARSE = (Cholesky, LU, QR)
 PROC = Path("/proc/self/status")
 
 
 def lattice(side: int, dim: int = 1) -> tuple[FactorGraph, Values]:
-    """Points of R(dim) on a cube of side^3, each joined to its neighbors: the worst fill there is, for its size."""
-    number = np.arange(side**3).reshape(side, side, side)
-    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[:, :, :-1], number[:, :, 1:])]
-    i, j = (np.concatenate([pair[s].reshape(-1) for pair in pairs]) for s in (0, 1))
+    """Points of R(dim) on a cube of side^3, each joined to its neighbors."""
+    i, j = cube(side)
     graph = FactorGraph([Prior(x[0], np.zeros(dim), Isotropic(1)), Between(x[i], x[j], np.ones(dim), Isotropic(1))])
     return graph, Values({x: (R(dim), np.zeros((side**3, dim)))})
 
@@ -79,10 +77,8 @@ def test_the_estimate_covers_what_a_solve_takes() -> None:
         pytest.skip("needs CHOLMOD and /proc")
     root = Path(__file__).parents[3]
     environment = {**os.environ, "PYTHONPATH": str(root)}
-    run = subprocess.run(
-        [sys.executable, "-c", SOLVE], cwd=root, env=environment, capture_output=True, text=True, check=True
-    )
-    taken, needed, numbers = (float(word) for word in run.stdout.split())
+    run = subprocess.run([sys.executable, "-c", SOLVE], cwd=root, env=environment, capture_output=True, check=True)
+    taken, needed, numbers = map(float, run.stdout.split())
     assert numbers > 5e6
     assert numbers < taken < needed + 1e7
 

@@ -93,19 +93,6 @@ def test_no_trial_step_can_be_evaluated(name: str, singular: bool) -> None:
     assert np.array_equal(result.values[p], [[1.0]])
 
 
-@DAMPED
-def test_a_wall_is_avoided(name: str) -> None:
-    """The undamped step leads to the logarithm of a negative number; shorter ones do not."""
-
-    def residual(X: Array) -> Array:
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.log(X) + 3.0)
-
-    result = optimize(*scalar(residual, 1.0), name)
-    assert result.converged
-    assert result.values[p[0]][0] == pytest.approx(np.exp(-3), rel=1e-6)
-
-
 @ALL
 def test_a_jacobian_of_the_wrong_sign(name: str) -> None:
     graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
@@ -121,20 +108,6 @@ def test_a_jacobian_of_the_wrong_sign(name: str) -> None:
         if name != "gauss-newton":
             assert result.status is Status.STALLED
             assert "factors.check_jacobians" in result.reason
-
-
-@DAMPED
-def test_a_row_of_the_jacobian_that_is_wrong(name: str) -> None:
-    """The minimum of (x-1)^2 + (x-2)^2 is at 1.5; with one derivative twice too large the gradient vanishes at 5/3."""
-    graph, start = scalar(
-        lambda X: np.concatenate([X - 1.0, X - 2.0], axis=1), 9.0, lambda X: np.array([[[1.0], [2.0]]]), dim=2
-    )
-    result = optimize(graph, start, name)
-    assert result.chi2_final < 0.6
-    if result.converged:
-        assert result.values[p[0]][0] == pytest.approx(5 / 3, abs=1e-3)  # nothing but check_jacobians can tell
-    else:
-        assert "check_jacobians" in result.reason
 
 
 # ---- nothing there
@@ -178,17 +151,23 @@ def test_a_kink(name: str) -> None:
             assert name == "gauss-newton" or abs(result.values[p[0]][0]) < 1e-3 * abs(at)
 
 
+def quartic(unit: float, scale: float) -> tuple[FactorGraph, Values]:
+    """x - 2 and x^2 - 3, x in units of `scale` and the residual in those of `unit`."""
+
+    def residual(X: Array) -> Array:
+        return unit * np.concatenate([X / scale - 2.0, (X / scale) ** 2 - 3.0], axis=1)
+
+    def slope(X: Array) -> Array:
+        return unit * np.stack([np.ones_like(X) / scale, 2 * X / scale**2], axis=1)
+
+    return scalar(residual, 5 * scale, slope, dim=2)
+
+
 @DAMPED
 def test_huge_and_tiny_numbers(name: str) -> None:
     """Units of the unknown do not matter: x in units of `scale`."""
     for scale in (1e-100, 1e-20, 1e20, 1e60):
-        graph, start = scalar(
-            lambda X, s=scale: np.concatenate([X / s - 2.0, (X / s) ** 2 - 3.0], axis=1),  # type: ignore[misc]
-            5 * scale,
-            lambda X, s=scale: np.stack([np.ones_like(X) / s, 2 * X / s**2], axis=1),  # type: ignore[misc]
-            dim=2,
-        )
-        result = optimize(graph, start, name, Stop(update_tol=0.0))
+        result = optimize(*quartic(1.0, scale), name, Stop(update_tol=0.0))
         assert result.converged
         assert result.values[p[0]][0] == pytest.approx(1.7523324 * scale, rel=1e-4, abs=0)  # 2 x^3 - 5 x = 2
 
@@ -196,15 +175,7 @@ def test_huge_and_tiny_numbers(name: str) -> None:
 @ALL
 def test_a_huge_chi2(name: str) -> None:
     """Units of the residual do not matter: with one of 1e90 the square of chi2 is no number."""
-    results = []
-    for unit in (1.0, 1e90):
-        graph, start = scalar(
-            lambda X, u=unit: u * np.concatenate([X - 2.0, X**2 - 3.0], axis=1),  # type: ignore[misc]
-            5.0,
-            lambda X, u=unit: u * np.stack([np.ones_like(X), 2 * X], axis=1),  # type: ignore[misc]
-            dim=2,
-        )
-        results.append(optimize(graph, start, name))
+    results = [optimize(*quartic(unit, 1.0), name) for unit in (1.0, 1e90)]
     assert [result.converged for result in results] == [True, True]
     assert results[1].iterations == results[0].iterations
     assert results[1].values[p[0]][0] == pytest.approx(1.7523324, rel=1e-4)

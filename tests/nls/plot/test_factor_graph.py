@@ -19,13 +19,9 @@ NOISE = Isotropic(0.1)
 
 
 def toy() -> FactorGraph:
-    return FactorGraph(
-        [
-            Prior(x[1], [0, 0, 0], NOISE),
-            Between(x[[1, 2]], x[[2, 3]], [[2, 0, 0], [2, 0, 0]], NOISE),
-            Landmark(x[[1, 2, 3]], l[[1, 1, 2]], [[2, 2], [0, 2], [0, 2]], NOISE),
-        ]
-    )
+    walk = Between(x[[1, 2]], x[[2, 3]], [[2, 0, 0], [2, 0, 0]], NOISE)
+    seen = Landmark(x[[1, 2, 3]], l[[1, 1, 2]], [[2, 2], [0, 2], [0, 2]], NOISE)
+    return FactorGraph([Prior(x[1], [0, 0, 0], NOISE), walk, seen])
 
 
 def circles(figure: Figure) -> dict[str, np.ndarray]:

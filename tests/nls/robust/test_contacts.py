@@ -70,9 +70,8 @@ def test_contacts_that_agree_are_the_right_ones(make: Callable[..., sim.Mission]
     off = np.linalg.norm(sets.points - mission.truth[l][sets.rows], axis=1)
     assert np.median(off) < 0.2
     assert np.quantile(off, 0.9) < 0.6
-    counts = np.bincount(
-        mission.start.stack("l").index(mission.contacts.keys[1])[sets.kept], minlength=mission.landmarks
-    )
+    rows = mission.start.stack("l").index(mission.contacts.keys[1])
+    counts = np.bincount(rows[sets.kept], minlength=mission.landmarks)
     assert (counts[sets.rows] == sets.size).all()
     assert (sets.size >= 2).all()
     assert (np.delete(counts, sets.rows) == 0).all()

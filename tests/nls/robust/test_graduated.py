@@ -52,7 +52,7 @@ def wrong_closures(world: sim.World, count: int, rng: np.random.Generator, group
 
 
 def loose(factor: Factor, times: float) -> Between:
-    """The same measurements with sigmas so many times larger."""
+    """Measurements with sigmas so many times larger."""
     W = factor.bind(SE2, SE2).W / times
     W = W if W.ndim == 3 else W[:, :, None] * np.eye(3)
     information = np.broadcast_to(W.mT @ W, (len(factor), 3, 3))
@@ -140,9 +140,8 @@ def test_neighbors_support_each_other_and_tell_the_noise(city: sim.World) -> Non
 def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
     rng, a = RNG(2), np.arange(30)
     odometry = Between(x[a], x[a + 1], rng.normal(size=(30, 2)), Isotropic(0.5))
-    loops = Between(
-        x[[0, 3, 5, 20, 21]], x[[11, 14, 29, 9, 8]], rng.normal(size=(5, 2)), Isotropic([0.1, 0.2, 0.3, 0.2, 0.1])
-    )
+    noise = Isotropic([0.1, 0.2, 0.3, 0.2, 0.1])
+    loops = Between(x[[0, 3, 5, 20, 21]], x[[11, 14, 29, 9, 8]], rng.normal(size=(5, 2)), noise)
     graph, values = FactorGraph([odometry, loops]), Values({x: (R(2), np.zeros((31, 2)))})
     result = graph.optimize(values)
     track, groups = loop_graph(graph, values), np.array([7, 7, 2, 4, 4])
@@ -154,8 +153,7 @@ def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
         for above, found in ((1.001, False), (0.999, True)):  # linear: the statistic is exactly that fall
             scaled = replace(result, chi2_final=above * fall / gate * result.dof)  # what the noise is taken from
             wrong = misfits(witnesses(track, result.values, np.ones(5, dtype=bool)), scaled, track)
-            assert wrong[groups == group].all() == found
-            assert wrong[groups == group].any() == found
+            assert (wrong[groups == group].all(), wrong[groups == group].any()) == (found, found)
 
 
 def judged(world: sim.World, wrong: Between, found: Robustified) -> None:
@@ -240,10 +238,6 @@ def test_what_cannot_be_judged_is_refused_by_name(city: sim.World) -> None:
         nls.gnc(FactorGraph([chain, loop]), values)
     with pytest.raises(GraphError, match="no loop closures"):
         nls.gnc(FactorGraph([chain]), values)
-    blind = Between(x[[0, 2]], x[[4, 0]], [0.0, 0.0, 0.0], Information(np.diag([1.0, 1.0, 0.0])))
-    whole = Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 4]], [1.0, 0.0, 0.0], Isotropic(0.1))
-    with pytest.raises(GraphError, match=r"Between\(x0, x4\): its weights say nothing"):
-        nls.gnc(FactorGraph([whole, blind]), values)
     with pytest.raises(OptionError, match="loss"):
         nls.gnc(city.graph, city.truth, "huber")
     for probability in (0.0, 1.0, np.nan, "0.9"):

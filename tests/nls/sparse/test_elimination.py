@@ -1,4 +1,4 @@
-"""Which order CHOLMOD eliminates in, AMD's or METIS's; and that an elimination is kept for its own pairs alone."""
+"""The order of an elimination, AMD's or METIS's, and for what it is kept; connected components; the size of R."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 import nls.linear.cholesky as cholesky
 from models.algebra import Index
-from nls.sparse.elimination import Elimination, Eliminations
-from nls.sparse.fill import counted
+from nls.sparse.elimination import Elimination, Eliminations, connected, firsts
+from nls.sparse.fill import counted, rows_below
+from tests.nls.graphs import cube
 
 CHOLMOD = pytest.mark.skipif(cholesky.cholmod() is None, reason="needs CHOLMOD")
-
-
-def cube(side: int) -> tuple[Index, Index, int]:
-    """Pairs of neighbors among side^3 nodes: of all graphs of its size one with the worst fill."""
-    number = np.arange(side**3).reshape(side, side, side)
-    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[:, :, :-1], number[:, :, 1:])]
-    u, v = (np.concatenate([pair[s].reshape(-1) for pair in pairs]) for s in (0, 1))
-    return u, v, side**3
 
 
 def asked(monkeypatch: pytest.MonkeyPatch, built_with_metis: bool = True) -> list[str]:
@@ -46,7 +41,8 @@ def ordered(u: Index, v: Index, V: int) -> tuple[Index, float]:
 
 @CHOLMOD
 def test_a_large_graph_with_much_fill_takes_metis_which_costs_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    u, v, V = cube(23)
+    u, v = cube(23)
+    V = 23**3
     assert len(u) > cholesky.LARGE
     with monkeypatch.context() as patch:
         methods = asked(patch)
@@ -79,15 +75,15 @@ def test_a_small_graph_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     def counting(*_: object) -> None:
         raise AssertionError("counted")
 
-    u, v, V = cube(21)
+    u, v = cube(21)
     assert 20_687 < len(u) <= cholesky.LARGE  # city10000, the largest public set of its kind
     monkeypatch.setattr(cholesky, "counted", counting)
     methods = asked(monkeypatch)
-    _, flops = ordered(u, v, V)
+    _, flops = ordered(u, v, 21**3)
     assert flops > cholesky.COSTLY * len(u)
     assert methods == ["amd"]
     with pytest.raises(AssertionError, match="counted"):
-        ordered(*cube(23))
+        ordered(*cube(23), 23**3)
 
 
 def test_an_elimination_is_kept_for_the_same_pairs_and_for_no_others() -> None:
@@ -110,3 +106,69 @@ def test_an_elimination_is_kept_for_the_same_pairs_and_for_no_others() -> None:
         first = kept.of(u, v, 4, backward)
         assert first.variables.tolist() == [3, 2, 1, 0]
     assert kept.of(u, v, 4, forward).variables.tolist() == [0, 1, 2, 3]
+
+
+# ---- connected components, against scipy's
+
+
+def test_components_of_trajectories_with_gaps_and_closures() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 60))
+        step = np.flatnonzero(rng.random(n - 1) < 0.8)  # some neighbors are not joined
+        closures = rng.integers(0, n, (2, 4))
+        for order in (np.arange(n), np.arange(n)[::-1], rng.permutation(n)):
+            i, j = order[np.append(step, closures[0])], order[np.append(step + 1, closures[1])]
+            turned = rng.random(len(i)) < 0.3
+            i, j = np.where(turned, j, i), np.where(turned, i, j)
+            _, label = connected_components(sp.csr_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
+            assert connected(i, j, n).tolist() == [int(np.argmax(label == own)) for own in label], seed
+
+
+def test_no_pairs_and_no_nodes() -> None:
+    none = np.zeros(0, dtype=np.intp)
+    assert (connected(none, none, 3).tolist(), connected(none, none, 0).tolist()) == ([0, 1, 2], [])
+    assert firsts(np.array([0, 0]), none).tolist() == []
+
+
+def test_the_first_of_some_nodes_in_every_component() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        component = connected(rng.integers(0, 30, 15), rng.integers(0, 30, 15), 30)
+        nodes = rng.permutation(30)[:20]
+        expected = {int(c): next(int(v) for v in nodes if component[v] == c) for c in component[nodes]}
+        assert firsts(component, nodes).tolist() == [expected[c] for c in sorted(expected)]
+
+
+# ---- the size of R, counted before it is computed
+
+
+def elimination(V: int, row: Index, column: Index, widths: Index) -> list[int]:
+    """Rows below every block column by eliminating one after the other."""
+    L = np.zeros((V, V), dtype=bool)
+    L[row, column] = True
+    for j in range(V):
+        below = np.flatnonzero(L[:, j])
+        for i in below:
+            L[below[below > i], i] = True
+    return [int(widths[L[:, j]].sum()) for j in range(V)]
+
+
+def test_rows_below_are_those_of_an_elimination() -> None:
+    """Repeated pairs, nodes without any, several components, everything joined to everything."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        V = int(rng.integers(1, 30))
+        u, v = rng.integers(0, V, (2, int(rng.integers(0, 3 * V))))
+        u, v = u[u != v], v[u != v]
+        row, column, widths = np.maximum(u, v), np.minimum(u, v), rng.integers(1, 7, V)
+        assert rows_below(widths, row, column).tolist() == elimination(V, row, column, widths), seed
+
+
+def test_the_count_of_nothing_and_of_a_full_matrix() -> None:
+    none = np.zeros(0, dtype=np.intp)
+    assert counted(none, none, none, none).nnz == 0
+    u, v = np.triu_indices(5, 1)
+    full = counted(np.full(5, 3), u, v, np.array([3, 1, 4, 0, 2]))
+    assert full.nnz == 15 * 16 // 2
+    assert full.flops == sum(k**2 for k in range(1, 16))

@@ -28,7 +28,7 @@ from models.errors import SingularGeometryError
 from models.sensors import Camera, direction, distance
 from nls import FactorGraph, Values, initialize, kinds
 from nls.starts import STARTS, locate_points
-from tests.nls.graphs import moved, walk
+from tests.nls.graphs import forgotten, moved, walk
 
 x, l, m, o = kinds("x", "l", "m", "o")
 ONE = Isotropic(1.0)
@@ -79,20 +79,11 @@ def scene(group: LieGroup, seed: int = 0, n: int = 30, k: int = 7) -> tuple[Valu
     """Scattered poses and points under odd numbers, and who sees whom."""
     rng, d = np.random.default_rng(seed), group.point_dim
     X = group.exp(rng.normal(size=(n, group.dim)) * ([4.0] * d + [1.0] * (group.dim - d)))
-    values = Values(
-        {
-            l: (R(d), 10 * rng.normal(size=(k, d)), 100 - 3 * np.arange(k)),
-            x: (group, X, 7 * np.arange(n) - 50),
-            o: (group, group.exp(rng.normal(size=(1, group.dim)))),
-        }
-    )
+    values = Values({l: (R(d), 10 * rng.normal(size=(k, d)), 100 - 3 * np.arange(k))})
+    values.add(x, group, X, 7 * np.arange(n) - 50)
+    values.add(o, group, group.exp(rng.normal(size=(1, group.dim))))
     i, j = rng.integers(0, n, 120), np.arange(120) % k
     return values, Keys("x", 7 * i - 50), Keys("l", 100 - 3 * j)
-
-
-def forgotten(values: Values) -> Values:
-    """The points at one place."""
-    return values.replaced({"l": np.zeros_like(values.stacks["l"].X) + 0.5})
 
 
 @pytest.mark.parametrize("kind", [*SENSORS, TravelTime, Hydrophones], ids=lambda kind: kind.__name__)
@@ -155,12 +146,8 @@ def test_a_pixel_without_a_ray_is_named() -> None:
 def test_sightings_that_place_no_point_are_passed_over() -> None:
     truth, _ = filmed()
     n = np.arange(3)
-    others = FactorGraph([
-        exact(RangeAzimuth, truth, x[n], l[np.zeros(3, dtype=int)]),
-        exact(Elevation, truth, x[n], l[np.zeros(3, dtype=int)]),
-        Range(x[0], x[1], 1.0, ONE),
-        Prior(l[1], [1.0, 2.0, 3.0], ONE),
-    ])  # fmt: skip
+    arcs = [exact(kind, truth, x[n], l[np.zeros(3, dtype=int)]) for kind in (RangeAzimuth, Elevation)]
+    others = FactorGraph([*arcs, Range(x[0], x[1], 1.0, ONE), Prior(l[1], [1.0, 2.0, 3.0], ONE)])
     assert np.array_equal(locate_points(others, forgotten(truth))[l], forgotten(truth)[l])
 
 

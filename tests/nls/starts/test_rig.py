@@ -89,7 +89,7 @@ def forgotten(values: Values, *kept: int) -> Values:
 
 
 def held(*factors: Factor) -> FactorGraph:
-    """Their graph, the first pose fixed."""
+    """A graph with the first pose fixed."""
     return FactorGraph(factors, [x[40]])
 
 
@@ -305,10 +305,9 @@ def test_what_does_not_tell_where_the_sonar_is() -> None:
 def test_graphs_that_are_no_rig() -> None:
     expected = truth()
     (pixels, contacts), left = seen(expected), I.numbers > 8
-    both = Values(
-        {k: (stack.manifold, stack.X, stack.numbers) for k, stack in expected.stacks.items()}
-        | {y: (SE3, expected[x], IDS), m: (R(3), expected[l], expected.stack("l").numbers)}
-    )
+    both = expected.copy()
+    both.add(y, SE3, expected[x], IDS)
+    both.add(m, R(3), expected[l], expected.stack("l").numbers)
     less = Values({x: (SE3, expected[x], IDS), l: (R(3), expected[l][1:], 3 * np.arange(1, 40)), s: (SE3, expected[s])})
     twice = [RangeAzimuth(*keys, contacts.z, NOISE[1], s[0]) for keys in ((Keys("y", I.numbers), J), (I, m[J.numbers]))]
     for factors, values, message in (

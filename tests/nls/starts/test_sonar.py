@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import radians
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from factors import (
@@ -26,12 +25,13 @@ from factors import (
 from factors.base import Jacobians, Model
 from factors.keys import Keys
 from models import SE2, SE3, Manifold, Measured, R, euler
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, SingularGeometryError
 from models.sensors import DIDSON_HIGH, cartesian, levelled, spherical, zpr
 from nls import FactorGraph, Values, initialize, kinds
 from nls.starts import chain, dead_reckoning, first_sighting, incremental, search_elevation, spanning_tree
+from tests.nls.graphs import forgotten
 
-Array = npt.NDArray[np.float64]
 same = np.testing.assert_allclose
 x, y, l, m = kinds("x", "y", "l", "m")
 UNIT = Isotropic()
@@ -78,7 +78,7 @@ class Gravity(ZPR):
         return model.z[:, [2, 0, 1]] * [10.0, 1, 1]
 
 
-def navigation(e: Array, numbers: npt.NDArray[np.int64], kind: str = "x") -> list[Factor]:
+def navigation(e: Array, numbers: Index, kind: str = "x") -> list[Factor]:
     """Exact steps, the second half backwards, in no order; exact tilts."""
     n = len(e)
     i, j = np.arange(n - 1), np.arange(1, n)
@@ -162,12 +162,8 @@ def test_empty_batches_are_no_steps() -> None:
     e = path(3)
     truth = Values({x: (SE3, euler.to_se3(e)), l: (R(3), [[1.0, 2.0, 3.0]])})
     none, nothing = x[[]], np.zeros((0, 3))
-    empty = [
-        XYH(none, none, nothing, UNIT),
-        Between(none, none, np.zeros((0, 7)), UNIT),
-        ZPR(none, nothing, UNIT),
-        RangeAzimuth(none, l[[]], np.zeros((0, 2)), UNIT),
-    ]
+    empty = [XYH(none, none, nothing, UNIT), Between(none, none, np.zeros((0, 7)), UNIT)]
+    empty += [ZPR(none, nothing, UNIT), RangeAzimuth(none, l[[]], np.zeros((0, 2)), UNIT)]
     for factor in empty:
         for start in (dead_reckoning, chain, spanning_tree, first_sighting, search_elevation):
             found = start(FactorGraph([factor]), truth)
@@ -203,9 +199,8 @@ def dive(n: int = 12, k: int = 60, seed: int = 0) -> tuple[Values, Array, Array,
     """A vehicle that flies a curve over a floor and looks down at 35 deg: truth, contacts (i, k) and (r, az, el)."""
     rng = np.random.default_rng(seed)
     t = np.arange(n)
-    e = np.stack(
-        [0.04 * np.sin(t), 0.03 * np.cos(t), 0.05 * t, 0.15 * t, 0.1 * np.sin(t), 0.1 * np.sin(0.7 * t)], axis=1
-    )
+    tilt, way = [0.04 * np.sin(t), 0.03 * np.cos(t)], [0.15 * t, 0.1 * np.sin(t), 0.1 * np.sin(0.7 * t)]
+    e = np.stack([*tilt, 0.05 * t, *way], axis=1)
     X, L = euler.to_se3(e), rng.uniform([1.5, -1.5, 2.0], [5.0, 2.0, 2.8], size=(k, 3))
     S = SE3.compose(X, MOUNT)
     z = np.array([spherical(SE3.act(SE3.inverse(s[None]), L))[0] for s in S])
@@ -217,10 +212,6 @@ def dive(n: int = 12, k: int = 60, seed: int = 0) -> tuple[Values, Array, Array,
 
 def contacts(i: Array, k: Array, z: Array, **more: object) -> list[Factor]:
     return sonar_factors(x[i], l[k], z[:, :2], Diagonal(range=0.01, azimuth=0.005), DIDSON_HIGH, MOUNT, **more)  # type: ignore[arg-type]
-
-
-def forgotten(values: Values) -> Values:
-    return values.replaced({"l": np.zeros_like(values.stacks["l"].X) + 0.5})
 
 
 def first_of(i: Array, k: Array) -> Array:
@@ -247,7 +238,8 @@ def test_the_search_finds_exact_elevations() -> None:
     (given,) = contacts(i, k, z, elevation="free")
     values = forgotten(truth)
     found = search_elevation(FactorGraph([given]), values, limit=radians(7))
-    with_place = Values({**{n: (s.manifold, s.X) for n, s in values.stacks.items()}, "y": (SE3, MOUNT)})
+    with_place = values.copy()
+    with_place.add(y, SE3, MOUNT)
     variable = RangeAzimuth(x[i], l[k], z[:, :2], given.noise, offset=y[0])
     same(search_elevation(FactorGraph([variable]), with_place, limit=radians(7))[l], found[l], atol=1e-12)
     first = first_of(i, k)
@@ -329,9 +321,8 @@ def test_fixed_landmarks_and_other_variables_stay() -> None:
     truth, i, k, z = dive()
     graph = FactorGraph(contacts(i, k, z))
     graph.fix(l[3])
-    values = Values(
-        {**{n: (s.manifold, s.X) for n, s in forgotten(truth).stacks.items()}, "m": (R(3), [[7.0, 8.0, 9.0]])}
-    )
+    values = forgotten(truth)
+    values.add(m, R(3), [[7.0, 8.0, 9.0]])
     for found in (first_sighting(graph, values), search_elevation(graph, values)):
         assert np.array_equal(found[l[3]], values[l[3]])
         assert np.array_equal(found[m], values[m])

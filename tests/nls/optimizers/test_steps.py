@@ -1,9 +1,10 @@
-"""Gauss-Newton steps with a kept factorization: they save work, and prove no more than steps of their own would."""
+"""Gauss-Newton steps: with a kept factorization, which prove no more than others; undamped ones of damped methods."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,19 +12,15 @@ import pytest
 from factors import Factor
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
-from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
+from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Pinv, Status, Stop, Values
 from nls.linear import default_solver
 from nls.linear.factorization import SingularSystemError
-from nls.optimizers.problem import Problem
+from nls.optimizers.problem import FAINT, Problem, Undamped
 from nls.sparse.pattern import Pattern
-from tests.nls.graphs import distance, pose_graph, x
+from tests.nls.graphs import distance, p, pose_graph, scalar, x
+from tests.nls.solving import make
 
-(p,) = kinds("p")
 KEEPING = GaussNewton(reuse=True)
-
-
-def scalar(residual: object, at: list[float], dim: int) -> tuple[FactorGraph, Values]:
-    return FactorGraph([Factor.from_function(residual, p[0], dim=dim)]), Values({p: (R(len(at)), at)})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
@@ -87,7 +84,7 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
         trap = (X - 12) + 0.1 * (X - 12) ** 2
         return np.stack([np.where(left, 1 - 0.1 * X, 2.0), np.where(left, 0.0, trap)], axis=1)
 
-    graph, start = scalar(residual, [0.0], 2)
+    graph, start = scalar(residual, 0.0, dim=2)
     result = graph.optimize(start, KEEPING)
     assert result.status is Status.STALLED
     assert result.chi2_final == graph.chi2(result.values) == 1.0
@@ -96,11 +93,8 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
 def test_slow_convergence_is_followed_to_its_end() -> None:
     """Gauss-Newton shortens x by the factor -c from step to step: many small falls."""
     for c in (-0.8, -0.95):
-        graph, start = scalar(
-            lambda X, c=c: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1),  # type: ignore[misc]
-            [0.5],
-            3,
-        )
+        residual = partial(lambda c, X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), c)
+        graph, start = scalar(residual, 0.5, dim=3)
         result = graph.optimize(start, GaussNewton(Stop(max_iterations=500), reuse=True))
         assert result.converged
         assert result.chi2_final - 1 < 2e-6
@@ -115,7 +109,7 @@ def test_an_unknown_that_is_let_go_on_the_way_is_not_overlooked(mid: float) -> N
         hold = 1e4 / (1 + np.exp(-np.clip((u - mid) / 0.02, -500, 500)))
         return np.stack([3 * u, 1000 - 0.8 * 9 * u * u / 2000, 100 + v, hold * v], axis=1)
 
-    graph, start = scalar(residual, [40.0, 0.0], 4)
+    graph, start = scalar(residual, [40.0, 0.0], dim=4)
     result = graph.optimize(start, KEEPING)
     assert result.converged
     assert result.values[p[0]][1] == pytest.approx(-100, abs=1e-3)
@@ -164,3 +158,36 @@ def test_the_first_solve_of_a_process_takes_one_thread_too() -> None:
     """What is imported on first use brings its threads with it, inside a block that began before."""
     done = subprocess.run([sys.executable, "-c", INSIDE], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "True True"
+
+
+# ---- the undamped step of the damped methods
+
+
+@pytest.mark.parametrize(("angle", "free", "keeps"), [(1e-8, False, True), (1e-9, True, True), (0.0, True, False)])
+def test_the_exact_step_keeps_a_direction_that_only_A_sees(angle: float, free: bool, keeps: bool) -> None:
+    """Two columns at an angle whose square is lost in A'A; chi2 falls by 1 along one column, by 1 between them."""
+    A = np.array([[1.0, 1.0], [0.0, angle], [0.0, 0.0]])
+    factor = Factor.from_function(lambda X: X @ A.T - 1.0, p[0], dim=3, jacobians=lambda X: [A[None]])
+    graph, values = FactorGraph([factor]), Values({p: (R(2), [[0.0, 0.0]])})
+    system = graph.linearize(values)
+    undamped = Undamped(Problem(system.pattern, make("lu")))
+    dx = undamped.step(system, system.column_norms, strict=True)
+    assert (undamped.free is not None) == free
+    assert system.promised(dx) == pytest.approx(2.0 if keeps else 1.0, rel=1e-5)
+    for optimizer in (Dogleg(), LevenbergMarquardt()):
+        result = graph.optimize(values, optimizer)
+        assert not result.converged or result.chi2_final == pytest.approx(1.0 if keeps else 2.0, rel=1e-5)
+        assert result.converged or keeps
+
+
+def test_the_damping_of_a_singular_system_is_the_least_that_works() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    system = sample.graph.linearize(sample.values)
+    undamped, D = Undamped(Problem(system.pattern, make("lu"))), system.column_norms
+    dx = undamped.step(system, D)
+    assert FAINT < undamped.damping < 1e-8
+    assert undamped.free is None  # nobody asked
+    undamped.step(system, D, strict=True)
+    assert undamped.free is system
+    shortest = np.linalg.pinv(system.A.toarray()) @ system.b
+    assert system.times(dx) == pytest.approx(system.times(shortest), abs=1e-4 * np.abs(system.b).max())
