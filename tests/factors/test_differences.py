@@ -15,7 +15,7 @@ from factors.differences import EPS, derivative
 from models import LINE, SE2, SE3, Manifold, Measured, R
 from models.algebra import Array
 from models.errors import EvaluationError, GraphWarning, JacobianError
-from nls import FactorGraph, LevenbergMarquardt, Stop, Values, kinds
+from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused
 
@@ -260,24 +260,6 @@ def test_columns_of_poses_take_five_evaluations_or_little_more() -> None:
 
     linearize(Factor.from_function(residual, p[0:200], 1), SE2, rng.uniform(-50, 50, size=(200, 3)))
     assert len(calls) <= 1 + 5 + 5 + 2 * 5 + 5  # where one pose of 200 needs another step, the batch takes it
-
-
-MISRA = """
- 77.6 10.07 114.9 14.73 141.1 17.94 190.8 23.93 239.9 29.61 289.0 35.18 332.8 40.02 378.4 44.82 434.8 50.76 477.3 55.05
-536.8 61.01 593.1 66.40 689.1 75.47 760.0 81.78
-"""
-
-
-@for_all(start=[[500, 1e-4], [250, 5e-4]])
-def test_a_fit_with_a_parameter_of_1e_4_has_nine_digits(start: list[float]) -> None:
-    """Misra1a of NIST's reference data, with its certified values."""
-    t, y = np.array(MISRA.split(), dtype=float).reshape(-1, 2).T
-    factor = Factor.from_function(lambda X: y - X[:, :1] * (1 - np.exp(-X[:, 1:] * t)), p[0], len(t))
-    strict = LevenbergMarquardt(Stop(update_tol=0, chi2_rtol=1e-15, gradient_tol=1e-12))
-    result = FactorGraph([factor]).optimize(Values({p: (R(2), start)}), strict)
-    assert result.converged
-    assert result.values[p[0]] == pytest.approx([2.3894212918e02, 5.5015643181e-04], rel=1e-9)
-    assert result.chi2_final == pytest.approx(1.2455138894e-01, rel=1e-10)
 
 
 def test_check_says_where_it_cannot_tell() -> None:
