@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from factors import Between, Factor, Isotropic, check_jacobians
+from factors import Between, Factor, Isotropic
 from factors.conventions import innovation
 from models import SE2, SE3, Manifold, R
 from models.algebra import Array
-from models.errors import EvaluationError, JacobianError
+from models.errors import EvaluationError
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused
@@ -102,26 +101,6 @@ def test_columns_where_the_rounding_of_f_is_not_that_of_its_value(
     size = np.abs(exact).max(axis=0)
     off = np.abs(A[0] - exact).max(axis=0) / np.where(size > 1e-9 * size.max(), size, 1e-2 * size.max())
     assert off.max() < 1e-4
-
-
-@for_all(name=["ranges", "wave", "step SE3"], value=[0.0, 1e-15, 1e6], inner=INNER, residual=[0.0, 1e3])
-def test_the_check_passes_the_right_and_refuses_the_wrong(
-    name: str, value: float, inner: float, residual: float
-) -> None:
-    manifold, x, function, jacobian = PROBLEMS[name](value, inner, residual)
-    values = Values({p: (manifold, x)})
-
-    def factor(wrong: float) -> Factor:
-        return Factor.from_function(
-            function, p[0], len(function(x[None])[0]), jacobians=lambda X: [wrong * jacobian(X)]
-        )
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert check_jacobians(factor(1.0), values) < 1e-6
-        for wrong in (0.0, 2.0, 1.01):
-            with pytest.raises(JacobianError):
-                check_jacobians(factor(wrong), values)
 
 
 def test_a_component_that_f_does_not_depend_on_is_0_in_spite_of_noise() -> None:
