@@ -14,9 +14,10 @@ import pytest
 import factors
 from factors import Between, Factor, Information, Isotropic, Noise, Prior, SqrtInformation, check_jacobians
 from factors.joined import joined
-from models import SE2, R
+from models import LINE, SE2, LieGroup, Manifold, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
+from models.sensors import line_from_frame
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors import samples
@@ -52,6 +53,19 @@ def test_every_factor_has_a_sample() -> None:
         """A factor nobody wrote a sample for."""
 
     assert without_sample(classes | {Unlisted}) == {"Unlisted"}
+
+
+TRAITS = {
+    "damped": {"BundleProjection", "ElevationHinge", "EpipolarArc", "Projection"},
+    "limit_only": {"ElevationHinge"},
+    "locates": {"BearingRange", "Landmark", "Line"},
+    "sequential": {"SequentialMatch"},
+}
+
+
+@pytest.mark.parametrize("trait", TRAITS)
+def test_which_factors_have_a_trait(trait: str) -> None:
+    assert {c.__name__ for c in concrete_factors() if getattr(c, trait, False)} == TRAITS[trait]
 
 
 def batch(sample: Sample, each: int = 3) -> tuple[tuple[Array, ...], Array, Array]:
@@ -133,6 +147,24 @@ def test_parts_have_the_rows_of_the_batch_and_are_joined_to_it(sample: Sample) -
     np.testing.assert_array_equal(whole.z, z)
     for n in (2, 3, 4, 6):  # as many as something else has rows
         assert len(sample.factor(z[:n], Isotropic())[::-1]) == n
+
+
+def moved_together(group: LieGroup, space: Manifold, X: Array) -> Array:
+    """Poses, points or lines after one motion of everything."""
+    T = group.exp(np.full((1, group.dim), 0.7))
+    if space is LINE:
+        return line_from_frame(np.tile(T, (len(X), 1)), X)
+    return group.compose(T, X) if space is group else group.act(T, X)
+
+
+@for_all(sample=[sample for sample in PARTED if sample.name != "BundleProjection"])  # its camera is world to camera
+def test_what_is_relative_stays_when_everything_moves(sample: Sample) -> None:
+    X, z = situation(sample, "truth" if sample in ELIMINATING_SAMPLES else "large innovation", 3, 2)
+    factor, group = sample.factor(z, Isotropic()), sample.manifolds[0]
+    stacks = enumerate(zip(sample.manifolds, X, strict=True))
+    Y = tuple(x if k in factor.unmoved else moved_together(group, space, x) for k, (space, x) in stacks)
+    change = np.abs(error(factor, sample.values(Y)) - error(factor, sample.values(X))).max()
+    assert (change < 1e-9) == factor.relative or factor.name == "DriftingStep"  # which says less than it could
 
 
 NOISES: list[Callable[[int, int], Noise]] = [  # for n measurements of m numbers; n = 1: for all
