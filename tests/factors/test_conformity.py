@@ -100,6 +100,7 @@ def test_b_by_hand(sample: Sample) -> None:
     X, z, W = batch(sample)
     values, h = sample.values(X), np.asarray(sample.truth(*X), dtype=float)
     model, stacks = values.gather(sample.factor(z, SqrtInformation(W)))
+    assert model.space is sample.space, "its components name sigmas and rows"
     e = np.array(
         [innovation_by_hand(sample.space, a, c, sample.convention)[model.rows] for a, c in zip(h, z, strict=True)]
     )
