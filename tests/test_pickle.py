@@ -26,7 +26,7 @@ from models.errors import GraphError
 from nls import FactorGraph, LinearSolver, Optimizer, Values, analysis, filters
 from nls.filters import Filter
 from tests.combinations import for_all
-from tests.factors.test_conformity import ELIMINATING_SAMPLES, SAMPLES, situation
+from tests.factors.test_conformity import PARTED, situation
 from tests.sent import contents, received, things
 
 (x,) = kinds("x")
@@ -97,8 +97,7 @@ def test_objects_come_back_the_same(objects: dict[str, Any], way: str) -> None:
 
 @every_copy
 def test_factors_from_elsewhere_work_with_values_from_here(way: str) -> None:
-    library = [s for s in [*SAMPLES, *ELIMINATING_SAMPLES] if not str(s).startswith("from_function")]
-    for sample in {(str(s).split("-")[0], str(s).split("-")[-1]): s for s in library}.values():
+    for sample in {(str(s).split("-")[0], str(s).split("-")[-1]): s for s in PARTED}.values():
         X, z = situation(sample, "large innovation", 3, 1)
         factor, values = sample.factor(z, Isotropic(0.5)), sample.values(X)
         A, b = FactorGraph([factor]).linearize(values)

@@ -226,17 +226,13 @@ def prior(group: LieGroup, convention: str, components: tuple[str, ...] | None =
     )
 
 
-def _range(X: Array, L: Array) -> Array:
-    """Distance of a pose from a point moved by (4, 3) m; one number per measurement."""
-    return np.linalg.norm(L + np.array([4.0, 3.0]) - X[:, :2], axis=1)[:, None] - 2.0
+def _product(X: Array, L: Array) -> Array:
+    """Two numbers of a pose and a point."""
+    return X[:, :2] * np.sin(L)
 
 
-def _range_jacobians(X: Array, L: Array) -> tuple[Array, Array]:
-    d = L + np.array([4.0, 3.0]) - X[:, :2]
-    u = d / np.linalg.norm(d, axis=1, keepdims=True)
-    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
-    body = np.stack([-c * u[:, 0] - s * u[:, 1], s * u[:, 0] - c * u[:, 1], np.zeros(len(u))], axis=1)
-    return body[:, None, :], u[:, None, :]
+def _product_jacobians(X: Array, L: Array) -> tuple[Array, Array]:
+    return np.sin(L)[:, :, None] * SE2.world_axes(X)[:, :2], (X[:, :2] * np.cos(L))[:, :, None] * np.eye(2)
 
 
 def _position(T: Array) -> Array:
@@ -262,7 +258,7 @@ SAMPLES = [
     prior(SE3, "log", ("z",)),
     prior(R(3), "log", ("z", "x")),
     prior(R(2), "log", ("y",)),
-    from_function("range-differences", (SE2, R(2)), 1, _range, None),
-    from_function("range-jacobians", (SE2, R(2)), 1, _range, _range_jacobians),
+    from_function("product-differences", (SE2, R(2)), 2, _product, None),
+    from_function("product-jacobians", (SE2, R(2)), 2, _product, _product_jacobians),
     from_function("position-differences", (SE3,), 3, _position, None),
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -275,18 +276,8 @@ PLANE_AND_SPACE: list[LieGroup] = [SE2, SE3]
 TILTED = np.array([1.0, 2.0, 3.0, *Rotation.from_euler("ZYX", [-3.1, 0.2, -0.3]).as_quat()])
 
 SENSOR_SAMPLES = [
-    *(
-        sighting(kind, group, mode)
-        for kind in KINDS
-        for group in PLANE_AND_SPACE
-        for mode in ("none", "fixed", "variable")
-    ),
-    *(
-        sighting(kind, group, mode, "pose")
-        for kind in KINDS
-        for group in PLANE_AND_SPACE
-        for mode in ("none", "variable")
-    ),
+    *(sighting(*choice) for choice in product(KINDS, PLANE_AND_SPACE, ("none", "fixed", "variable"))),
+    *(sighting(*choice, "pose") for choice in product(KINDS, PLANE_AND_SPACE, ("none", "variable"))),
     *(sighting(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
     position(SE2, None, None),
     position(SE2, ("y",), np.array([1.5, -0.5])),

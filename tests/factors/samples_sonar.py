@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -151,20 +152,14 @@ def pair(mode: str, azimuth_i: float, name: str) -> Sample:
 
 # What has eliminated unknowns depends on z: the predictions by hand above hold where there is no residual.
 ELIMINATING_SAMPLES = [
-    pair(mode, azimuth_i, name)
-    for mode in ("none", "fixed")
-    for azimuth_i, name in ((0.1, "ahead"), (np.pi - 1e-9, "astern"))
+    pair(mode, *place) for mode, place in product(("none", "fixed"), ((0.1, "ahead"), (np.pi - 1e-9, "astern")))
 ]
 
 SONAR_SAMPLES = [
     *(contact(name, mode, R(3)) for name in CONTACTS for mode in ("none", "fixed", "variable")),
     *(contact(name, mode, SE3) for name in CONTACTS for mode in ("none", "variable")),
     *(contact(name, "none", R(3), "astern") for name in CONTACTS),
-    *(
-        xyh(form, name, around)
-        for form in ("levelled", "relative")
-        for name, around in (("level", HERE), ("tilted", TILTED))
-    ),
+    *(xyh(form, *place) for form, place in product(("levelled", "relative"), (("level", HERE), ("tilted", TILTED)))),
     *(dvl_leg(mode) for mode in ("scale", "yaw", "scale and yaw")),
     zpr("level", HERE),
     zpr("tilted", TILTED),

@@ -14,10 +14,10 @@ import pytest
 import factors
 from factors import Between, Factor, Information, Isotropic, Noise, Prior, SqrtInformation, check_jacobians
 from factors.joined import joined
-from factors.keys import Keys
-from models import SE2, SE3, SO3, LieGroup, R
+from models import LINE, SE2, LieGroup, Manifold, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
+from models.sensors import line_from_frame
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors import samples
@@ -55,6 +55,19 @@ def test_every_factor_has_a_sample() -> None:
     assert without_sample(classes | {Unlisted}) == {"Unlisted"}
 
 
+TRAITS = {
+    "damped": {"BundleProjection", "ElevationHinge", "EpipolarArc", "Projection"},
+    "limit_only": {"ElevationHinge"},
+    "locates": {"BearingRange", "Landmark", "Line"},
+    "sequential": {"SequentialMatch"},
+}
+
+
+@pytest.mark.parametrize("trait", TRAITS)
+def test_which_factors_have_a_trait(trait: str) -> None:
+    assert {c.__name__ for c in concrete_factors() if getattr(c, trait, False)} == TRAITS[trait]
+
+
 def batch(sample: Sample, each: int = 3) -> tuple[tuple[Array, ...], Array, Array]:
     """Stacks of variables, measurements and whiteners: some of every case, so that a batch mixes them."""
     situations = [situation(sample, case, each, seed) for seed, case in enumerate(CASES)]
@@ -87,6 +100,7 @@ def test_b_by_hand(sample: Sample) -> None:
     X, z, W = batch(sample)
     values, h = sample.values(X), np.asarray(sample.truth(*X), dtype=float)
     model, stacks = values.gather(sample.factor(z, SqrtInformation(W)))
+    assert model.space is sample.space, "its components name sigmas and rows"
     e = np.array(
         [innovation_by_hand(sample.space, a, c, sample.convention)[model.rows] for a, c in zip(h, z, strict=True)]
     )
@@ -136,6 +150,24 @@ def test_parts_have_the_rows_of_the_batch_and_are_joined_to_it(sample: Sample) -
         assert len(sample.factor(z[:n], Isotropic())[::-1]) == n
 
 
+def moved_together(group: LieGroup, space: Manifold, X: Array) -> Array:
+    """Poses, points or lines after one motion of everything."""
+    T = group.exp(np.full((1, group.dim), 0.7))
+    if space is LINE:
+        return line_from_frame(np.tile(T, (len(X), 1)), X)
+    return group.compose(T, X) if space is group else group.act(T, X)
+
+
+@for_all(sample=[sample for sample in PARTED if sample.name != "BundleProjection"])  # its camera is world to camera
+def test_what_is_relative_stays_when_everything_moves(sample: Sample) -> None:
+    X, z = situation(sample, "truth" if sample in ELIMINATING_SAMPLES else "large innovation", 3, 2)
+    factor, group = sample.factor(z, Isotropic()), sample.manifolds[0]
+    stacks = enumerate(zip(sample.manifolds, X, strict=True))
+    Y = tuple(x if k in factor.unmoved else moved_together(group, space, x) for k, (space, x) in stacks)
+    change = np.abs(error(factor, sample.values(Y)) - error(factor, sample.values(X))).max()
+    assert (change < 1e-9) == factor.relative or factor.name == "DriftingStep"  # which says less than it could
+
+
 NOISES: list[Callable[[int, int], Noise]] = [  # for n measurements of m numbers; n = 1: for all
     lambda n, m: factors.Covariance(np.tile(np.eye(m), (n, 1, 1))),
     lambda n, m: factors.Diagonal(np.ones((n, m))),
@@ -165,30 +197,6 @@ def test_check_jacobians_accepts_every_factor() -> None:
     for sample in {str(sample).split("-")[0]: sample for sample in SAMPLES}.values():
         X, z = situation(sample, "large innovation", 3, 1)
         assert check_jacobians(sample.factor(z, full_noise(3, sample.dim, 1)), sample.values(X)) < 1e-6, sample
-
-
-@for_all(group=[SE2, SO3, SE3])
-def test_log_equals_g2o_to_first_order_with_converted_information(group: LieGroup) -> None:
-    """Rotation block / 4 and mixed blocks / 2 in space; verbatim in the plane."""
-    n, rng = 7, np.random.default_rng(6)
-    half = np.where(np.isin(group.components, ("roll", "pitch", "yaw")) & (group.point_dim == 3), 0.5, 1.0)
-    W = whiteners(n, group.dim, 6)
-    Omega = W.mT @ W
-    X = tuple(samples.states(group, n, "truth", rng) for _ in range(2))
-    direction = samples.turned(group, n, 1.0, 1.0, rng)
-    off = []
-    for size in (1e-2, 1e-3, 1e-4):
-        z = group.retract(group.between(*X), size * direction)
-        found = {}
-        for convention, information in (("g2o", Omega), ("log", half[:, None] * Omega * half)):
-            factor = Between(Keys("i", np.arange(n)), Keys("j", np.arange(n)), z, Information(information), convention)
-            A, b = linearized(factor, Values({"i": (group, X[0]), "j": (group, X[1])}))
-            found[convention] = np.sum(b**2, axis=1), A[1].mT @ A[1], (A[1].mT @ b[..., None])[..., 0]
-        off.append([np.abs(p - q).max() / np.abs(p).max() for p, q in zip(found["g2o"], found["log"], strict=True)])
-    assert max(off[0]) < 0.1
-    for coarse, fine in zip(np.array(off), np.array(off)[1:], strict=False):
-        assert (fine < 0.2 * coarse + 1e-10).all(), "the difference vanishes with the residual"
-    assert max(off[2]) < 1e-3
 
 
 def test_a_factor_binds_again_when_its_spaces_change() -> None:

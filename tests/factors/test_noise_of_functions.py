@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from factors import Between, Factor, Isotropic, check_jacobians
+from factors import Between, Factor, Isotropic
 from factors.conventions import innovation
 from models import SE2, SE3, Manifold, R
 from models.algebra import Array
-from models.errors import EvaluationError, JacobianError
+from models.errors import EvaluationError
 from nls import Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import linearized, refused
+from tests.factors.test_differences import Function, outcome
 
 p, q = kinds("p", "q")
 VALUES = [0.0, 3e-16, 1.0, 1e6]
 INNER = [1.0, 1e4, 1e8]
 RESIDUALS = [0.0, 1e-12, 1e3]
 BEACONS = np.array([[1, 0, 0.2], [-0.3, 0.9, 0.1], [0.2, -0.8, -0.5], [0.6, 0.6, 0.52]])
-Function = Callable[[Array], Array]
 Problem = tuple[Manifold, Array, Function, Function]
 
 
@@ -104,26 +103,6 @@ def test_columns_where_the_rounding_of_f_is_not_that_of_its_value(
     assert off.max() < 1e-4
 
 
-@for_all(name=["ranges", "wave", "step SE3"], value=[0.0, 1e-15, 1e6], inner=INNER, residual=[0.0, 1e3])
-def test_the_check_passes_the_right_and_refuses_the_wrong(
-    name: str, value: float, inner: float, residual: float
-) -> None:
-    manifold, x, function, jacobian = PROBLEMS[name](value, inner, residual)
-    values = Values({p: (manifold, x)})
-
-    def factor(wrong: float) -> Factor:
-        return Factor.from_function(
-            function, p[0], len(function(x[None])[0]), jacobians=lambda X: [wrong * jacobian(X)]
-        )
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert check_jacobians(factor(1.0), values) < 1e-6
-        for wrong in (0.0, 2.0, 1.01):
-            with pytest.raises(JacobianError):
-                check_jacobians(factor(wrong), values)
-
-
 def test_a_component_that_f_does_not_depend_on_is_0_in_spite_of_noise() -> None:
     """A range by way of the frame of the pose: turning it changes the rounding alone."""
     z = np.linalg.norm([3e5, 4e5])
@@ -153,20 +132,8 @@ def test_a_derivative_that_vanishes_is_0(name: str, origin: float, added: float)
     residual = lambda X: FLAT[name](X - origin) + added  # noqa: E731
     (A,), _ = linearized(Factor.from_function(residual, p[0], 1), Values({p: (R(1), [[origin]])}))
     assert abs(A[0, 0, 0]) < 1e-9
-    assert outcome(residual, 0.0, origin) == "passed"
-    assert outcome(residual, 1.0, origin) == "refused"
-
-
-def outcome(residual: Function, slope: float, x: float) -> str:
-    """How the check takes this slope."""
-    factor = Factor.from_function(residual, p[0], 1, jacobians=lambda X: [np.full((len(X), 1, 1), slope)])
-    with warnings.catch_warnings(record=True) as doubts:
-        warnings.simplefilter("always")
-        try:
-            check_jacobians(factor, Values({p: (R(1), [[x]])}))
-        except JacobianError:
-            return "refused"
-    return "doubted" if doubts else "passed"
+    for slope, found in ((0.0, "passed"), (1.0, "refused")):
+        assert outcome(residual, lambda X, slope=slope: np.full((len(X), 1, 1), slope), origin, [1.0]) == found
 
 
 def test_kinks_have_a_difference_and_plateaus_none() -> None:

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from models import SE3, SO3
@@ -15,16 +16,18 @@ from tests.combinations import for_all
 
 BETA, GAP = 0.1, (5.0, 15.0)
 T = np.linspace(0.0, 20.0, 101)
-VALID = (T <= GAP[0]) | (T >= GAP[1])
 AHEAD = np.array([1.0, 0.1, 0.05])
+STILL = np.zeros((len(T), 3))
+ALL_VALID: dict[str, Any] = {"valid": None, "sigma_bridge": None}
+NO_GYRO: dict[str, Any] = {**ALL_VALID, "w": None, "sigma_w": None, "v": STILL + np.eye(3)[0]}
 
 
-def legs_of(boundaries: Array, rate: float = 0.0, v: Array | None = None, **more: Any) -> Legs:
-    """A vehicle that goes on with a constant velocity and turns at a rate, with a gyro that is all but perfect."""
-    v = np.tile(AHEAD, (len(T), 1)) if v is None else v
-    w = np.tile([0.0, 0.0, rate], (len(T), 1))
-    settings: dict[str, Any] = {"sigma_v": 1e-6, "sigma_w": 1e-9, "valid": VALID, "sigma_bridge": BETA, **more}
-    return integrate(T, v, w, boundaries=boundaries, **settings)
+def legs_of(boundaries: npt.ArrayLike, **given: Any) -> Legs:
+    """A vehicle with a constant velocity, not measured for a while, and a gyro that is all but perfect."""
+    gap = {"valid": (T <= GAP[0]) | (T >= GAP[1]), "sigma_bridge": BETA}
+    return integrate(
+        T, boundaries=boundaries, **{"v": STILL + AHEAD, "w": STILL, "sigma_v": 1e-6, "sigma_w": 1e-9, **gap, **given}
+    )
 
 
 def summed(legs: Legs) -> Array:
@@ -42,10 +45,10 @@ def test_the_end_does_not_depend_on_the_number_of_legs() -> None:
         {"sigma_bridge": 0.05, "sigma_v": [0.02, 0.05, 0.1]},
         {"sigma_bridge": 1e-6, "sigma_v": 1e-6, "sigma_w": 0.01},
     ):
-        v = np.zeros((len(T), 3)) if "sigma_w" in noise else None  # or the noise of the turn is part of the way
-        one = summed(legs_of(np.array([0.0, 20.0]), v=v, **noise))
+        v = STILL if "sigma_w" in noise else STILL + AHEAD  # or the noise of the turn is part of the way
+        one = summed(legs_of([0.0, 20.0], v=v, **noise))
         for boundaries in ([0.0, 9.3, 20.0], [0.0, 5.0, 15.0, 20.0], np.linspace(0, 20, 21), np.linspace(0, 20, 78)):
-            many = summed(legs_of(np.array(boundaries), v=v, **noise))
+            many = summed(legs_of(boundaries, v=v, **noise))
             np.testing.assert_allclose(many, one, rtol=0.01, atol=1e-6 * one.max())
     for n in (2, 11, 51):
         assert np.sqrt(summed(legs_of(np.linspace(5.0, 15.0, n)))[0, 0]) == pytest.approx(BETA * 10**1.5 / 12**0.5)
@@ -63,14 +66,12 @@ def test_no_combination_of_legs_is_better_known_than_the_bridge_allows() -> None
     assert (np.diagonal(D) > np.diagonal(C)).all()
 
 
-def walked(sigma: float, boundaries: list[float], **more: Any) -> Legs:
+def walked(sigma: float, boundaries: list[float]) -> Legs:
     """Attitudes at 10 Hz with none between 5 and 15 s, 1 m/s ahead."""
     t_w = np.linspace(0.0, 20.0, 201)
     t_w = t_w[(t_w <= GAP[0]) | (t_w >= GAP[1])]
-    v = np.tile([1.0, 0.0, 0.0], (len(T), 1))
-    attitude = np.zeros((len(t_w), 3))
-    settings: dict[str, Any] = {"t_w": t_w, "sigma_v": 1e-6, "sigma_attitude": 1e-6, "sigma_turn": sigma, **more}
-    return integrate(T, v, attitude=attitude, boundaries=boundaries, **settings)
+    level = np.zeros((len(t_w), 3))
+    return legs_of(boundaries, t_w=t_w, attitude=level, sigma_attitude=1e-6, sigma_turn=sigma, **NO_GYRO)
 
 
 @for_all(boundaries=[[0.0, 20.0], [5.0, 15.0], [0.0, 7.3, 7.4, 9.0, 15.0, 20.0]])
@@ -93,10 +94,8 @@ def test_each_drop_out_and_axis_of_the_attitude_has_its_own_density() -> None:
     sigma = np.zeros((len(t_w), 3))
     sigma[np.flatnonzero(np.diff(t_w) > 1)] = [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]
     turned = np.concatenate([np.zeros(3), SO3.exp(np.array([0.0, 0.0, np.pi / 2]))])  # DVL to starboard
-    v = np.tile([1.0, 0.0, 0.0], (len(T), 1))
-    settings: dict[str, Any] = {"t_w": t_w, "sigma_v": 1e-6, "sigma_attitude": 1e-9, "sigma_turn": sigma}
-    level = np.zeros((len(t_w), 3))
-    legs = integrate(T, v, attitude=level, boundaries=[0.0, 8.0, 20.0], mount=turned, **settings)
+    given: dict[str, Any] = {"t_w": t_w, "attitude": 0 * sigma, "sigma_attitude": 1e-9, "sigma_turn": sigma}
+    legs = legs_of([0.0, 8.0, 20.0], mount=turned, **given, **NO_GYRO)
     found = np.diagonal(legs.Sigma[:, 3:, 3:], axis1=1, axis2=2)
     np.testing.assert_allclose(found, np.square([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]) * [[2.0], [4.0]], rtol=1e-6)
     assert legs.unturned.tolist() == pytest.approx([2.0, 4.0])
@@ -104,9 +103,8 @@ def test_each_drop_out_and_axis_of_the_attitude_has_its_own_density() -> None:
 
 def test_rates_that_are_far_apart_are_a_drop_out_too() -> None:
     t_w = np.delete(T, np.arange(30, 40))
-    v, w = np.tile(AHEAD, (len(T), 1)), np.zeros((len(t_w), 3))
-    given: dict[str, Any] = {"t_w": t_w, "boundaries": [0.0, 20.0], "sigma_v": 1e-6, "sigma_w": 1e-9}
-    gap, whole = integrate(T, v, w, sigma_turn=0.1, **given), integrate(T, v, w, longest=3.0, **given)
+    given: dict[str, Any] = {"t_w": t_w, "w": STILL[: len(t_w)], **ALL_VALID}
+    gap, whole = legs_of([0.0, 20.0], sigma_turn=0.1, **given), legs_of([0.0, 20.0], longest=3.0, **given)
     assert gap.Sigma[0, 5, 5] == pytest.approx(0.1**2 * 2.2, rel=1e-6)
     assert gap.unturned == pytest.approx([2.2])
     assert whole.Sigma[0, 5, 5] < 1e-12

@@ -55,19 +55,7 @@ def information(step: str, r: float = 4.0, az: float = 0.2, el: float = 0.0) -> 
 
 
 TINY = 1e-10  # of informations of 10 to 1000
-AZIMUTHS, ELEVATIONS = (-0.25, 0.0, 0.2), (-0.2, -0.05, 0.0, 0.05, 0.2)
-
-
-def test_yaw_says_nothing_at_any_elevation_and_pitch_nothing_straight_ahead() -> None:
-    """Pitch elsewhere by the azimuth alone: (sin az tan 0.1 / sigma)^2 / 2 for a small angle of pitch."""
-    for el in ELEVATIONS:
-        assert abs(information("pitch", az=0.0, el=el)) < TINY
-        for az in AZIMUTHS:
-            assert abs(information("yaw", az=az, el=el)) < TINY
-            same(second_view("yaw", np.array([[4.0, az, el]]))[0], [[4.0, az - 0.1]], atol=1e-14)
-    found = [information("pitch", az=az) for az in (0.05, 0.1, 0.2)]
-    same(np.array(found[1:]) / found[:-1], 4.0, rtol=0.1)
-    same(found, (np.sin([0.05, 0.1, 0.2]) * np.sin(0.1) / SIGMAS[1]) ** 2 / 2, rtol=0.1)
+AZIMUTHS = (-0.25, 0.0, 0.2)
 
 
 @pytest.mark.parametrize("step", ["surge", "sway", "planar"])
