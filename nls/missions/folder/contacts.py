@@ -69,10 +69,9 @@ def _measured(mission: Assembly, timeline: Timeline, k: Numbers, elevation: str)
     outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
     if count := int(outside.sum()):
         contact = f"the first of {count} contacts" if count > 1 else "a contact"
-        report.notes.append(
-            f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
-            "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
-        )
+        where = f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv"
+        cure = "correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
+        report.notes.append(f"{where}; used all the same: {cure}")
     rows = np.flatnonzero(within)
     return RangeAzimuth(x[i[rows, 0]], l[k[rows]], z[rows], Diagonal(sigmas[rows]), report.offset), rows
 

@@ -136,10 +136,9 @@ def _refuse_unnamed(reports: Sequence[MissionReport]) -> None:
     """Refuse contacts without names."""
     for report in reports:
         if report.unnamed is not None:
-            raise report.unnamed.table.at_names(
-                "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or "
-                "solve the dives one by one"
-            )
+            why = "landmarks of several dives are told apart by their numbers"
+            cure = "add it, or solve the dives one by one"
+            raise report.unnamed.table.at_names(f"has no column 'landmark': {why}; {cure}")
 
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
@@ -250,11 +249,9 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
             _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
             T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
-            where = f"where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv"
-            rest = (
-                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too"
-            )
-            raise GraphFileError(f"nothing says {where}, {rest}; give it one of these files", report.path)
+            lacks = "it has no anchor.csv and no fixes.csv, no dive_closures.csv joins it to another"
+            rest = f"{lacks}, and {len(p)} of its landmarks and beacons are theirs, too; give it one of these files"
+            raise GraphFileError(f"nothing says where this dive is beside {names[min(placed)]}: {rest}", report.path)
         placed[k] = _moved(values, T)
     return placed
 
