@@ -22,15 +22,8 @@ from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline
 from nls.values import Values
 
-__all__ = ["add_contacts", "are_named", "leave_contacts", "sonar_parts"]
-
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
-
-
-def are_named(tables: dict[str, Table]) -> bool:
-    """Whether contacts say which landmark they are of, or there are none."""
-    return "contacts" not in tables or tables["contacts"].has("landmark")
 
 
 def add_contacts(mission: Assembly, timeline: Timeline, elevation: str) -> Numbers:

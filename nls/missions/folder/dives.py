@@ -19,14 +19,14 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
-from models import SE3, Manifold, euler
-from models.algebra import Array, Numbers
+from models import SE3, euler
+from models.algebra import Array
 from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.variable_names import with_keys
 from nls.missions.folder.acoustic import refuse_moved_beacons, without_known_beacons
-from nls.missions.folder.calibration import Calibrations
+from nls.missions.folder.calibration import Calibrations, Spaces
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
 from nls.missions.folder.read import read_mission
@@ -169,7 +169,7 @@ def _renumbered(graph: FactorGraph, first: int) -> FactorGraph:
 
 def _together(parts: Sequence[tuple[Values, int]]) -> Values:
     """Values of all dives, each with the first of its numbers; what several have is taken from the first of them."""
-    spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+    spaces: Spaces = {}
     for kind in dict.fromkeys(kind for values, _ in parts for kind in values.stacks):
         having = [(values.stacks[kind], first) for values, first in parts if kind in values.stacks]
         stacks = [(stack, 0 if kind in SHARED else first) for stack, first in having]
@@ -233,8 +233,8 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
     GraphFileError
         A dive that nothing places.
     """
-    placed = {k: values for k, (_, values, report) in enumerate(dives) if report.anchored}
-    placed = placed or {0: dives[0][1]}
+    anchored = {k: values for k, (_, values, report) in enumerate(dives) if report.anchored}
+    placed = anchored or {0: dives[0][1]}
     while len(placed) < len(dives):
         world = _together([(values, 0) for values in placed.values()])
         waiting = [k for k in range(len(dives)) if k not in placed]
