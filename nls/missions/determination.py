@@ -18,13 +18,14 @@ with `Heading` as headings, and the rows of `XYH` that say the turn and nothing 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from factors import XYH, Heading
 from factors.keys import Keys, Kind, kinds
 from models.algebra import Array, Mask, Numbers
+from models.errors import UnderconstrainedError
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.table import EMPTY
@@ -36,53 +37,32 @@ YAW = 2  # column of XYH
 (x,) = kinds("x")
 
 
-@dataclass(frozen=True)
-class Determination:
-    """An estimated calibration.
-
-    Attributes
-    ----------
-    name : in calibration.csv; ``gyro_bias`` is that of the first minute.
-    value, sigma : after the measurements; sigma is None where it is not known.
-    believed, sigma_before : before them.
-    """
-
-    name: str
-    value: float
-    sigma: float | None
-    believed: float
-    sigma_before: float
-
-    @property
-    def share(self) -> float | None:
-        """The part of the sigma before the measurements that is left."""
-        return None if self.sigma is None else self.sigma / self.sigma_before
-
-    @property
-    def sigmas_away(self) -> float:
-        """How far the estimate is from what was believed, in sigmas before the measurements."""
-        return abs(self.value - self.believed) / self.sigma_before
-
-    @property
-    def determined(self) -> bool | None:
-        """Whether the measurements say more of it than was known before."""
-        return None if self.share is None else self.share <= LEFT
-
-
-def determinations(values: Values, report: MissionReport, marginals: Marginals | None) -> list[Determination]:
-    """The calibrations of a solved mission, in the order of calibration.csv.
+def determinations(values: Values, report: MissionReport, marginals: Marginals | None) -> list[dict[str, Any]]:
+    """The calibrations of a solved mission in the report for programs, in the order of calibration.csv.
 
     Parameters
     ----------
     values, report : the solution of a mission.
     marginals : its covariances; None where there are none, so that no sigma is known.
+
+    Returns
+    -------
+    name : in calibration.csv; ``gyro_bias`` is that of the first minute.
+    value, sigma : after the measurements; sigma is None where it is not known.
+    sigma_before : before them.
+    sigmas_away : how far the estimate is from what was believed, in sigmas before the measurements.
+    share : the part of the sigma before the measurements that is left.
+    determined : whether the measurements say more of it than was known before.
     """
     rows = []
     for name, (believed, before) in report.calibrations.items():
         kind, sigma = Kind(name), None
         if marginals is not None and marginals.status(kind)[0] == "estimated":
             sigma = float(np.sqrt(marginals.covariance(kind[0])[0, 0]))
-        rows.append(Determination(name, float(values[kind[0]][0]), sigma, believed, before))
+        value, share = float(values[kind[0]][0]), None if sigma is None else sigma / before
+        row = {"name": name, "value": value, "sigma": sigma, "sigma_before": before}
+        row |= {"sigmas_away": abs(value - believed) / before, "share": share}
+        rows.append(row | {"determined": None if share is None else share <= LEFT})
     return rows
 
 
@@ -106,17 +86,19 @@ def _turns(factor: XYH, values: Values) -> int:
     return int(yaws.sum()) * (len(factor) if len(W) == 1 else 1)
 
 
-def sigma_at_the_end(marginals: Marginals, report: MissionReport) -> float:
+def sigma_at_the_end(marginals: Marginals | None, report: MissionReport) -> float | None:
     """Standard deviation of the distance of the last pose from the true one, m: the root of the trace of its x, y, z.
 
-    Raises
-    ------
-    UnderconstrainedError
-        It is free.
+    None where there are no covariances, or it is free.
     """
+    if marginals is None:
+        return None
     numbers = marginals.values.stack("x").numbers
     last = int(numbers[np.argmax(report.vertex_times.get("x", numbers))])
-    return float(np.sqrt(np.trace(marginals.covariance(x[last], view="position"))))
+    try:
+        return float(np.sqrt(np.trace(marginals.covariance(x[last], view="position"))))
+    except UnderconstrainedError:
+        return None
 
 
 def covariances(values: Values, marginals: Marginals | None, kind: Kind, view: str | None = None) -> Array:

@@ -63,10 +63,8 @@ class MissionFiles:
         """Makers of the files by name: each gives bytes, or a figure of matplotlib."""
         stacks, plane, mapped = self.values.stacks, self.report.plane, self.solution.mapped
         if plane is None:
-            self.report.notes.append(
-                "no latitudes, no track.geojson and no track.kml: the mission has no origin.csv, a row lat_deg,lon_deg "
-                "that says where x = y = 0 is"
-            )
+            cure = "the mission has no origin.csv, a row lat_deg,lon_deg that says where x = y = 0 is"
+            self.report.notes.append(f"no latitudes, no track.geojson and no track.kml: {cure}")
         sounded = self.report.soundings is not None and "x" in self.report.vertex_times
         files = {
             "trajectory.tum": (self.solution.tum, True),

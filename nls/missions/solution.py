@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Solution", "SolvedDives", "SolvedMission", "Track", "track_of"]
 
-CALIBRATION = ("name", "value", "sigma", "sigma_before", "sigmas_away", "share", "determined")  # of the report
 x, l = kinds("x", "l")
 
 
@@ -133,15 +132,6 @@ class SolvedMission(Solution):
         return [finite_or_none({"file": e.file, "quantity": e.quantity, "below": e.below}) for e in errors]
 
     @cached_property
-    def end_sigma(self) -> float | None:
-        """Standard deviation of the last position, m; None where it has none."""
-        marginals, _ = self.covariances
-        try:
-            return None if marginals is None else determination.sigma_at_the_end(marginals, self.report)
-        except UnderconstrainedError:
-            return None
-
-    @cached_property
     def marginals(self) -> Marginals | None:
         """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
         marginals = super().marginals
@@ -165,12 +155,6 @@ class SolvedMission(Solution):
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
         return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
-
-    @cached_property
-    def calibrations(self) -> list[determination.Determination]:
-        """The calibrations by the measurements."""
-        marginals = self.covariances[0] if self.report.calibrations else None
-        return determination.determinations(self.values, self.report, marginals)
 
     @property
     def judge(self) -> str | None:
@@ -198,7 +182,7 @@ class SolvedMission(Solution):
             "unchecked": self.unchecked,
         }
         if not self.checks:
-            end = self.end_sigma
+            end = determination.sigma_at_the_end(self.covariances[0], self.report)
             out["end_sigma_m"] = end
             out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
         out |= drift_record(self.tracks)
@@ -213,7 +197,7 @@ class SolvedMission(Solution):
             out["at_limit"] = int(self.elevations.pushed.sum())
             out["mirrored"] = int(self.elevations.mirrored.sum())
         if self.report.calibrations:
-            out["calibrations"] = [{name: getattr(c, name) for name in CALIBRATION} for c in self.calibrations]
+            out["calibrations"] = determination.determinations(self.values, self.report, self.covariances[0])
         return out
 
 

@@ -20,7 +20,9 @@ def lines(mission: dict[str, Any]) -> list[str]:
     out += _unchecked(mission)
     if mission["judge"] is not None:
         drift, ate = _drift(mission)
-        out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})"]
+        anchor = mission["anchor"]  # poses, or files
+        held = f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
+        out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {held})"]
     for dive in mission.get("dives", []):
         out.append(
             f"dive        {dive['name']}: {dive['poses']} poses over {dive['distance_m']:.4g} m, from x{dive['first']}"
@@ -82,11 +84,6 @@ def _calibrated(calibration: dict[str, Any]) -> str:
         return f"{c['name']} {c['value']:.4g}, its sigma is not known"
     verdict = f"{100 * c['share']:.3g} % of its sigma before" if c["determined"] else "not determined by these data"
     return f"{c['name']} {c['value']:.4g}, sigma {c['sigma']:.2g} ({verdict})"
-
-
-def _held(anchor: str) -> str:
-    """What holds the track in the world: poses, or files."""
-    return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
 
 
 def of_tables(errors: list[dict[str, Any]]) -> str:

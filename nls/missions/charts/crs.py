@@ -80,9 +80,8 @@ def projection(name: str, plane: LocalPlane | None) -> Projection:
         from pyproj.exceptions import ProjError
     except ImportError as error:
         install = 'pip install "leadline[geo]"'
-        raise OptionError(
-            "--crs", name, f"local: others need the package pyproj, which is missing; {install}"
-        ) from error
+        needed = f"local: others need the package pyproj, which is missing; {install}"
+        raise OptionError("--crs", name, needed) from error
     code = name.upper()
     if name == "utm":
         zone = int((plane.lon + 180) % 360 // 6) + 1

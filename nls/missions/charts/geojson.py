@@ -16,7 +16,7 @@ import numpy as np
 from models.algebra import Array
 from models.finite import finite_or_none
 from models.geodesy import LocalPlane
-from nls.missions.charts.chart import Chart, Points
+from nls.missions.charts.chart import Chart
 from nls.missions.charts.crs import DECIMALS, MILLIMETERS, near
 
 __all__ = ["geojson_text", "positions"]
@@ -32,6 +32,7 @@ def geojson_text(chart: Chart) -> bytes:
     Examples
     --------
     >>> from models.geodesy import LocalPlane
+    >>> from nls.missions.charts import Points
     >>> track = Points("pose", np.arange(2), np.array([[0.0, 0, 5], [0, 100, 6]]), np.full((2, 3, 3), np.nan))
     >>> text = geojson_text(Chart("dive", track, None, (), LocalPlane(54.1, 10.2)))
     >>> json.loads(text)["features"][0]["geometry"]["coordinates"]
@@ -41,7 +42,8 @@ def geojson_text(chart: Chart) -> bytes:
     track, plane = chart.track, chart.plane
     features = [_feature("LineString", positions(plane, track.p), _track(chart))]
     for points in chart.points:
-        for place, (number, sigma) in zip(positions(plane, points.p), _rows(points), strict=True):
+        sigmas = np.round(points.sigmas, MILLIMETERS).tolist()
+        for place, number, sigma in zip(positions(plane, points.p), points.numbers.tolist(), sigmas, strict=True):
             about = {"kind": points.name, "number": number, "depth_m": -place[2], **_named(sigma)}
             features.append(_feature("Point", place, about))
     for name, number, ring in chart.ellipses:
@@ -60,23 +62,18 @@ def positions(plane: LocalPlane, p: Array) -> list[list[float]]:
 
 def _track(chart: Chart) -> dict[str, Any]:
     """Properties of the track: lists have one entry per pose."""
-    sigmas = [_named(sigma) for sigma in np.round(chart.track.sigmas, MILLIMETERS).tolist()]
     return {
         "kind": "track",
         "name": chart.name,
         "length_m": round(float(chart.way[-1]), MILLIMETERS),
         "i": chart.track.numbers.tolist(),
         **({} if chart.times is None else {"time_s": chart.times.tolist()}),
-        **{name: [row[name] for row in sigmas] for name in _named([0.0] * 3)},
+        **_named(np.round(chart.track.sigmas, MILLIMETERS).T.tolist()),
     }
 
 
-def _rows(points: Points) -> list[tuple[int, list[float]]]:
-    return list(zip(points.numbers.tolist(), np.round(points.sigmas, MILLIMETERS).tolist(), strict=True))
-
-
-def _named(sigma: list[float]) -> dict[str, Any]:
-    """Standard deviations by name, null where there is none."""
+def _named(sigma: list[Any]) -> dict[str, Any]:
+    """Three standard deviations, or three lists of them, by name; null where there is none."""
     return dict(zip(("sigma_north_m", "sigma_east_m", "sigma_depth_m"), finite_or_none(sigma), strict=True))
 
 

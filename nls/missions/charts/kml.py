@@ -56,9 +56,8 @@ def _lines(chart: Chart) -> Iterator[str]:
     for points in chart.points:
         yield f"<Folder><name>{escape(points.name)}s</name>"
         for number, place, sigma in zip(points.numbers, positions(plane, points.p), points.sigmas, strict=True):
-            known = (
-                "" if np.isnan(sigma).any() else "; sigmas {:.3g} m north, {:.3g} m east, {:.3g} m down".format(*sigma)
-            )
+            sigmas = "; sigmas {:.3g} m north, {:.3g} m east, {:.3g} m down".format(*sigma)
+            known = "" if np.isnan(sigma).any() else sigmas
             yield f"<Placemark><name>{escape(points.name)} {number}</name><styleUrl>#point</styleUrl>"
             yield f"<description>depth {-place[2]:.2f} m{known}</description>"
             yield "<Point><altitudeMode>absolute</altitudeMode>"

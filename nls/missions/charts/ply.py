@@ -45,9 +45,8 @@ def cloud_text(
     """
     stacks = [s for s in values.stacks.values() if s.manifold.position(s.X).shape[1] in (2, 3) and len(s)]
     if not stacks or len(stacks) > 256:
-        raise GraphError(
-            f"{path}: a ply file holds poses and points, of 1 to 256 kinds; these values have {len(stacks)}"
-        )
+        expected = "a ply file holds poses and points, of 1 to 256 kinds"
+        raise GraphError(f"{path}: {expected}; these values have {len(stacks)}")
     parts = [(stack.kind, stack.numbers, np.asarray(stack.manifold.position(stack.X))) for stack in stacks]
     left = len(values) - sum(map(len, stacks))
     notes = [f"a ply file holds positions: {several(left, 'variable')} without left out"] if left else []

@@ -14,13 +14,14 @@ import numpy as np
 
 from factors import BearingRange, Diagonal, Prior, Range, ScaledRange
 from factors.base import Factor
-from factors.keys import Kind, kinds
-from models import SE3, Manifold, R, euler
+from factors.keys import kinds
+from models import SE3, R, euler
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphFileError
 from models.listing import some as listed
 from nls.graph import FactorGraph
 from nls.io.report import Source
+from nls.missions.folder.calibration import Spaces
 from nls.missions.folder.columns import ANGLES, PLACE, USBL, suffixed
 from nls.missions.folder.fixes import horizontal
 from nls.missions.folder.report import MissionReport
@@ -80,9 +81,9 @@ class Acoustics:
                 G = np.array([-1.0, 0, 0]) if name == USBL_YAW else z * [0.0, 0, 1] / (1 + calibrations.value(name))
                 factors[k] = calibrations.shifted(factors[k], name, np.broadcast_to(G, z.shape))
 
-    def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
+    def spaces(self) -> Spaces:
         """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
-        out: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+        out: Spaces = {}
         if len(self.numbers):
             out[b] = (R(3), np.nan_to_num(self.places), self.numbers)
         if len(self.ship):

@@ -66,8 +66,7 @@ class Attitude:
     tilt : (m, 2) roll and pitch, rad.
     t : (k,) times of all three angles, s: those of the table, or of the gyro.
     rpy : (k, 3) angles at t, no turn missing, rad.
-    gyro : the table of the gyro, where there is no compass.
-    rate : (k,) d psi / dt at t by the gyro, rad/s.
+    gyro : where there is no compass: its table, and d psi / dt (k,) at t, rad/s.
     """
 
     ahrs: Table = field(repr=False)
@@ -75,13 +74,7 @@ class Attitude:
     tilt: Array = field(repr=False)
     t: Array = field(repr=False)
     rpy: Array = field(repr=False)
-    gyro: Table | None = None
-    rate: Array | None = field(default=None, repr=False)
-
-    @property
-    def logs(self) -> dict[str, Array]:
-        """The times of the logs by the names of their files."""
-        return {"ahrs.csv": self.t_a} if self.gyro is None else {"ahrs.csv": self.t_a, "gyro.csv": self.t}
+    gyro: tuple[Table, Array] | None = field(default=None, repr=False)
 
     def rates(self, b: Array) -> Array:
         """Rates (n, 3) of roll, pitch and yaw at times b (n,), rad/s."""
@@ -121,7 +114,7 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     roll, pitch = (np.interp(t, t_a, angle) for angle in tilt.T)
     rate = (w[:, 1] * np.sin(roll) + w[:, 2] * np.cos(roll)) / np.cos(pitch)
     yaw = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
-    return Attitude(ahrs, t_a, tilt, t, np.column_stack([roll, pitch, yaw]), gyro, rate)
+    return Attitude(ahrs, t_a, tilt, t, np.column_stack([roll, pitch, yaw]), (gyro, rate))
 
 
 def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibrations: Calibrations) -> Factor:
@@ -154,11 +147,10 @@ def turn_covariance(attitude: Attitude, b: Array, xyh: Array, sigma_w: float, no
 
     The variance of the turn is larger over holes in the log of the gyro.
     """
-    q = sigma_w**2 * np.diff(b)
     assert attitude.gyro is not None
-    assert attitude.rate is not None
-    t, rate = attitude.t, attitude.rate[:, None]
-    beta = holes_of(attitude.gyro, t, rate, b, "turn evenly from row to row, with a larger sigma", notes).density[:, 0]
+    q, t, (gyro, rate) = sigma_w**2 * np.diff(b), attitude.t, attitude.gyro
+    effect = "turn evenly from row to row, with a larger sigma"
+    beta = holes_of(gyro, t, rate[:, None], b, effect, notes).density[:, 0]
     for a in np.flatnonzero(beta):
         inside = np.clip(b, t[a], t[a + 1]) - t[a]
         q += beta[a] ** 2 * bridged_variance(inside[:-1], inside[1:], np.full(len(q), t[a + 1] - t[a]))
@@ -232,12 +224,13 @@ def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, notes: lis
         most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[rows + 1] - y[rows]) / 2)
         density[rows] = 2 * most / np.sqrt(t[rows + 1] - t[rows])[:, None]
 
-    hole = np.searchsorted(t[a], b, side="right") - 1  # the last one that began before, -1 for none
-    since = b - t[a][hole] if len(a) else np.zeros_like(b)
-    inside = (hole >= 0) & (since > 0) & (b < t[a + 1][hole]) if len(a) else np.zeros(len(b), dtype=bool)
-    sigma = np.zeros((len(b), y.shape[1]))
-    sigma[inside] = density[a[hole[inside]]] * np.sqrt(_shared(since[inside], T[hole[inside]], hole[inside]))[:, None]
+    inside, sigma = np.zeros(len(b), dtype=bool), np.zeros((len(b), y.shape[1]))
     if len(a):
+        hole = np.searchsorted(t[a], b, side="right") - 1  # the last one that began before, -1 for none
+        since = b - t[a][hole]
+        inside = (hole >= 0) & (since > 0) & (b < t[a + 1][hole])
+        shared = _shared(since[inside], T[hole[inside]], hole[inside])
+        sigma[inside] = density[a[hole[inside]]] * np.sqrt(shared)[:, None]
         k = int(np.argmax(T))
         many = f"{len(a)} holes, {T.sum():.6g} s in all, the longest" if len(a) > 1 else "a hole"
         reason = f"{many} between {t[a[k]]:.6g} and {t[a[k] + 1]:.6g} s: {int(inside.sum())} of {len(b)} poses {effect}"

@@ -19,6 +19,7 @@ from nls.io.report import Source
 from nls.missions.folder.table import Table
 
 Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
+Spaces = dict[Kind, tuple[Manifold, Array, Numbers]]  # of `nls.Values`
 
 NAMES = {  # of a calibration: what it is
     "dvl_scale": "scale error of the DVL, a fraction: it reads 1 + this times the velocity",
@@ -111,7 +112,7 @@ class Calibrations:
         """Names that are variables and used, with their values, in the order of the file."""
         return {name: value for name, (value, sigma, _) in self._rows.items() if sigma > 0 and name in self._used}
 
-    def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
+    def spaces(self) -> Spaces:
         """The variables for `nls.Values`, each number 0 of a kind of its own."""
         begin = {Kind(name): np.array([[value]]) for name, value in self.variables.items()}
         begin |= {kind: np.zeros((count, 1)) for kind, (count, _) in self._more.items()}

@@ -22,15 +22,8 @@ from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline
 from nls.values import Values
 
-__all__ = ["add_contacts", "are_named", "leave_contacts", "sonar_parts"]
-
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
-
-
-def are_named(tables: dict[str, Table]) -> bool:
-    """Whether contacts say which landmark they are of, or there are none."""
-    return "contacts" not in tables or tables["contacts"].has("landmark")
 
 
 def add_contacts(mission: Assembly, timeline: Timeline, elevation: str) -> Numbers:
@@ -69,10 +62,9 @@ def _measured(mission: Assembly, timeline: Timeline, k: Numbers, elevation: str)
     outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
     if count := int(outside.sum()):
         contact = f"the first of {count} contacts" if count > 1 else "a contact"
-        report.notes.append(
-            f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
-            "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
-        )
+        where = f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv"
+        cure = "correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
+        report.notes.append(f"{where}; used all the same: {cure}")
     rows = np.flatnonzero(within)
     return RangeAzimuth(x[i[rows, 0]], l[k[rows]], z[rows], Diagonal(sigmas[rows]), report.offset), rows
 

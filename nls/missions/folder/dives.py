@@ -19,14 +19,14 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
-from models import SE3, Manifold, euler
-from models.algebra import Array, Numbers
+from models import SE3, euler
+from models.algebra import Array
 from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.variable_names import with_keys
 from nls.missions.folder.acoustic import refuse_moved_beacons, without_known_beacons
-from nls.missions.folder.calibration import Calibrations
+from nls.missions.folder.calibration import Calibrations, Spaces
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
 from nls.missions.folder.read import read_mission
@@ -136,10 +136,9 @@ def _refuse_unnamed(reports: Sequence[MissionReport]) -> None:
     """Refuse contacts without names."""
     for report in reports:
         if report.unnamed is not None:
-            raise report.unnamed.table.at_names(
-                "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or "
-                "solve the dives one by one"
-            )
+            why = "landmarks of several dives are told apart by their numbers"
+            cure = "add it, or solve the dives one by one"
+            raise report.unnamed.table.at_names(f"has no column 'landmark': {why}; {cure}")
 
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
@@ -170,7 +169,7 @@ def _renumbered(graph: FactorGraph, first: int) -> FactorGraph:
 
 def _together(parts: Sequence[tuple[Values, int]]) -> Values:
     """Values of all dives, each with the first of its numbers; what several have is taken from the first of them."""
-    spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+    spaces: Spaces = {}
     for kind in dict.fromkeys(kind for values, _ in parts for kind in values.stacks):
         having = [(values.stacks[kind], first) for values, first in parts if kind in values.stacks]
         stacks = [(stack, 0 if kind in SHARED else first) for stack, first in having]
@@ -234,8 +233,8 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
     GraphFileError
         A dive that nothing places.
     """
-    placed = {k: values for k, (_, values, report) in enumerate(dives) if report.anchored}
-    placed = placed or {0: dives[0][1]}
+    anchored = {k: values for k, (_, values, report) in enumerate(dives) if report.anchored}
+    placed = anchored or {0: dives[0][1]}
     while len(placed) < len(dives):
         world = _together([(values, 0) for values in placed.values()])
         waiting = [k for k in range(len(dives)) if k not in placed]
@@ -250,11 +249,9 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
             _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
             T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
-            where = f"where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv"
-            rest = (
-                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too"
-            )
-            raise GraphFileError(f"nothing says {where}, {rest}; give it one of these files", report.path)
+            lacks = "it has no anchor.csv and no fixes.csv, no dive_closures.csv joins it to another"
+            rest = f"{lacks}, and {len(p)} of its landmarks and beacons are theirs, too; give it one of these files"
+            raise GraphFileError(f"nothing says where this dive is beside {names[min(placed)]}: {rest}", report.path)
         placed[k] = _moved(values, T)
     return placed
 

@@ -48,8 +48,6 @@ down by the DVL. So the depth follows the DVL and meets the rows at both ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from factors import XYH, ZPR, Diagonal, DvlLeg, Shifted, SqrtInformation
@@ -101,38 +99,29 @@ def _locked(dvl: Table, valid: Mask, kept: Mask, reason: str, notes: list[str]) 
     return valid & kept
 
 
-@dataclass(frozen=True)
-class Velocities:
-    """Velocities along the axes of the mounting of the DVL.
+def velocities(
+    mission: Assembly, attitude: Attitude, mount: Array, noise: dict[str, float], t: Array, bottom: Mask
+) -> tuple[Array, Mask, Array]:
+    """Velocities along the axes of the mounting of the DVL; notes say how many rows do not count, and why.
 
-    Attributes
+    Parameters
     ----------
-    t : (n,) times, s.
+    mission, attitude, mount, noise : of the log.
+    t, bottom : (n,) times of the rows, s, and which of them see the bottom.
+
+    Returns
+    -------
     v : (n, 3) over the bottom, m/s, with the calibration as believed; 0 where they do not count.
     valid : (n,) which count.
     sigma : (n,) standard deviations along each axis, m/s.
-    bottom : (n,) which see the bottom.
-    """
-
-    t: Array = field(repr=False)
-    v: Array = field(repr=False)
-    valid: Mask = field(repr=False)
-    sigma: Array = field(repr=False)
-    bottom: Mask = field(repr=False)
-
-
-def velocities(mission: Assembly, attitude: Attitude, mount: Array, noise: dict[str, float]) -> Velocities:
-    """The velocities of dvl.csv; notes say how many rows do not count, and why.
 
     Raises
     ------
     GraphFileError
-        No column that says where there is bottom lock; fewer than two rows with it; numbers that cannot be.
+        Fewer than two rows with bottom lock; numbers that cannot be.
     """
     dvl, notes, calibrations = mission.tables["dvl"], mission.report.notes, mission.calibrations
-    t, bottom = dvl.rising("time_s"), bottom_lock(dvl, notes)
-    valid = bottom
-    v = np.where(valid[:, None], dvl.measured(*VELOCITY, rows=valid), 0.0)
+    valid, v = bottom, np.where(bottom[:, None], dvl.measured(*VELOCITY, rows=bottom), 0.0)
     if dvl.has("earth_axes"):
         earth = dvl.flags("earth_axes", "1 where the velocity is north, east and down")
         v = np.where(earth[:, None], apply(_orientation(t, attitude, mount).mT, v), v)
@@ -146,7 +135,7 @@ def velocities(mission: Assembly, attitude: Attitude, mount: Array, noise: dict[
         dvl.refuse_numbers(~(sigma > 0), sigma, "a number above 0", "sigma_v_m_s")
     if dvl.has(*WATER_TRACK[:3]):
         v, valid, sigma = _through_water(dvl, v, valid, sigma, _orientation(t, attitude, mount), notes)
-    return Velocities(t, _turned(v, calibrations.value(YAW)) / (1 + calibrations.value(SCALE)), valid, sigma, bottom)
+    return _turned(v, calibrations.value(YAW)) / (1 + calibrations.value(SCALE)), valid, sigma
 
 
 def _orientation(t: Array, attitude: Attitude, mount: Array) -> Array:
@@ -218,12 +207,12 @@ def integrated(mission: Assembly) -> Numbers:
     attitude = attitude_of(tables, calibrations)
     ahrs, gyro, dvl = attitude.ahrs, attitude.gyro, tables["dvl"]
     depth, t_z, depths = depths_of(tables, report)
-    velocity = velocities(mission, attitude, mount, noise)
-    t_v, valid = velocity.t, velocity.valid
+    t_v, bottom = dvl.rising("time_s"), bottom_lock(dvl, report.notes)
+    v_dvl, valid, sigma_v = velocities(mission, attitude, mount, noise, t_v, bottom)
     if dvl.has("altitude_m"):
-        altitude = dvl.measured("altitude_m", rows=velocity.bottom)
-        report.soundings = np.column_stack([t_v, altitude])[velocity.bottom]
-    logs = {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z}
+        report.soundings = np.column_stack([t_v, dvl.measured("altitude_m", rows=bottom)])[bottom]
+    logs = {"dvl.csv": t_v, "ahrs.csv": attitude.t_a, **({} if gyro is None else {"gyro.csv": attitude.t})}
+    logs[f"{'depth' if 'depth' in tables else 'pressure'}.csv"] = t_z
     numbers, b = poses_of_log(tables, mission.times, logs, t_v[valid], report.notes)
     roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
     effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
@@ -231,7 +220,7 @@ def integrated(mission: Assembly) -> Numbers:
     turning = holes_of(ahrs, attitude.t_a, angles, b, f"{effect} larger sigmas", report.notes)
     if turning.inside.all():
         raise GraphFileError("no pose has an attitude measured at its time: all are in holes", ahrs.path)
-    t_d, down = t_v[valid], _way_down(t_v[valid], velocity.v[valid], attitude, mount)
+    t_d, down = t_v[valid], _way_down(t_v[valid], v_dvl[valid], attitude, mount)
     off = depths - np.interp(t_z, t_d, down)[:, None]
     diving = holes_of(depth, t_z, off, b, "have the depth of the DVL, with a larger sigma", report.notes)
     z = np.interp(b, t_z, depths[:, 0])
@@ -245,7 +234,7 @@ def integrated(mission: Assembly) -> Numbers:
             boundaries=b,
             attitude=quaternion_from_angles(wrap(attitude.at(attitude.t + late))),
             t_w=attitude.t,
-            sigma_v=np.repeat(velocity.sigma[:, None], 3, axis=1),
+            sigma_v=np.repeat(sigma_v[:, None], 3, axis=1),
             sigma_attitude=[noise["sigma_roll_rad"], noise["sigma_pitch_rad"], GIVEN],
             valid=valid,
             sigma_bridge=noise["sigma_bridge_m_s_sqrt_s"],
@@ -262,15 +251,15 @@ def integrated(mission: Assembly) -> Numbers:
     s, a = (calibrations.variable(name) for name in (SCALE, YAW))
     X, ways = _tilted(roll[:-1], pitch[:-1]), None
     try:
-        legs = legs_of(velocity.v)
+        legs = legs_of(v_dvl)
         xyh, (_, H_j) = levelled(X, SE3.compose(X, legs.z))
         if s is not None or a is not None:  # the parts (k, 3, 2) that `DvlLeg` needs: a leg is linear in the velocities
-            flat = velocity.v * [1, 1, 0]
-            swing, p, q, both = (level(v)[:, :2] for v in (0 * flat, flat, _quarter(flat), velocity.v))
+            flat = v_dvl * [1, 1, 0]
+            swing, p, q, both = (level(v)[:, :2] for v in (0 * flat, flat, _quarter(flat), v_dvl))
             ways = np.stack([p - swing, q - swing, both - p], axis=1)
         turns = np.zeros_like(xyh)  # by the time that the attitude is late: moved to and fro by half a second
         if gyro is None and calibrations.variable(CLOCK) is not None:
-            turns[:, :2] = (level(velocity.v, 0.5) - level(velocity.v, -0.5))[:, :2]
+            turns[:, :2] = (level(v_dvl, 0.5) - level(v_dvl, -0.5))[:, :2]
     except (GraphError, OptionError) as error:
         raise GraphFileError(f"cannot be integrated: {error}", dvl.path) from error
     report.notes.append(f"dead reckoning: {legs}")
@@ -325,9 +314,8 @@ def _mount(tables: dict[str, Table], notes: list[str]) -> Array:
     if (table := tables.get("dvl_mount")) is None:
         notes.append("there is no dvl_mount.csv: the DVL is taken to be at the center of the vehicle, aligned")
         return np.asarray(SE3.identity()[0])
-    mounted = one_row(table)
-    table.measured(*ANGLES, *PLACE)
-    return np.asarray(euler.to_se3([mounted[name] for name in (*ANGLES, *PLACE)]))
+    one_row(table)
+    return np.asarray(euler.to_se3(table.measured(*ANGLES, *PLACE)[0]))
 
 
 def _latest(t: Array, b: Array) -> Index:

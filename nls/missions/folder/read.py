@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.keys import Kind, kinds
-from models import SE3, Manifold, R
+from factors.keys import kinds
+from models import SE3, R
 from models.algebra import Array, Numbers
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.missions.folder.acoustic import Acoustics
-from nls.missions.folder.calibration import Calibrations, Compass
-from nls.missions.folder.contacts import add_contacts, are_named, leave_contacts
+from nls.missions.folder.calibration import Calibrations, Compass, Spaces
+from nls.missions.folder.contacts import add_contacts, leave_contacts
 from nls.missions.folder.dvl import integrated
 from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
 from nls.missions.folder.folder import read_tables
@@ -102,12 +102,15 @@ def graph_of(
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
     first = add_anchor(mission, numbers, compass, anchored)
-    named = are_named(tables)
-    points = add_contacts(mission, timeline, elevation) if named else np.zeros(0, dtype=np.int64)
-    if named:
+    points = np.zeros(0, dtype=np.int64)
+    if named := "contacts" not in tables or tables["contacts"].has("landmark"):
+        points = add_contacts(mission, timeline, elevation)
         compare_landmarks(report, points)
     with stage("read start"):
-        start = _start(mission, acoustics, numbers, points, first, compass)
+        spaces: Spaces = {x: (SE3, SE3.identity(len(numbers)), numbers)} | acoustics.spaces() | calibrations.spaces()
+        if len(points):
+            spaces[l] = (R(3), np.zeros((len(points), 3)), points)
+        start = _start(mission, acoustics.places, Values(spaces), first, compass)
     acoustics.shift()
     shift_clocks(mission, timeline, start, acoustics.ship_twist)
     for prior, source in calibrations.priors():
@@ -118,31 +121,17 @@ def graph_of(
     return graph, start
 
 
-def _start(
-    mission: Assembly,
-    acoustics: Acoustics,
-    numbers: Numbers,
-    points: Numbers,
-    first: Pose | None,
-    compass: Compass | None,
-) -> Values:
+def _start(mission: Assembly, places: Array, start: Values, first: Pose | None, compass: Compass | None) -> Values:
     """Dead reckoning, moved by a turn about the vertical and a step in the horizontal to where its anchor is, or to
     what was measured in the world; beacons and landmarks from there."""
-    spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {x: (SE3, SE3.identity(len(numbers)), numbers)}
-    spaces |= acoustics.spaces() | mission.calibrations.spaces()
-    if len(points):
-        spaces[l] = (R(3), np.zeros((len(points), 3)), points)
     graph = mission.graph
-    start = dead_reckoning(graph, Values(spaces))
-    if first is None:
-        turn = turn_to_measurements(graph, start, acoustics.places, compass)
-    else:
-        turn = turn_to(start[first[0]], *first[1])
+    start = dead_reckoning(graph, start)
+    turn = turn_to_measurements(graph, start, places, compass) if first is None else turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
     if "motion" in mission.tables:
-        along_measurements(graph, start, acoustics.places, compass)
-    place_beacons(graph, start, acoustics.places)
-    return first_sighting(graph, start) if len(points) else start
+        along_measurements(graph, start, places, compass)
+    place_beacons(graph, start, places)
+    return first_sighting(graph, start) if l.name in start.stacks else start
 
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.keys import Kind, kinds
+from factors.keys import kinds
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
+from nls.missions.folder.calibration import Spaces
 from nls.missions.folder.columns import ANGLES, PLACE
 from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table
@@ -17,7 +18,7 @@ x, l = kinds("x", "l")
 
 def true_values(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
     """True poses and landmarks, where there are files of them."""
-    true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+    true: Spaces = {}
     if (table := tables.get("truth")) is not None and not table.has("i"):
         true[x] = _truth_at_times(table, numbers, report)
     elif table is not None:

@@ -292,7 +292,6 @@ def _box(points: Array) -> tuple[Array, Array]:
     return (low + high) / 2 - half, (low + high) / 2 + half
 
 
-def _path(axes: Axes, values: Values, **style: object) -> None:
+def _path(axes: Axes, values: Values, **style: Any) -> None:
     """Poses in the order of their numbers, east to the right and north up."""
-    position = _positions(values)
-    axes.plot(position[:, 1], position[:, 0], **style)  # type: ignore[arg-type]
+    axes.plot(*_positions(values)[:, VIEWS[0]].T, **style)

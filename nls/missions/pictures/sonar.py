@@ -259,9 +259,8 @@ def frustum(
 def _decibels(image: npt.ArrayLike, sonar: ImagingSonar) -> Array:
     """Decibels of amplitudes below the largest; without any echo all are the darkest. Refuses images of others."""
     if np.shape(image) != (sonar.beams, sonar.bins):
-        raise GraphError(
-            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
-        )
+        made = f"{sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
+        raise GraphError(f"an image of shape {np.shape(image)}; {made}")
     amplitude = np.asarray(image, dtype=float)
     largest = float(amplitude.max(initial=0.0)) or 1.0
     return np.asarray(20 * np.log10(np.maximum(amplitude / largest, 10 ** (DARKEST / 20))))

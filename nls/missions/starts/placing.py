@@ -87,9 +87,11 @@ def along_measurements(graph: FactorGraph, start: Values, places: Array, compass
         X[start.stack(x).index(compass[0]), 2] = compass[1]
     start[x] = euler.to_se3(X)
     numbers, away = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
-    for factor, u, v in [*_positions(graph, start), *_directions(graph, start, places)]:
-        numbers.append(factor.keys[factor.keys[0].kind == s.name].numbers)
-        away.append(u - v)
+    heard = ((factor, places[start.stack(b).index(factor.keys[1])], p) for factor, p in _heard(graph, start))
+    for factor, u, v in (*_positions(graph, start), *heard):
+        if np.isfinite(u).all():
+            numbers.append(factor.keys[factor.keys[0].kind == s.name].numbers)
+            away.append(u - v)
     k, p = np.concatenate(numbers), np.concatenate(away)
     if len(k):
         order = np.argsort(k, kind="stable")
@@ -132,14 +134,12 @@ def _positions(graph: FactorGraph, start: Values) -> Iterator[tuple[Factor, Arra
             yield factor, factor.locate(SE3, X[0], model.z), SE3.position(X[1])
 
 
-def _directions(graph: FactorGraph, start: Values, places: Array) -> Iterator[tuple[Factor, Array, Array]]:
-    """Directions from the vehicle to beacons of known place, the places (n, 3) and where the start heard them."""
+def _heard(graph: FactorGraph, start: Values) -> Iterator[tuple[Factor, Array]]:
+    """Directions from the vehicle to beacons, and where (n, 3) the start heard them."""
     for factor in graph.factors:
         if isinstance(factor, BearingRange) and factor.keys[1].kind == b.name:
-            u = places[start.stack(b).index(factor.keys[1])]
-            if np.isfinite(u).all():
-                model, X = start.gather(factor)
-                yield factor, u, factor.locate(SE3, factor.sensor_pose(SE3, X[0]), model.z)
+            model, X = start.gather(factor)
+            yield factor, factor.locate(SE3, factor.sensor_pose(SE3, X[0]), model.z)
 
 
 def place_beacons(graph: FactorGraph, start: Values, places: Array) -> None:
@@ -156,13 +156,10 @@ def _beacons(graph: FactorGraph, start: Values, places: Array) -> tuple[Array, I
     A direction with a range counts before ranges.
     """
     none = np.zeros(0, dtype=np.int64)
-    points, ranges = [(none, np.zeros((0, 3)))], [(none, np.zeros((0, 4)))]
+    points = [(none, np.zeros((0, 3))), *((factor.keys[1].numbers, p) for factor, p in _heard(graph, start))]
+    ranges = [(none, np.zeros((0, 4)))]
     for factor in graph.factors:
-        if isinstance(factor, BearingRange) and factor.keys[1].kind == b.name:
-            model, X = start.gather(factor)
-            p = factor.locate(SE3, factor.sensor_pose(SE3, X[0]), model.z)
-            points.append((factor.keys[1].numbers, p))
-        elif isinstance(factor, Range | ScaledRange):
+        if isinstance(factor, Range | ScaledRange):
             model, X = start.gather(factor)
             scale = 1.0 if len(X) == 2 else 1 + X[2]
             plain = factor if isinstance(factor, Range) else factor.unscaled()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,9 @@ from models.algebra import Array
 from models.manifolds.so3 import rotation3
 from nls import FactorGraph, Values
 from nls.missions import MissionReport
-from nls.missions.folder.columns import COLUMNS
+from nls.missions.folder.columns import COLUMNS, GYRO
 from nls.missions.folder.table import csv_text
-from tests.nls.missions.folder.mission_files import folder
+from tests.nls.missions.folder.mission_files import RAW, folder
 
 RATE, LENGTH = 200, 240  # Hz of the truth, s
 SIGMA = {"v": 0.005, "tilt": 0.002, "yaw": 0.005, "z": 0.02, "fix": 0.2}
@@ -55,7 +56,7 @@ class Survey:
     def noise(self, sigma: float, *shape: int) -> Array:
         return self.noisy * self.rng.normal(0, sigma, shape)
 
-    def tables(self, gyro: bool = False) -> dict[str, tuple[list[str], tuple[object, ...]]]:
+    def tables(self, gyro: bool = False) -> dict[str, tuple[Sequence[str], tuple[object, ...]]]:
         """Columns of the files by name."""
         every = {"dvl": RATE // 5, "ahrs": RATE // 10, "depth": RATE // 2, "gyro": RATE // 20}
         rows = {name: np.arange(3 * RATE, (LENGTH + 3) * RATE + 1, step) for name, step in every.items()}
@@ -64,30 +65,25 @@ class Survey:
         turned = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
         v = scale * self.at_dvl[k] @ turned.T + self.noise(SIGMA["v"], len(k), 3)
         ones = np.ones(len(k), dtype=int)
-        out: dict[str, tuple[list[str], tuple[object, ...]]] = {
-            "dvl": (["time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid"], (self.t[k], v, ones)),
-            "dvl_mount": (
-                ["x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"],
-                (np.append(self.arm, np.zeros(3))[None],),
-            ),
+        out: dict[str, tuple[Sequence[str], tuple[object, ...]]] = {
+            "dvl": (RAW["dvl"], (self.t[k], v, ones)),
+            "dvl_mount": (COLUMNS["dvl_mount"], (np.append(self.arm, np.zeros(3))[None],)),
         }
         k = rows["ahrs"]
         late = np.column_stack([np.interp(self.t[k] - off.get("ahrs_clock_s", 0.0), self.t, y) for y in self.rpy.T])
         late[:, 2] -= off.get("declination_rad", 0.0)
         late += self.noise(1.0, len(k), 3) * [SIGMA["tilt"], SIGMA["tilt"], SIGMA["yaw"]]
-        names = ["time_s", "roll_rad", "pitch_rad", "yaw_rad"]
-        out["ahrs"] = (names[:3], (self.t[k], late[:, :2])) if gyro else (names, (self.t[k], late))
+        out["ahrs"] = (RAW["ahrs"][: 4 - gyro], (self.t[k], late[:, : 3 - gyro]))
         depth = rows["depth"]
-        out["depth"] = (["time_s", "z_m"], (self.t[depth], self.p[depth, 2:] + self.noise(SIGMA["z"], len(depth), 1)))
+        out["depth"] = (RAW["depth"], (self.t[depth], self.p[depth, 2:] + self.noise(SIGMA["z"], len(depth), 1)))
         noise = ["sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", "sigma_roll_rad", "sigma_pitch_rad", "sigma_z_m"]
         sigmas = [SIGMA["v"], 0.0, 0.05, SIGMA["tilt"], SIGMA["tilt"], SIGMA["z"]]
         if gyro:
             k, density = rows["gyro"], 3e-4
             bias = off.get("gyro_bias", 0.0)
             w = self.w[k] + [0.0, 0.0, bias] + self.noise(density * np.sqrt(RATE / every["gyro"]), len(k), 3)
-            out["gyro"] = (["time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"], (self.t[k], w))
-            noise += ["sigma_w_rad_s_sqrt_hz", "sigma_bias_rad_s", "sigma_bias_walk_rad_s_sqrt_s"]
-            sigmas += [density, 0.005, 1e-6]
+            out["gyro"] = (RAW["gyro"], (self.t[k], w))
+            noise, sigmas = [*noise, *GYRO], [*sigmas, density, 0.005, 1e-6]
         else:
             noise, sigmas = [*noise, "sigma_yaw_rad"], [*sigmas, SIGMA["yaw"]]
         out["noise"] = (noise, ([sigmas],))

@@ -69,15 +69,6 @@ def test_three_are_found_within_their_sigmas(tmp_path: Path) -> None:
     assert low < np.square(off).sum() < high
 
 
-def test_positions_determine_declination_and_mounting_only_together(tmp_path: Path) -> None:
-    calibration = {"dvl_yaw_rad": (0.0, 0.1), "declination_rad": (0.0, 0.1)}
-    values, marginals = solved(Survey(0, dvl_yaw_rad=0.02, declination_rad=0.03), tmp_path / "m", calibration)
-    (a, sigma_a), (d, sigma_d) = (of(name, values, marginals) for name in calibration)
-    assert sigma_a == pytest.approx(0.1 / np.sqrt(2), rel=0.03)
-    assert sigma_d == pytest.approx(0.1 / np.sqrt(2), rel=0.03)
-    assert a + d == pytest.approx(0.05, abs=0.01)
-
-
 def test_the_bias_of_a_gyro_is_found_and_the_heading_with_it(tmp_path: Path) -> None:
     normalized = []
     for seed in range(4):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from contextlib import suppress
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 import nls
 from models.errors import SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, ResourceLimitError
-from nls.missions.folder.columns import COLUMNS
+from nls.missions.folder.columns import COLUMNS, MAY_BE_0
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
 from tests.nls.missions.folder.mission_files import RAW, TINY, folder, raw
@@ -88,10 +89,7 @@ tiny.zpr | * | 0,5.0332,0.0005,-0.0007,0.01,0.002,0.002 | 1 | the first line mus
 tiny.zpr | * |  | 1 | is empty; expected a first line i,z_m
 tiny.zpr | * | PK\x03\x04\x00 | 1 | has a zero byte
 tiny.landmarks | * | landmark,x_m,y_m,z_m | 1 | has no row
-tiny.anchor | 0.0001\n | 0.0001\n0,1,1,1,1,1,1\n | 3 | pose 0 was given before, on line 2
 tiny.truth | * | i,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n7,0,0,0,0,0,0 | 2 | pose 7 and all others are
-tiny.sonar | 0.0\n | 0.0\na,96,512,0.5,0.2,1,6,0,0,0,0,0,0\n | 3 | a second sonar
-tiny.poses | * | i,time_s\n0,1\n1,2\n2,2\n3,4 | 4 | time_s 2.0 does not rise over 2.0
 tiny.poses | * | i,time_s\n0,1\n1,2\n2,3 | 4 | this is the last row, and pose 3 has none
 tiny.poses | * | i,time_s\n0,1\n1,2\n2,3\n3,4\n4,5 | 6 | i 4
 tiny.zpr | roll_rad | heel_rad | 1 | 'heel_rad'; expected i,z_m
@@ -112,9 +110,7 @@ tiny.zpr | \n3, | \n2, | 5 | pose 2 was given before, on line 4
 tiny.zpr | \n3, | \n4, | 5 | i 4: odometry.csv
 tiny.zpr | -0.0313 | 2.5 | 3 | pitch_rad is 2.5; expected radians, between -pi/2 and pi/2
 tiny.zpr | -0.0313 | 1.5707963267948966 | 3 | pitch_rad is 1.5707963267948966
-tiny.truth | \n3, | \n2, | 5 | pose 2 was given before, on line 4
 tiny.truth | 5.1 | -1e308 | 3 | z_m is -1e+308; expected meters, within 1e9
-tiny.landmarks | \n14, | \n11, | 4 | landmark 11 was given before, on line 2
 tiny.anchor | \n0, | \n9, | 2 | i 9
 tiny.sonar | ,1.0,6.0, | ,6.0,1.0, | 2 | window: (6.0, 1.0)
 tiny.sonar | ,96, | ,0, | 2 | beams: 0
@@ -124,11 +120,8 @@ raw.dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,1.5 | 4 | valid is '1.5'
 raw.dvl | 0.5,1.0 | 0.25,1.0 | 4 | time_s 0.25 does not rise over 0.25 before it; delete one
 raw.dvl | 0.5,1.0 | 0.125,1.0 | 4 | time_s 0.125 does not rise over 0.25 before it; sort
 raw.dvl | 0.5,1.0 | 0.5,1e308 | 4 | vx_m_s is 1e+308; expected meters per second, within 1e9
-raw.ahrs | 0.5,0.0 | 9.5,0.0 | 5 | time_s 0.75 does not rise over 9.5
 raw.ahrs | 0.5,0.0,0.0 | 0.5,0.0,2.0 | 4 | pitch_rad is 2.0
-raw.noise | 0.01, | 0.0, | 2 | sigma_v_m_s is 0.0; expected a number above 0
 raw.noise | 0.002,0.05 | -0.1,0.05 | 2 | scale is -0.1; expected 0 or above
-raw.noise | 0.05\n | 0.05\n1,1,1,1,1,1,1\n | 3 | a second row
 raw.ahrs | * | - | - | m: has no ahrs.csv
 raw.depth | * | time_s,z_m\n0,1\n0.5,1 | dvl:- | the logs have less than a second in common: dvl.csv 0.0 to
 raw.poses | * | i,time_s\n2,-1\n3,4 | 2 | pose 2 is at -1.0 s, not within all logs: dvl.csv 0.0 to 30.0 s, ahrs.csv
@@ -140,7 +133,6 @@ raw.dvl | * | time_s,vx_m_s,vy_m_s,vz_m_s\n0,1,0,0\n1,1,0,0 | - | has no column 
 raw.dvl | * | time_s,vx_m_s,vy_m_s,vz_m_s,beams\n0,1,0,0,-1\n1,1,0,0,4 | 2 | beams is -1; expected how many see the bott
 raw.dvl | * | time_s,vx_m_s,vy_m_s,vz_m_s,beams\n0,1,0,0,2\n1,1,0,0,4 | - | 1 of 2 rows are valid; expected two
 raw.calibration | * | name,value,sigma\ndvl_scal,0,0.01 | 2 | no calibration is called 'dvl_scal'
-raw.calibration | * | name,value,sigma\ndvl_scale,0,0\ndvl_scale,0,0 | 3 | dvl_scale was given before, on line 2
 raw.calibration | * | name,value,sigma\ndvl_scale,0,-1 | 2 | sigma is -1.0; expected a standard deviation, or 0
 raw.tide | * | time_s,tide_m\n0,1 | 2 | depth.csv has depths; tide.csv is for pressure.csv
 raw.pressure | * | time_s,pressure_pa\n0,1 | - | has depth.csv and pressure.csv, the depth twice
@@ -151,7 +143,6 @@ gyro.gyro | 0,0,0,0 | 0,0,0,300 | 2 | wz_rad_s is 300.0; expected radians per se
 gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission has a declination_ra
 water.water | * | - | pressure:2 | nothing says how heavy the water is; add water.csv
 water.water | * | density_kg_m3,latitude_deg\n1025,60 | 2 | both say how heavy
-water.water | * | density_kg_m3\n1025\n1000 | 3 | a second row
 water.water | * | density_kg_m3\n-3 | 2 | density_kg_m3 is -3.0; expected a number above 0
 water.water | * | latitude_deg\n100 | 2 | latitude_deg is 100.0; expected -90 to 90
 water.tide | * | time_s,tide_m\n0,1\n20,2 | 2 | the tide is known from 0.0 to 20.0 s
@@ -165,8 +156,6 @@ dry.fixes | 1,1,0,0,0 | 1,1,1,0,0 | 2 | has a lever arm; leave the arm out, or w
 walk.dvl | * | time_s\n0 | - | has motion.csv and dvl.csv, the same way twice
 walk.gyro | * | time_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0,0,0 | - | has motion.csv and gyro.csv
 walk.fixes | * | time_s,x_m,y_m,sigma_x_m,sigma_y_m\n90,0,0,1,1\n93,5,5,1,1 | motion:2 | while all 2 logs of sensors las
-walk.motion | * | sigma_walk_m_sqrt_s\n0 | 2 | sigma_walk_m_sqrt_s is 0.0
-walk.motion | * | sigma_walk_m_sqrt_s\n1\n2 | 3 | a second row
 walk.fixes | * | - | motion:2 | fewer than two times
 raw.fixes | * | time_s,x_m,y_m,sigma_x_m,sigma_y_m,arm_x_m\n1,5,6,1,1,1 | 1 | has arm_x_m and no arm_y_m;
 raw.fixes | * | time_s,x_m,y_m,sigma_x_m,sigma_y_m,z_m\n1,5,6,1,1,1 | 1 | has z_m and no sigma_z_m; they need each other
@@ -189,12 +178,9 @@ placed.ranges | 0.3,0.001 | 0.25,0.001 | 3 | travel_time_s is 0.25, of which 0.2
 placed.ranges | 0.04,0.001,0,2 | 0.04,0.001,-1,2 | 2 | turn_around_s is -1.0
 placed.ranges | 0.04,0.001,0,2 | 0.04,0.001,0,3 | 2 | ways is 3; expected 1, or 2
 placed.ranges | \n1,3 | \n7,3 | 3 | i 7: no such pose in the track
-placed.sound-speed | 10,1490 | 0,1490 | 3 | z_m 0.0 does not rise over 0.0
 placed.sound-speed | 1490 | 4900 | 3 | sound_speed_m_s is 4900.0; expected m/s, near 1500
 placed.usbl | 0.4,0.5 | 1.8,0.5 | 2 | elevation_rad is 1.8; expected radians, -pi/2 to pi/2
-placed.usbl | 2,30 | 2,-30 | 2 | range_m is -30.0; expected a number above 0
 placed.ship | \n60 | \n1 | usbl:2 | is at 3.0 s, and no row is within the times of ship.csv, 0.0 to 1.0 s
-placed.ship | \n0,0,0 | \n70,0,0 | 3 | time_s 60.0 does not rise over 70.0
 placed.closures | 0,3,3.5 | 3,3,3.5 | 2 | the closure joins pose 3 to itself
 placed.closures | 0,3,3.5 | 0,9,3.5 | 2 | j 9: no such pose in the track
 placed.closures | i,j | i,time_j_s | 1 | has time_j_s and i; expected either time_i_s and time_j_s or i and j
@@ -225,21 +211,39 @@ def test_a_damaged_file(case: list[str], tmp_path: Path) -> None:
     assert error.path == own or (line == "-" and error.path == str(place))
 
 
-@for_all(name=["tiny", "raw", "placed", "gyro", "water", "path", "walk"])
+WHOLE = {name: files for name, files in SETS.items() if name not in ("rest", "dry")}
+SEVERAL = {"contacts", "odometry", "fixes", "ranges", "usbl", "closures"}  # files that may measure a thing twice
+
+
+@for_all(name=WHOLE)
 def test_no_exotic_number_gets_through(name: str, tmp_path: Path) -> None:
-    """In every column of every file a word that is no number, another one in turn, and a number beyond all bounds."""
-    turn, files = 0, SETS[name]
+    """In every column of every file a word that is no number, one after the other, and a number beyond all bounds.
+
+    No sigma is 0.
+    """
+    words, files = cycle(EXOTIC), WHOLE[name]
     assert nls.load(folder(tmp_path / name, files))[1]
-    for file, text in files.items():
-        *lines, last = str(text).splitlines() if text else [""]
-        cells = last.split(",") if lines else []
+    for file, text in ((file, text) for file, text in files.items() if text):
+        head, *lines = text.splitlines()
+        cells = lines[-1].split(",")
         for k in range(2 if file == "sonar" else 0, len(cells)):
-            turn += 1
-            for word in (EXOTIC[turn % len(EXOTIC)], "inf" if file == "sonar" else "1e308"):
-                damaged = "\n".join([*lines, ",".join([*cells[:k], word, *cells[k + 1 :]])])
+            column = head.split(",")[k - len(cells)]  # the quoted name of the sonar has a comma
+            zero = ["0"] * (column.startswith("sigma_") and column not in MAY_BE_0)
+            for word in (next(words), "inf" if file == "sonar" else "1e308", *zero):
+                damaged = "\n".join([head, *lines[:-1], ",".join([*cells[:k], word, *cells[k + 1 :]])])
                 place = folder(tmp_path / name, {file: damaged})
                 assert assert_refused(len(lines) + 1, "", nls.load, place).path.endswith(f"{file}.csv")
         folder(tmp_path / name, {file: text})
+
+
+@for_all(name=WHOLE)
+def test_no_row_of_a_pose_a_time_or_a_name_is_there_twice(name: str, tmp_path: Path) -> None:
+    for file, text in WHOLE[name].items():
+        if text and file not in SEVERAL:
+            rows = text.splitlines()
+            place = folder(tmp_path / name, WHOLE[name] | {file: "\n".join([*rows, rows[-1]])})
+            error = assert_refused(len(rows) + 1, "", nls.load, place)
+            assert any(words in str(error) for words in ("was given before, on line", "does not rise over", "a second"))
 
 
 def test_folders_that_are_none(tmp_path: Path) -> None:

@@ -123,6 +123,7 @@ def test_damaged_closures_between_dives(text: str, message: str, tmp_path: Path)
         nls.load([folder(tmp_path / "a"), folder(tmp_path / "b", dive_closures=text)])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_line_writes_a_map_and_a_track_of_each(
     dives: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from tests.nls.missions.folder.mission_files import TINY, folder
 TITLE = "Mission folders"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_folder_it_shows_is_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = shown_tables(section(TITLE))
     assert shown == TINY

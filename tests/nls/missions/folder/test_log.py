@@ -9,26 +9,18 @@ import pytest
 
 import nls
 from models import SE3
-from nls.missions.folder.timeline import poses_of_rows
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import NOISE, folder, raw, tables
+from tests.nls.missions.folder.mission_files import folder, raw
+from tests.nls.missions.folder.test_velocity import log
 
 (x,) = nls.kinds("x")
-
-
-def log(t: np.ndarray, valid: np.ndarray | None = None) -> dict[str, str]:
-    """1 m/s ahead at times t."""
-    ones, zeros = np.ones((len(t), 1)), np.zeros((len(t), 3))
-    valid = np.ones(len(t), dtype=int) if valid is None else valid.astype(int)
-    dvl = t, np.hstack([ones, zeros[:, 1:]]), valid
-    return tables(dvl=dvl, ahrs=(t, zeros), depth=(t, 2 * ones), noise=NOISE)
 
 
 def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
     assert 12.46 + 68.0 > 80.46  # what floor() of the difference, 68.0, would make a pose of
     for first, last, poses in ((12.46, 80.46, 68), (0.1, 80.1, 81), (0.0, 3.0, 4)):
         t = np.append(np.arange(first, last - 0.1, 0.5), last)
-        _, values, report = nls.load(folder(tmp_path / "m", log(t)))
+        _, values, report = nls.load(folder(tmp_path / "m", log({"valid": 1}, t=t)))
         times = report.vertex_times["x"]
         assert (len(values), len(times)) == (poses, poses)
         assert times[0] == first
@@ -37,30 +29,30 @@ def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
 
 def test_rows_without_bottom_lock_at_the_ends_are_left_out(tmp_path: Path) -> None:
     t = np.arange(0.0, 30.1, 0.5)
-    valid = (t >= 2.5) & (t <= 28.0) & (t != 10.0)
-    _, values, report = nls.load(folder(tmp_path / "m", log(t, valid)))
+    files = log({"valid": 1 * ((t >= 2.5) & (t <= 28.0) & (t != 10.0))}, t=t)
+    _, values, report = nls.load(folder(tmp_path / "m", files))
     assert report.vertex_times["x"].tolist() == np.arange(2.5, 28.1).tolist()
     assert np.ptp(SE3.position(values[x])[:, 0]) == pytest.approx(25.0)
     assert "the DVL has no bottom lock in its first 2.5 s and its last 2 s: left out" in report.notes
     for poses, line in (("0,2.0\n1,9.0\n", 2), ("0,2.5\n1,28.5\n", 3)):
-        place = folder(tmp_path / "poses", log(t, valid), poses=f"i,time_s\n{poses}")
+        place = folder(tmp_path / "poses", files, poses=f"i,time_s\n{poses}")
         assert_refused(line, "dvl.csv with bottom lock 2.5 to 28.0 s", nls.load, place)
-    _, values, _ = nls.load(folder(tmp_path / "poses", log(t, valid), poses="i,time_s\n0,2.5\n1,28.0\n"))
+    _, values, _ = nls.load(folder(tmp_path / "poses", files, poses="i,time_s\n0,2.5\n1,28.0\n"))
     assert np.ptp(SE3.position(values[x])[:, 0]) == pytest.approx(25.5)
 
 
 def test_logs_too_short_and_too_long(tmp_path: Path) -> None:
     t = np.arange(0.0, 3.1, 0.5)
     for files, words in (
-        (log(t, np.arange(7) < 0), "0 of 7 rows are valid; expected two"),
-        (log(t, np.arange(7) < 1), "1 of 7 rows are valid; expected two"),
-        (log(np.array([0.0, 1e12, 1.7e12])), "the logs last 1.7e+12 s"),
+        (log({"valid": 0}, t=t), "0 of 7 rows are valid; expected two"),
+        (log({"valid": 1 * (np.arange(7) < 1)}, t=t), "1 of 7 rows are valid; expected two"),
+        (log({"valid": 1}, t=np.array([0.0, 1e12, 1.7e12])), "the logs last 1.7e+12 s"),
     ):
         assert_refused(None, f"dvl.csv: {words}", nls.load, folder(tmp_path / "m", files))
 
 
 def test_poses_denser_than_the_rows_of_a_log_say_no_more_than_these(tmp_path: Path) -> None:
-    files = log(np.arange(0.0, 30.1))
+    files = log({"valid": 1}, t=np.arange(0.0, 30.1))
     t = np.arange(0.0, 30.1, 0.25)
     poses = "i,time_s\n" + "".join(f"{k},{s!r}\n" for k, s in enumerate(t.tolist()))
     _, zpr, heading = nls.load(folder(tmp_path / "m", files, poses=poses))[0].factors[:3]
@@ -83,12 +75,3 @@ def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_pat
     white = 0.01**2 * dt**2 * (n - 1)  # the samples at its ends, half in either leg, count by half, not a quarter
     assert Sigma[0, 0] == pytest.approx(white + 0.002**2, rel=1e-3)
     assert Sigma[1, 1] == pytest.approx(white, rel=1e-2)
-
-
-def test_poses_denser_than_the_rows_of_a_sensor_know_no_more_than_the_rows() -> None:
-    rows, poses = np.arange(0.0, 100.0), np.arange(0.0, 99.0, 0.25)
-    grown = poses_of_rows(rows, poses)
-    assert (1 / grown**2).sum() == pytest.approx(99, rel=0.05)  # of 396 poses
-    assert poses_of_rows(rows, rows).tolist() == [1.0] * 100
-    near = np.sort(np.append(np.arange(0.0, 9.0), 4.05))  # two poses between two of many rows
-    assert poses_of_rows(np.arange(0.0, 10.0, 0.1), near).tolist() == [1.0] * 10

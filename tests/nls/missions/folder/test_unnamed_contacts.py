@@ -52,12 +52,6 @@ def written(path: Path) -> Path:
     return folder(path, files(), contacts=without_names(files()["contacts"]))
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered."""
-    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
-
-
 def test_it_is_read_without_its_contacts_which_are_counted(tmp_path: Path) -> None:
     path = written(tmp_path / "m")
     graph, values, report = nls.load(path)
@@ -70,8 +64,9 @@ def test_it_is_read_without_its_contacts_which_are_counted(tmp_path: Path) -> No
     assert "l" not in report.truth.stacks
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_reading_command_solves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], undrawn: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     unnamed, named = written(tmp_path / "m"), folder(tmp_path / "named")
     scans = room_files.write(tmp_path / "scans", room_files.room(1))
@@ -127,8 +122,9 @@ def test_every_factor_that_association_adds_knows_its_line(tmp_path: Path) -> No
     assert mission().ate(result.values) < mission().ate(mission().start)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_convert_advises_writes_the_graph_that_was_solved(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], undrawn: None
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = written(tmp_path / "a dive")
     assert main(["convert", str(path), str(tmp_path / "read.npz")]) == 0

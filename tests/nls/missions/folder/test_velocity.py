@@ -19,15 +19,17 @@ from tests.nls.missions.folder.positioned import csv
 T = np.arange(0.0, 40.01, 0.2)
 
 
-def log(columns: dict[str, object], noise: str = "", value: str = "", yaw: float = 0.0) -> dict[str, str]:
-    """1 m/s ahead; columns of dvl.csv besides."""
-    zero = np.zeros(len(T))
-    table = {"time_s": T, "vx_m_s": 1 + zero, "vy_m_s": zero, "vz_m_s": zero, **columns}
-    dvl = [np.broadcast_to(np.asarray(column), len(T)) for column in table.values()]
+def log(
+    columns: dict[str, object], noise: str = "", value: str = "", yaw: float = 0.0, t: np.ndarray = T
+) -> dict[str, str]:
+    """1 m/s ahead at times t; columns of dvl.csv besides."""
+    zero = np.zeros(len(t))
+    table = {"time_s": t, "vx_m_s": 1 + zero, "vy_m_s": zero, "vz_m_s": zero, **columns}
+    dvl = [np.broadcast_to(np.asarray(column), len(t)) for column in table.values()]
     names = ",".join(RAW["noise"])
     return {
         "dvl": csv(",".join(table), *dvl),
-        **tables(ahrs=(T, zero, zero, yaw + zero), depth=(T, 5 + zero)),
+        **tables(ahrs=(t, zero, zero, yaw + zero), depth=(t, 5 + zero)),
         "noise": f"{names}{noise}\n0.01,0,0.05,0.002,0.002,0.01,0.05{value}\n",
     }
 

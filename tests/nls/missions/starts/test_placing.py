@@ -11,7 +11,7 @@ import nls
 from factors import Heading, Isotropic, Position, Shifted
 from models import SE3, euler
 from nls.missions.folder.calibration import Calibrations
-from nls.missions.starts.placing import place_beacons, turn_to, turn_to_measurements
+from nls.missions.starts.placing import turn_to_measurements
 from tests.nls.missions.folder.positioned import Positioned
 
 x, b, c = nls.kinds("x", "b", "c")
@@ -52,13 +52,3 @@ def test_one_spot_gives_no_yaw(start: nls.Values) -> None:
     turn = turn_to_measurements(nls.FactorGraph([fix]), start, NOWHERE, None)
     assert SE3.act(turn, start[x][7, :3])[:2] == pytest.approx([3.0, 4.0])
     assert turn[3:] == pytest.approx([0, 0, 0, 1])
-
-
-def test_turn_to_an_anchor(start: nls.Values) -> None:
-    pose = SE3.compose(turn_to(start[x][[3]], 5.0, 6.0, 0.7), start[x][3])
-    assert euler.from_se3(pose)[[3, 4, 2]] == pytest.approx([5.0, 6.0, 0.7])
-
-
-def test_no_beacons_are_nothing_to_place(start: nls.Values) -> None:
-    place_beacons(nls.FactorGraph(), start, NOWHERE)
-    assert "b" not in start.stacks
