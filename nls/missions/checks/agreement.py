@@ -53,9 +53,7 @@ def of_way_down(log: Log) -> list[Implausible]:
     limit = max(named, float(np.sqrt(DOUBT) * noise))
     if not readings and m > wrong:
         readings, limit = [Reading(Cause.UNKNOWN, "depth.csv", "z_m")], wrong
-    if not readings:
-        return []
-    return [Implausible.of("way down", m, limit, "of the way", *readings[:3])]
+    return [Implausible.of("way down", m, limit, "of the way", *readings[:3])] if readings else []
 
 
 def _windows(log: Log) -> tuple[Array, float]:

@@ -75,9 +75,8 @@ def of_log(log: Log) -> list[Implausible]:
     explained_units = {r.file for entry in together for r in entry.readings if r.cause is Cause.UNIT}
     single = [entry for entry in single if entry.check != "scatter" or entry.file not in explained_units]
     readings = together[0].readings if together else ()
-    named = {(r.cause, r.file) for r in readings}
     causes = [{(r.cause, r.file) for r in entry.readings} for entry in single]
-    if any(own & named for own in causes):  # one sensor alone shows it, and the others say which unit it is
-        narrowed = [tuple(r for r in readings if (r.cause, r.file) in own) for own in causes]
+    narrowed = [tuple(r for r in readings if (r.cause, r.file) in own) for own in causes]
+    if any(narrowed):  # one sensor alone shows it, and the others say which unit it is
         return [replace(e, readings=r) if r else e for e, r in zip(single, narrowed, strict=True)]
     return single + (of_heading(thin) or together or of_fixes(thin.fixes, jumping(thin)))

@@ -103,7 +103,11 @@ def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayL
     again.
     """
     poses = values[x]
-    stamps = None if times is None else _checked(times, len(poses))
+    stamps = None if times is None else np.asarray(times, dtype=float)
+    shape = (len(poses),)
+    if stamps is not None and (stamps.shape != shape or not np.isfinite(stamps).all() or (np.diff(stamps) <= 0).any()):
+        expected = f"expected one rising number for each of {len(poses)} keyframes, s"
+        raise GraphError(f"times: shape {stamps.shape}; {expected}")
     i, pose, covariance = neighbors(poses, scans)
     start = values.copy()
     start.add(mount, SE2, np.zeros((1, 3)))
@@ -152,13 +156,6 @@ def _read(values: Values, marginals: Marginals, keys: list[Keys], steps: int, sc
     return Mounting(
         steps, value, sigma, np.array(PRIOR), SE2.compose(G[None], scans.mount[None])[0], correlation, lateral
     )
-
-
-def _checked(times: npt.ArrayLike, count: int) -> Array:
-    t = np.asarray(times, dtype=float)
-    if t.shape != (count,) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
-        raise GraphError(f"times: shape {t.shape}; expected one rising number for each of {count} keyframes, s")
-    return t
 
 
 def neighbors(poses: Array, scans: Scans) -> tuple[Index, Array, Array]:

@@ -9,12 +9,9 @@ stated). Steps have 0.31 and 0.42 (0.47).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array
@@ -93,10 +90,9 @@ def check_setup(
         return [_finding(SetupKind.TIME_OFFSET, estimate.value[3], estimate.sigma[3])]
     findings = _mounting(estimate, scans, closing)
     if closing is not None:
-        for fit in fits(graph, closing):
-            if fit.too_large or fit.too_small:
-                kind = SetupKind.SIGMAS_TOO_LARGE if fit.too_large else SetupKind.SIGMAS_TOO_SMALL
-                numbers = {"measurements": fit.name, "chi2": fit.chi2, "dof": fit.dof, "scale": fit.scale}
+        for name, (chi2, dof) in fits(graph, closing).items():
+            if kind := doubt_of_sigmas(name, chi2, dof):
+                numbers = {"measurements": name, "chi2": chi2, "dof": dof, "scale": (chi2 / dof) ** 0.5}
                 findings.append(SetupFinding(kind, numbers))
     return findings
 
@@ -161,42 +157,22 @@ def _finding(kind: SetupKind, value: float, sigma: float, **numbers: object) -> 
     return SetupFinding(kind, {"value": float(value), "sigma": float(sigma), **numbers})
 
 
-@dataclass(frozen=True)
-class Fit:
-    """How well measurements of a kind fit.
+def doubt_of_sigmas(name: str, chi2: float, dof: float) -> SetupKind | None:
+    """Whether the stated sigmas of measurements are too large or too small by more than is allowed for.
 
-    Attributes
-    ----------
-    name : steps, drifts or closures.
-    chi2, dof : of them; degrees of freedom without what they have spent on the unknowns. With less than 40 nothing is
-        said: with 40, either limit is one case in 1,000 or less.
+    With less than 40 degrees of freedom nothing is said: with 40, either limit is one case in 1,000 or less. Steps are
+    never too large: their yaw and the compass heading are one number, so small residuals of steps say nothing.
     """
-
-    name: str
-    chi2: float
-    dof: float
-
-    @property
-    def scale(self) -> float:
-        """On the stated sigmas, with which chi2 would be as expected."""
-        return float((self.chi2 / self.dof) ** 0.5)
-
-    @property
-    def too_large(self) -> bool:
-        """Whether the stated sigmas are too large by more than is allowed for.
-
-        Never of steps: their yaw and the compass heading are one number, so small residuals of steps say nothing.
-        """
-        return self.name != "steps" and self.dof >= 40.0 and self.scale < 1 / LARGEST_SCALE[self.name]
-
-    @property
-    def too_small(self) -> bool:
-        """Whether the stated sigmas are too small by more than is allowed for."""
-        return self.dof >= 40.0 and self.scale > LARGEST_SCALE[self.name]
+    scale, most = (chi2 / dof) ** 0.5, LARGEST_SCALE[name]
+    if dof < 40.0 or 1 / most <= scale <= most or (name == "steps" and scale < 1):
+        return None
+    return SetupKind.SIGMAS_TOO_LARGE if scale < 1 else SetupKind.SIGMAS_TOO_SMALL
 
 
-def fits(graph: FactorGraph, closing: Closing) -> tuple[Fit, ...]:
-    """chi2 of the steps, of the drifts of stretches, if any, and of the kept closures by their own covariances.
+def fits(graph: FactorGraph, closing: Closing) -> dict[str, tuple[float, float]]:
+    """chi2 and dof of the steps, of the drifts of stretches, if any, and of the kept closures by their own covariances.
+
+    Degrees of freedom count without what the measurements have spent on the unknowns.
 
     Parameters
     ----------
@@ -209,27 +185,23 @@ def fits(graph: FactorGraph, closing: Closing) -> tuple[Fit, ...]:
         Sigmas that differ too much for a covariance.
     """
     if not closing.matches.kept.any():
-        return ()  # dead reckoning agrees with itself
+        return {}  # dead reckoning agrees with itself
     values = closing.values
     pattern = closing.graph.pattern(values)
     pattern = pattern.holding(choose_gauge("first", pattern, values, fixed_variables(closing.graph.fixed, values)).held)
     checked = freedom(pattern, values).checked
     if checked is None:
-        raise GraphError(
-            "check_setup: sigmas of the graph differ too much for a covariance; look for far too small ones"
-        )
+        cure = "look for far too small ones"
+        raise GraphError(f"check_setup: sigmas of the graph differ too much for a covariance; {cure}")
     parts: dict[str, list[tuple[float, float]]] = {"steps": [], "drifts": [], "closures": []}
     tests = checks(checked, len(pattern.batches))
     for batch, test, e in zip(pattern.batches[: len(graph.factors)], tests, checked.e, strict=False):
-        if name := _name(batch.model.factor):
+        joined = [keys.kind for keys in batch.model.factor.keys]  # keyframes by steps, a drift and the mean by drifts
+        if name := "steps" if joined.count(x.name) == 2 else "drifts" if d.name in joined else "":
             parts[name].append((float((e**2).sum()), float(test.dof.sum())))
     kept = closing.matches.kept  # in the last factor
     own = np.square(checked.e[-1]).sum(axis=1) * shares(closing.matches.i[kept], closing.matches.j[kept])
     parts["closures"].append((float(own.sum()), float(tests[-1].dof.sum())))
-    return tuple(Fit(name, *map(sum, zip(*rows, strict=True))) for name, rows in parts.items() if rows)
-
-
-def _name(factor: Factor) -> str:
-    """Steps join keyframes x, drifts of stretches d have their mean; other measurements have no name."""
-    joined = [keys.kind for keys in factor.keys]
-    return "steps" if joined.count(x.name) == 2 else "drifts" if d.name in joined else ""
+    return {
+        name: (sum(chi2), sum(dof)) for name, rows in parts.items() if rows for chi2, dof in [zip(*rows, strict=True)]
+    }

@@ -12,7 +12,7 @@ from models.algebra import Array, Mask
 from models.errors import GraphFileError
 from models.options import did_you_mean, is_number, is_whole
 from nls.missions.folder.columns import BOUNDS, GEODETIC, LARGEST, MAY_BE_0, SMALLEST
-from nls.missions.importing.headers import dimension, known_units, mission_unit
+from nls.missions.importing.headers import UNITS, dimension, mission_unit
 from nls.missions.importing.templates import example
 from nls.missions.importing.text_log import Missing
 
@@ -107,7 +107,8 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     if unit != "" and (not kind or dimension(str(unit)) != kind):
         pressure = "; of a pressure give scale, such as 9.94e-5 for Pa in sea water, and offset"
         cure = pressure if dimension(str(unit)) == "pressure" and column == "z_m" else ""
-        raise refuse(f"unit {unit!r} is not one of {known_units(kind)}{cure}")
+        known = ", ".join(UNITS[kind]) if kind else "none: it is a plain number"
+        raise refuse(f"unit {unit!r} is not one of {known}{cure}")
     if unit and "scale" in value:
         raise refuse("unit and scale are both given; scale alone stands for both")
     if "up" in value and (column != "z_m" or not isinstance(value["up"], bool)):
@@ -150,10 +151,9 @@ def sigma_words(column: str) -> str:
     >>> sigma_words("sigma_x_m"), sigma_words("scale")
     ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
     """
-    smallest, largest = BOUNDS
-    if column in ZERO:
-        return f"0 or above, up to {largest}"
-    return f"a standard deviation above 0, {smallest} to {largest}"
+    return (
+        f"0 or above, up to {BOUNDS[1]}" if column in ZERO else f"a standard deviation above 0, {' to '.join(BOUNDS)}"
+    )
 
 
 def sigmas_out(column: str, numbers: Array | float) -> Mask:

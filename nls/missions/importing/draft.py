@@ -151,7 +151,9 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             lines.append("beacon = 1   # no column looks like it: the number of the one beacon")
         lines += [*_numbers(table), ""]
         if table == "contacts":
-            lines += ["[sonar]   # from its data sheet, and where it is on the vehicle", *_sonar(), ""]
+            sonar = [(f"{name} = {example('sonar', name)}", REMARKS.get(name, "")) for name in COLUMNS["sonar"]]
+            lines += ["[sonar]   # from its data sheet, and where it is on the vehicle"]
+            lines += [*(f"{line}   # {remark}" if remark else line for line, remark in sonar), ""]
     unused = [name for name in log.names if name not in used]
     if unused:
         lines = [*lines[: -1 if lines[-1] == "" else None], f"# not used: {', '.join(map(repr, unused))}", ""]
@@ -180,12 +182,6 @@ def _numbers(table: str) -> list[str]:
     remark = "   # a guess, as are the next; of one step" if table == "path" else "   # a guess"
     numbers = [f"{column} = {example(table, column)}" for column in sigmas]
     return [numbers[0] + remark, *numbers[1:]] if numbers else []
-
-
-def _sonar() -> list[str]:
-    """The lines of the sonar."""
-    columns = [(column, f"{column} = {example('sonar', column)}") for column in COLUMNS["sonar"]]
-    return [f"{line}   # {REMARKS[column]}" if column in REMARKS else line for column, line in columns]
 
 
 def _line(column: str, chosen: dict[str, str], log: Log) -> str:

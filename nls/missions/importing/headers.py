@@ -77,11 +77,6 @@ def dimension(unit: str) -> str:
     return next((kind for kind, units in UNITS.items() if name in units), "")
 
 
-def known_units(kind: str) -> str:
-    """The units of a dimension, for messages."""
-    return ", ".join(UNITS[kind]) if kind else "none: it is a plain number"
-
-
 def factor(unit: str, column: str) -> float:
     """Size of this unit in the unit of a mission column of the same dimension.
 

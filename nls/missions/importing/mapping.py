@@ -132,8 +132,10 @@ class Mapping(TomlFile):
                 rest = f"is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
                 raise self.error(table, "", f"[{table}] {rest}")
             for k, part in enumerate(content if isinstance(content, list) else [content]):
-                self._reading = table, k
-                self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
+                self._reading = table, k  # a row that is of a pose is of no time
+                columns = COLUMNS[table] if "i" not in part or table == "poses" else ()
+                fitting = {name: value for name, value in defaults.items() if name in OPTIONS or name in columns}
+                self.sections.append(self._section(table, fitting | part))
         if not self.sections:
             raise GraphFileError("has no section; expected one for each table, such as [dvl]", path)
 
@@ -275,12 +277,6 @@ def _is_frame(value: Any) -> bool:
 
 def _is_section(value: Any) -> bool:
     return isinstance(value, dict) or (isinstance(value, list) and all(isinstance(part, dict) for part in value))
-
-
-def _fitting(defaults: Mappings[str, Any], table: str, content: Mappings[str, Any]) -> dict[str, Any]:
-    """What stands above all sections and is for this one, too; a row that is of a pose is of no time."""
-    columns = COLUMNS[table] if "i" not in content or table == "poses" else ()
-    return {name: value for name, value in defaults.items() if name in OPTIONS or name in columns}
 
 
 def _advice(name: str, value: object, known: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Missions of one vehicle that dives 720 m in 12 minutes, as files that a test spoils."""
+"""Missions of one vehicle that dives 340 m in six minutes, as files that a test spoils."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Dive"]
 Array = npt.NDArray[np.float64]
 BEACONS = np.array([[60.0, -40.0, 40.0], [-30.0, 90.0, 35.0], [140.0, 60.0, 42.0]])
 SHIP = np.array([40.0, 20.0, 2.0])
-STEP = 0.5  # s
+STEP, END = 1.0, 340.0  # s
 NOISE = "sigma_v_m_s,scale,sigma_bridge_m_s_sqrt_s,sigma_roll_rad,sigma_pitch_rad,sigma_yaw_rad,sigma_z_m"
 USBL = "time_s,range_m,bearing_rad,elevation_rad,sigma_range_m,sigma_bearing_rad,sigma_elevation_rad"
 (x,) = nls.kinds("x")
@@ -38,11 +38,12 @@ class Dive:
 
     def __init__(self, seed: int = 1, aid: str = "fixes") -> None:
         rng = np.random.default_rng(seed)
-        t = self.t = np.arange(0.0, 720.0 + STEP / 2, STEP)
+        t = self.t = np.arange(0.0, END + STEP / 2, STEP)
         n = len(t)
         rate = np.where((t % 90 > 75) & (t > 60), np.where((t // 90) % 3 == 0, -1.0, 1.0) * 0.1, 0.0)
         yaw = 0.6 + np.cumsum(rate) * STEP + 0.1 * np.sin(t / 17)
-        pitch, width = np.where((t > 20) & (t < 80), -0.33, np.where((t > 640) & (t < 700), 0.33, 0.0)), int(5 / STEP)
+        width = int(5 / STEP)  # of half a window
+        pitch = np.where((t > 20) & (t < 80), -0.33, np.where((t > END - 80) & (t < END - 20), 0.33, 0.0))
         pitch = np.convolve(np.pad(pitch, width, "edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid")
         rpy = np.column_stack([0.05 * np.sin(t / 4), pitch + 0.02 * np.sin(t / 5), yaw])
         body = np.column_stack([1 + 0.1 * np.sin(t / 23), 0.06 * np.sin(t / 11), 0.03 * np.sin(t / 9)])
@@ -60,22 +61,23 @@ class Dive:
         self.files |= getattr(self, f"_{aid}")(rng)
 
     def _fixes(self, rng: np.random.Generator) -> dict[str, str]:
-        t = np.concatenate([np.arange(0.0, 6.5), np.arange(714.0, 720.5)])
+        t = np.concatenate([np.arange(0.0, 6.5), np.arange(END - 6, END + 0.5)])
         p = self.at(t)[:, :2] + rng.normal(0, 0.5, (len(t), 2))
         return {"fixes": csv("time_s,x_m,y_m,sigma_x_m,sigma_y_m", t, p, np.full((len(t), 2), 0.5))}
 
     def _usbl(self, rng: np.random.Generator) -> dict[str, str]:
-        t = np.arange(4.0, 718.0, 4.0)
+        t = np.arange(4.0, END - 2, 4.0)
         d = self.at(t) - SHIP
         r, heading, sigmas = np.linalg.norm(d, axis=1), 0.4, np.tile([0.2, 0.01, 0.01], (len(t), 1))
         z = np.column_stack([r, np.arctan2(d[:, 1], d[:, 0]) - heading, np.arcsin(d[:, 2] / r)]) + rng.normal(0, sigmas)
         z[:, 1] = wrap(z[:, 1])
-        ship = [[0, *SHIP, 0, 0, heading], [720, *SHIP, 0, 0, heading]]
+        ship = [[0, *SHIP, 0, 0, heading], [END, *SHIP, 0, 0, heading]]
         names = "time_s,x_m,y_m,z_m,roll_rad,pitch_rad,yaw_rad"
         return {"usbl": csv(USBL, t, z, sigmas), "ship": csv(names, ship)}
 
     def _ranges(self, rng: np.random.Generator) -> dict[str, str]:
-        t, k = np.arange(5.0, 718.0, 3.0), np.arange(238) % 3
+        t = np.arange(5.0, END - 2, 3.0)
+        k = np.arange(len(t)) % 3
         r = np.linalg.norm(self.at(t) - BEACONS[k], axis=1) + rng.normal(0, 0.3, len(t))
         names = "beacon,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m"
         return {

@@ -29,9 +29,9 @@ def depths(factor: float) -> Change:
     return lambda log: replace(log, z=factor * log.z)
 
 
-def fixes(log: Log) -> Fixes:
+def moved(log: Log, change: Callable[[Fixes], Fixes]) -> Log:
     assert log.fixes is not None
-    return log.fixes
+    return replace(log, fixes=change(log.fixes))
 
 
 def late(name: str, lag: float) -> Change:
@@ -39,32 +39,18 @@ def late(name: str, lag: float) -> Change:
 
 
 def times(factor: float) -> Change:
-    def scale(log: Log) -> Log:
-        positions = replace(fixes(log), t=factor * fixes(log).t)
-        return replace(log, t_v=factor * log.t_v, t_a=factor * log.t_a, t_z=factor * log.t_z, fixes=positions)
+    def scaled(log: Log) -> Log:
+        return replace(log, **{name: factor * getattr(log, name) for name in ("t_v", "t_a", "t_z")})
 
-    return scale
-
-
-def wild(name: str, size: float) -> Change:
-    """5 % of the rows far off."""
-
-    def spoil(log: Log) -> Log:
-        rng = np.random.default_rng(7)
-        y = np.array(getattr(log, name))
-        rows = rng.choice(len(y), len(y) // 20, replace=False)
-        y[rows] += rng.normal(0, size, y[rows].shape)
-        return replace(log, **{name: y})
-
-    return spoil
+    return lambda log: moved(scaled(log), lambda fixes: replace(fixes, t=factor * fixes.t))
 
 
-def wild_fixes(log: Log) -> Log:
-    rng = np.random.default_rng(7)
-    p = np.array(fixes(log).p)
-    rows = rng.choice(len(p), len(p) // 15, replace=False)
-    p[rows] += rng.normal(0, 40.0, p[rows].shape)
-    return replace(log, fixes=replace(fixes(log), p=p))
+def scattered(y: Array, size: float, every: int = 20) -> Array:
+    """One of so many rows far off."""
+    rng, y = np.random.default_rng(7), np.array(y)
+    rows = rng.choice(len(y), len(y) // every, replace=False)
+    y[rows] += rng.normal(0, size, y[rows].shape)
+    return y
 
 
 def sigma(name: str, factor: float) -> Change:
@@ -103,9 +89,12 @@ SPOILS: dict[str, tuple[Change, Reading]] = {
     "times in ms": (times(1e3), of(Cause.UNIT, "dvl", "time_s", 1e3)),
     "times in ns": (times(1e9), of(Cause.UNIT, "dvl", "time_s", 1e9)),
     "valid inverted": (lambda log: replace(log, valid=~log.valid), of(Cause.INVERTED, "dvl", "valid")),
-    "outliers of the DVL": (wild("v", 3.0), of(Cause.OUTLIERS, "dvl", V)),
-    "outliers of the depth": (wild("z", 20.0), of(Cause.OUTLIERS, "depth", "z_m")),
-    "outliers of the fixes": (wild_fixes, of(Cause.OUTLIERS, "fixes", "x_m, y_m")),
+    "outliers of the DVL": (lambda log: replace(log, v=scattered(log.v, 3.0)), of(Cause.OUTLIERS, "dvl", V)),
+    "outliers of the depth": (lambda log: replace(log, z=scattered(log.z, 20.0)), of(Cause.OUTLIERS, "depth", "z_m")),
+    "outliers of the fixes": (
+        lambda log: moved(log, lambda fixes: replace(fixes, p=scattered(fixes.p, 40.0, 15))),
+        of(Cause.OUTLIERS, "fixes", "x_m, y_m"),
+    ),
     "sigma of the yaw a variance": (sigma("sigma_yaw_rad", 0.01), of(Cause.SIGMA, "noise", "sigma_yaw_rad")),
     "sigma of the velocity too small": (sigma("sigma_v_m_s", 0.05), of(Cause.SIGMA, "noise", "sigma_v_m_s")),
     "sigma of the depth too small": (sigma("sigma_z_m", 0.05), of(Cause.SIGMA, "noise", "sigma_z_m")),

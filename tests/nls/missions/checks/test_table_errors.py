@@ -126,9 +126,8 @@ def _survey(true: Positioned, t: Array, kernels: bool) -> dict[str, str]:
     at = euler.to_se3(np.column_stack([np.interp(t, s, column) for column in X.T]))
     sigmas = np.tile([0.3, 0.01, 0.01], (len(t), 1))
     seen = spherical(SE3.act(SE3.inverse(at), true.places(t)))[0] + rng.normal(0, sigmas)
-    rows = csv(USBL, t, seen, sigmas).splitlines()
-    words = ["kernel", *(("none", "huber:1.345")[k % 4 == 0] for k in range(len(t)))]
-    usbl = "\n".join(f"{row},{word}" if kernels else row for row, word in zip(rows, words, strict=True)) + "\n"
+    words = [["huber:1.345", "none", "none", "none"][k % 4] for k in range(len(t))]
+    usbl = csv(f"{USBL},kernel", t, seen, sigmas, words) if kernels else csv(USBL, t, seen, sigmas)
     r = true.ranges(t, np.full(len(t), 3)) + rng.normal(0, 0.1, len(t))
     return {
         "ship": csv("time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m", s, X),

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from models.algebra import Array
+from nls import GraphFileError
 from nls.missions.importing import Imported, Mapping, draft, import_logs
 
-__all__ = ["drafted", "imported", "line", "table"]
+__all__ = ["column", "drafted", "imported", "line", "refused", "table"]
 
 
 def written(folder: Path, logs: dict[str, str | bytes]) -> list[Path]:
@@ -27,6 +29,18 @@ def imported(folder: Path, mapping: str, **logs: str | bytes) -> Imported:
 def drafted(folder: Path, **logs: str | bytes) -> str:
     """The draft of a mapping of such files."""
     return draft(written(folder, logs))
+
+
+def refused(folder: Path, mapping: str, **logs: str | bytes) -> str:
+    """What the import of such files says that it cannot be."""
+    with pytest.raises(GraphFileError) as error:
+        imported(folder, mapping, **logs)
+    return str(error.value)
+
+
+def column(folder: Path, name: str, mapping: str, **logs: str | bytes) -> list[float]:
+    """A column of the import of such files, ``depth.z_m``."""
+    return list(table(imported(folder, mapping, **logs), name.split(".")[0])[name.split(".")[1]].tolist())
 
 
 def line(result: Imported, name: str, number: int = 1) -> str:

@@ -28,9 +28,9 @@ def test_latitudes_become_meters_and_come_back_within_a_millimeter(unit: str, tm
     rows = "\n".join(f"{k},{a!r},{b!r}" for k, (a, b) in enumerate(zip(*(s.tolist() for s in shown), strict=True)))
     mapping = f'[landmarks]\nlandmark = "k"\nlat_deg = "N [{unit}]"\nlon_deg = "E [{unit}]"\nz_m = 3'
     result = imported(tmp_path, mapping, log=f"k,N [{unit}],E [{unit}]\n{rows}\n")
-    places, (origin,) = table(result, "landmarks"), [table(result, "origin")]
-    assert (origin["lat_deg"][0], origin["lon_deg"][0]) == pytest.approx((lat[0], lon[0]), abs=1e-13)
-    plane = LocalPlane(origin["lat_deg"][0], origin["lon_deg"][0])
+    places, origin = table(result, "landmarks"), [column[0] for column in table(result, "origin").values()]
+    assert origin == pytest.approx([lat[0], lon[0]], abs=1e-13)
+    plane = LocalPlane(*origin)
     back = plane.geodetic(np.column_stack([places["x_m"], places["y_m"]]))
     assert np.abs(plane.local(*back) - plane.local(lat, lon)).max() < 1e-3
     assert np.abs(back[0] - lat).max() * 111e3 < 1e-3
