@@ -19,6 +19,12 @@ from typing import Any
 import numpy as np
 from harness import Table, child, line_of, make_page, peak_memory, timed
 
+import nls
+import sim
+from factors import BundleProjection, Isotropic
+from factors.bundle import CAMERA, LENS
+from models import SO3, R
+
 BAL = "bal/problem-49-7776-pre.txt.gz"
 SOLVERS = ("cholesky", "schur", "pcg", "pcg, tol 0.1")  # of the rig
 OURS = ("cholesky", "schur", "pcg, tol 0.1")
@@ -29,8 +35,6 @@ RUNS = 3
 
 
 def linear_solver(name: str) -> Any:
-    import nls
-
     return {"cholesky": nls.Cholesky, "schur": nls.Schur, "pcg": nls.PCG, "pcg, tol 0.1": lambda: nls.PCG(0.1)}[name]()
 
 
@@ -43,9 +47,6 @@ def prepare(source: Path, path: Path) -> str:
     COLMAP's residual is 0 for a point behind its camera, ours is that of the formula: points that are behind one of
     their cameras at the start are left out for both.
     """
-    import nls
-    from models import SO3
-
     graph, values, _ = nls.load(source)
     (factor,) = graph.factors
     camera, _, point = (keys.numbers for keys in factor.keys)
@@ -62,11 +63,6 @@ def prepare(source: Path, path: Path) -> str:
 
 def optimize_bundle(path: str, solver: str) -> dict[str, Any]:
     """One optimization of the arrays: the time from a graph that has met no values to the last step."""
-    import nls
-    from factors import BundleProjection, Isotropic
-    from factors.bundle import CAMERA, LENS
-    from models import R
-
     c, k, l = nls.kinds("c", "k", "l")
     with np.load(path) as given:
         i, j = given["camera"], given["point"]
@@ -147,9 +143,6 @@ def reached(run: dict[str, Any], target: float) -> tuple[float, float]:
 
 def solve_rig(name: str, solver: str, path: str) -> dict[str, Any]:
     """One damped solve at the start, and whole optimizations; the estimate is left at the path."""
-    import nls
-    import sim
-
     poses, points, views = RIGS[name]
     world = sim.rig(np.random.default_rng(1), poses=poses, points=points, views=views)
     way, system = linear_solver(solver), world.graph.linearize(world.start)

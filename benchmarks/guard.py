@@ -25,6 +25,16 @@ import numpy as np  # noqa: E402
 import scipy.sparse as sp  # noqa: E402
 from gate import Clock, add_options, gate, refuse, stopwatch  # noqa: E402 - the script beside this one
 
+import nls  # noqa: E402
+import sim  # noqa: E402
+from nls.gauge import choose_gauge, fixed_variables  # noqa: E402
+from nls.linear import Cholesky, default_solver  # noqa: E402
+from nls.linear.cholesky import cholmod  # noqa: E402
+from nls.sparse.hessian import Hessian  # noqa: E402
+from nls.sparse.pattern import Pattern  # noqa: E402
+from nls.sparse.threads import single_thread  # noqa: E402
+from nls.system import LinearSystem  # noqa: E402
+
 BASELINES = Path(__file__).parent / "baselines.json"
 ROOT = Path(__file__).parents[1]
 TO_SOLVE = "import nls; nls.load, nls.initialize, nls.FactorGraph, nls.Cholesky"  # they are imported when first used
@@ -40,16 +50,10 @@ class Piece:
     """A world (graph, truth, start) with all the intermediate results that a piece or a reference starts from."""
 
     def __init__(self, world: Any) -> None:
-        from nls.gauge import choose_gauge, fixed_variables
-        from nls.linear import default_solver
-        from nls.sparse.pattern import Pattern
-
         self.world, graph, values = world, world.graph, world.truth
         pattern = Pattern(graph.factors, values)
         self.held = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values)).held
         self.pattern = pattern.holding(self.held)
-        from nls.system import LinearSystem
-
         self.system = LinearSystem.at(self.pattern, self.world.truth)
         self.state, self.S = default_solver().analyze(self.pattern).factorization, self.system.H_blocks
         self.H = self.state.hessian.matrix(self.S)  # lower triangle, in the order of elimination
@@ -57,20 +61,14 @@ class Piece:
         self.edges = len(self.world.graph)
 
     def build(self) -> object:
-        from nls.sparse.pattern import Pattern
-
         return Pattern(self.world.graph.factors, self.world.truth, self.held).blocks
 
     def analyze(self) -> object:
-        from nls.sparse.hessian import Hessian
-
         blocks = self.pattern.blocks
         hessian = Hessian(self.state.hessian.elimination, blocks.dims, blocks.diagonal, blocks.off)  # none that is kept
         return type(self.state.decomposition)(hessian)
 
     def linearize(self) -> object:
-        from nls.system import LinearSystem
-
         return LinearSystem.at(self.pattern, self.world.truth)
 
     def assemble(self) -> object:
@@ -80,16 +78,12 @@ class Piece:
         return self.state.factorize(self.S)
 
     def chordal(self) -> object:
-        import nls
-
         return nls.initialize(self.world.graph, self.world.start, "chordal")
 
     def optimize(self) -> object:
         return self.world.graph.optimize(self.world.truth)
 
     def marginals(self) -> object:
-        import nls
-
         return nls.Marginals(self.world.graph, self.world.truth).all(nls.Kind("x"), "body")
 
 
@@ -97,8 +91,6 @@ class Reference:
     """Computations of the same kind by NumPy, SciPy and CHOLMOD alone."""
 
     def __init__(self, piece: Piece) -> None:
-        from nls.linear.cholesky import cholmod
-
         self.piece, self.cholmod = piece, cholmod()
         assert self.cholmod is not None
         self.factor = self.cholmod.analyze(piece.H, mode="auto", ordering_method="natural")
@@ -132,8 +124,6 @@ class Reference:
 
     def factorization(self) -> object:
         """CHOLMOD's numeric factorization of the same matrix in the same order."""
-        from nls.sparse.threads import single_thread
-
         with single_thread():
             return self.factor.cholesky_inplace(self.piece.H)
 
@@ -152,9 +142,6 @@ class Reference:
 
 def pieces(folder: Path) -> dict[str, Pair]:
     """Every ratio by name: ours, and the reference."""
-    import nls
-    import sim
-
     plane = Piece(sim.manhattan(np.random.default_rng(1), n_poses=4000))
     space = Piece(sim.sphere(np.random.default_rng(1), rings=40, per_ring=40))
     in_plane, in_space = Reference(plane), Reference(space)
@@ -205,8 +192,6 @@ def main() -> int:
     add_options(parser, BASELINES)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these ratios alone")
     options = parser.parse_args()
-    from nls.linear import Cholesky
-
     if (why := Cholesky.missing()) is not None:
         print(f"guard: the references need CHOLMOD: {why}", file=sys.stderr)
         return 2

@@ -25,6 +25,27 @@ import numpy.typing as npt
 PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RESULTS = Path(__file__).parent / "results"
+POSE_GRAPHS = {  # public ones, below the folder of the data
+    "manhattan": "pose-graphs-2d/manhattan.g2o",
+    "intel": "pose-graphs-2d/intel.g2o",
+    "CSAIL": "pose-graphs-2d/CSAIL.g2o",
+    "kitti_00": "pose-graphs-2d/kitti_00.g2o",
+    "city10000": "pose-graphs-2d/city10000.g2o.gz",
+    "ring": "pose-graphs-2d/ring.g2o",
+    "input_INTEL": "pose-graphs-2d/input_INTEL.g2o",
+    "input_M3500": "pose-graphs-2d/input_M3500_g2o.g2o",
+    "manhattanOlson3500": "pose-graphs-2d/manhattanOlson3500.g2o",
+    "FR079": "pose-graphs-2d/FR079_P_toro.graph",
+    "city10000 truth": "pose-graphs-2d/city10000_groundtruth_edges.txt",
+    "tinyGrid3D": "pose-graphs-3d/tinyGrid3D.g2o",
+    "smallGrid3D": "pose-graphs-3d/smallGrid3D.g2o",
+    "Klaus3": "pose-graphs-3d/Klaus3.g2o",
+    "parking-garage": "pose-graphs-3d/parking-garage.g2o.gz",
+    "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
+    "torus3D": "pose-graphs-3d/torus3D.g2o.gz",
+    "sphere400": "pose-graphs-3d/sphere400.txt",
+    "sphere2500 truth": "pose-graphs-3d/sphere2500_groundtruth_edges.txt",
+}
 GTSAM = {"metavar": "PYTHON", "help": "an interpreter that has GTSAM's wheel"}
 T = TypeVar("T")
 

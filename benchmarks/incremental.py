@@ -23,6 +23,11 @@ import numpy.typing as npt
 from harness import GTSAM, Table, fresh, make_page
 from posegraphs import SETS, prepare
 
+import nls
+import sim
+from factors import Cauchy
+from nls.incremental.steps import steps
+
 Array = npt.NDArray[np.float64]
 NAMES = ("intel", "manhattan", "input_M3500", "city10000", "sphere2500")
 WHEEL = "w10000"
@@ -35,10 +40,6 @@ PATIENCE = 900.0  # s; a longer run is ended
 
 def problem_of(name: str) -> tuple[Any, Any, str]:
     """Graph, values and the kind of the poses, of a log or a file."""
-    import nls
-    import sim
-    from factors import Cauchy
-
     sys.path.insert(0, str(Path(__file__).parent / "evidence"))
     data = Path(os.environ["LEADLINE_DATA"])
     if name == "plaza2":
@@ -61,9 +62,6 @@ def problem_of(name: str) -> tuple[Any, Any, str]:
 
 def drive(name: str, out: str) -> None:
     """Our side, in a process of its own."""
-    import nls
-    from nls.incremental.steps import steps
-
     graph, values, kind = problem_of(name)
     graph.pattern(values)  # bound, as GTSAM's factors are when they are read
     arriving = list(steps(graph.factors, kind=kind))
@@ -93,8 +91,6 @@ def above(graph: Any, values: Any, kept: list[dict[int, Array]]) -> list[Array]:
 
     The part of the minimum, and the number.
     """
-    import nls
-
     stack = values.stack("x")
     numbers = np.sort(stack.numbers)
     (x,) = nls.kinds("x")

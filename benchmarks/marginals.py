@@ -17,14 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Table, make_page, timed
+from harness import POSE_GRAPHS, Table, make_page, timed
 
 RUNS, COLUMNS = 5, 60  # columns: a multiple of 3 and of 6
-SETS = {
-    "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
-    "city10000": "pose-graphs-2d/city10000.g2o.gz",
-    "torus3D": "pose-graphs-3d/torus3D.g2o.gz",
-}
+SETS = ("sphere2500", "city10000", "torus3D")
 
 
 def problems(quick: bool) -> dict[str, Callable[[], Any]]:
@@ -43,7 +39,7 @@ def problems(quick: bool) -> dict[str, Callable[[], Any]]:
         return {"sphere of 500 (simulated)": simulated(sim.sphere, rings=20, per_ring=25)}
     folder = os.environ.get("LEADLINE_DATA")
     if folder:
-        return {name: lambda path=path: nls.load(Path(folder) / path)[:2] for name, path in SETS.items()}
+        return {name: lambda path=Path(folder, POSE_GRAPHS[name]): nls.load(path)[:2] for name in SETS}
     return {
         "sphere of 2,500 (simulated)": simulated(sim.sphere, rings=50, per_ring=50),
         "city of 10,000 (simulated)": simulated(sim.manhattan, n_poses=10_000),

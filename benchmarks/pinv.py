@@ -23,6 +23,10 @@ import numpy as np
 import numpy.typing as npt
 from harness import PROCESSOR_TIME, exponent, fresh, last_words, make_page, markdown, peak_memory, timed
 
+import sim
+from nls.linear import SOLVERS
+from nls.system import LinearSystem
+
 SIZES = (30, 99, 300, 999, 3_000, 9_999, 30_000, 99_999)  # three unknowns a pose, the first pose held
 QUICK = 3_000
 DENSE = ("pinv", "formula", "dense-qr", "dense-cholesky")
@@ -59,9 +63,6 @@ class Series:
 
 def measure(name: str, unknowns: str, folder: str) -> dict[str, float]:
     """Seconds and bytes of solving a system; the update is left in the folder."""
-    import sim
-    from nls.linear import SOLVERS
-    from nls.system import LinearSystem
 
     def system(poses: int) -> LinearSystem:
         world = sim.manhattan(np.random.default_rng(1), n_poses=poses)
@@ -97,8 +98,6 @@ def measure(name: str, unknowns: str, folder: str) -> dict[str, float]:
 
 def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gigabytes: float) -> Series:
     """Measure a solver size by size, up to the one predicted to pass a limit."""
-    from nls.linear import SOLVERS
-
     series = Series(name)
     if name in SOLVERS and (missing := SOLVERS[name].missing()) is not None:
         series.stopped = f"{name} was not run: {missing}"
@@ -246,8 +245,6 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
 
 def page(seconds: float, gigabytes: float, quick: bool, out: Path) -> list[str]:
     """The page without its head, and the picture beside it."""
-    import sim
-
     sizes = [n for n in SIZES if n <= QUICK or not quick]
     cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
     found = [run(name, sizes, cells, seconds, gigabytes) for name in (*DENSE, *SPARSE)]

@@ -8,30 +8,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from harness import POSE_GRAPHS
 from peers import Files
 
-PLANE, SPACE = "pose-graphs-2d/", "pose-graphs-3d/"
-SETS = {  # name: file, dialect
-    "manhattan": (PLANE + "manhattan.g2o", "auto"),
-    "intel": (PLANE + "intel.g2o", "auto"),
-    "CSAIL": (PLANE + "CSAIL.g2o", "auto"),
-    "kitti_00": (PLANE + "kitti_00.g2o", "auto"),
-    "city10000": (PLANE + "city10000.g2o.gz", "auto"),
-    "ring": (PLANE + "ring.g2o", "auto"),
-    "input_INTEL": (PLANE + "input_INTEL.g2o", "auto"),
-    "input_M3500": (PLANE + "input_M3500_g2o.g2o", "auto"),
-    "manhattanOlson3500": (PLANE + "manhattanOlson3500.g2o", "auto"),
-    "FR079": (PLANE + "FR079_P_toro.graph", "auto"),
-    "city10000 truth": (PLANE + "city10000_groundtruth_edges.txt", "isam"),
-    "tinyGrid3D": (SPACE + "tinyGrid3D.g2o", "auto"),
-    "smallGrid3D": (SPACE + "smallGrid3D.g2o", "auto"),
-    "Klaus3": (SPACE + "Klaus3.g2o", "auto"),
-    "parking-garage": (SPACE + "parking-garage.g2o.gz", "auto"),
-    "sphere2500": (SPACE + "sphere2500.g2o.gz", "auto"),
-    "torus3D": (SPACE + "torus3D.g2o.gz", "auto"),
-    "sphere400": (SPACE + "sphere400.txt", "isam"),
-    "sphere2500 truth": (SPACE + "sphere2500_groundtruth_edges.txt", "isam"),
-}
+SETS = {
+    name: (path, "isam" if path.endswith(".txt") else "auto") for name, path in POSE_GRAPHS.items()
+}  # file, dialect
 QUICK = ("ring", "smallGrid3D")
 STAGED = ("sphere2500", "city10000")  # of these also the stages and all marginals
 

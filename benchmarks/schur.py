@@ -17,14 +17,20 @@ import sys
 from itertools import product
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from harness import PROCESSOR_TIME, Table, child, line_of, make_page, peak_memory, timed
 
-if TYPE_CHECKING:
-    from nls import FactorGraph, LinearSystem, Values
-    from sim import Mission
+import nls
+import sim
+from models.algebra import Index
+from nls import FactorGraph, LevenbergMarquardt, LinearSystem, Values
+from nls.linear import Cholesky, Schur
+from nls.linear.cholesky import Cholmod
+from nls.sparse.elimination import Elimination
+from nls.sparse.fill import counted
+from nls.starts import incremental
 
 SOLVERS = {"schur": "landmarks first", "cholesky": "AMD over all", "natural": "none"}
 BAL = "bal/problem-49-7776-pre.txt.gz"
@@ -40,8 +46,6 @@ RUNS = 3
 
 def problem(name: str) -> tuple[FactorGraph, Values]:
     """The graph, and where it is linearized: the start of the bundle adjustment, the truth of a survey."""
-    import nls
-
     if name == "problem-49-7776":
         graph, values, _ = nls.load(Path(os.environ["LEADLINE_DATA"]) / BAL)
         return graph, values
@@ -51,9 +55,6 @@ def problem(name: str) -> tuple[FactorGraph, Values]:
 
 def linear_solver(name: str) -> Any:
     """`natural` is CHOLMOD with the unknowns in the order of the graph."""
-    from models.algebra import Index
-    from nls.linear import Cholesky, Schur
-    from nls.linear.cholesky import Cholmod
 
     class Unordered(Cholmod):
         @staticmethod
@@ -69,9 +70,6 @@ def linear_solver(name: str) -> Any:
 
 def elimination(solver: str, system: LinearSystem) -> Any:
     """Order of the variables by a solver."""
-    from nls.linear import Schur
-    from nls.sparse.elimination import Elimination
-
     if solver == "schur":
         hessian = Schur(memory_limit=np.inf).analyze(system.pattern).factorization.hessian
         return hessian.elimination.variables
@@ -82,8 +80,6 @@ def elimination(solver: str, system: LinearSystem) -> Any:
 
 def measure(name: str, solver: str, gigabytes: str, flops: str) -> dict[str, Any]:
     """Fill, seconds and bytes of one solver on one problem; no seconds where it would pass a limit."""
-    from nls.sparse.fill import counted
-
     graph, values = problem(name)
     system = graph.linearize(values)
     free = name == "problem-49-7776"  # its gauge and scale
@@ -108,8 +104,6 @@ def measure(name: str, solver: str, gigabytes: str, flops: str) -> dict[str, Any
 
 def normal_residual(system: LinearSystem, dx: Any, damping: Any) -> float:
     """Largest |A'(A dx - b) + damping dx|, each entry beside the length of its column and of b."""
-    from nls.system import LinearSystem
-
     left = LinearSystem(system.pattern, system.blocks, system.b - system.times(dx)).gradient
     if damping is not None:
         left = left - damping * dx
@@ -143,10 +137,8 @@ def table(found: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def survey(name: str, elevation: Literal["free", "hinge"]) -> Mission:
+def survey(name: str, elevation: Literal["free", "hinge"]) -> sim.Mission:
     """A survey of the sea floor."""
-    import sim
-
     legs, per_leg, points = FLOORS[name]
     rng = np.random.default_rng(1)
     return sim.hauv_floor(rng, legs=legs, per_leg=per_leg, points=points, aperture=radians(14), elevation=elevation)
@@ -154,9 +146,6 @@ def survey(name: str, elevation: Literal["free", "hinge"]) -> Mission:
 
 def whole(name: str) -> list[str]:
     """Markdown: seconds of processor time from a start to the optimum of a survey, start by start."""
-    from nls import LevenbergMarquardt
-    from nls.starts import incremental
-
     mission = survey(name, "hinge")
     titles = ["start", "its seconds", "its chi2", "ATE, m", "steps", "their seconds", "chi2", "ATE, m"]
     lines = Table(titles)

@@ -13,18 +13,13 @@ if TYPE_CHECKING:
     from sim.mission import Mission as Mission
     from sim.scene import Scene as Scene
     from sim.sonar_images import contacts as contacts, sonar_image as sonar_image
-    from sim.spoil import (
-        drop_contacts as drop_contacts,
-        exchange_contacts as exchange_contacts,
-        false_contacts as false_contacts,
-        poor_odometry as poor_odometry,
-    )
+    from sim.spoil import drop_contacts as drop_contacts, exchange_contacts as exchange_contacts
+    from sim.spoil import false_contacts as false_contacts, poor_odometry as poor_odometry
     from sim.survey_log import SurveyLog as SurveyLog
     from sim.world import World as World, chain as chain, measure as measure, position_error as position_error
     from sim.worlds.grid3d import grid3d as grid3d
     from sim.worlds.harbor import Harbor as Harbor, harbor as harbor
-    from sim.worlds.hauv import hauv_floor as hauv_floor
-    from sim.worlds.hauv import hauv_hull as hauv_hull
+    from sim.worlds.hauv import hauv_floor as hauv_floor, hauv_hull as hauv_hull
     from sim.worlds.lines import lines as lines
     from sim.worlds.manhattan import manhattan as manhattan
     from sim.worlds.rig import rig as rig
@@ -44,17 +39,12 @@ _WHERE = {
     "sim.spoil": "drop_contacts exchange_contacts false_contacts poor_odometry",
     "sim.survey_log": "SurveyLog",
     "sim.world": "World chain measure position_error",
-    "sim.worlds.grid3d": "grid3d",
     "sim.worlds.harbor": "Harbor harbor",
     "sim.worlds.hauv": "hauv_floor hauv_hull",
-    "sim.worlds.lines": "lines",
-    "sim.worlds.manhattan": "manhattan",
-    "sim.worlds.rig": "rig",
-    "sim.worlds.ring": "ring",
-    "sim.worlds.sphere": "sphere",
-    "sim.worlds.subsea": "subsea",
-    "sim.worlds.survey": "survey",
-    "sim.worlds.torus": "torus",
+    **{
+        f"sim.worlds.{name}": name
+        for name in ["grid3d", "lines", "manhattan", "rig", "ring", "sphere", "subsea", "survey", "torus"]
+    },
 }
 
 if not TYPE_CHECKING:

@@ -53,6 +53,12 @@ def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset
         )
 
 
+def add_outputs(sub: argparse.ArgumentParser, written: str) -> None:
+    """The options of every command: its seed and its folder."""
+    sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
+    sub.add_argument("--out", metavar="DIR", help=f"write {written} and README.txt into this folder")
+
+
 def command(name: str, seed: int, arguments: dict[str, Any]) -> str:
     """The command that makes the same again, with every option spelled out."""
     words = [f"nls-sim {name} --seed {seed}"]

@@ -19,7 +19,7 @@ from models.algebra import Array
 from models.alignment import align
 from models.errors import GraphError
 from models.sensors import Camera
-from nls import FactorGraph, Values
+from nls import Values
 from sim.world import Simulated
 
 __all__ = ["Rig", "RigErrors"]
@@ -77,10 +77,6 @@ class Rig(Simulated):
     (True, True, True)
     """
 
-    name: str
-    truth: Values
-    graph: FactorGraph
-    start: Values
     camera: Camera
     seed: int | None
     description: str

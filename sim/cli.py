@@ -7,7 +7,7 @@ import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,15 @@ import numpy as np
 from models.errors import LeadlineError, OptionError
 from nls.cli.outputs import say
 from nls.cli.phase import INTERRUPTED, Phase
-from sim.arguments import Parser, add_parameters, command, flag, seed_number
-from sim.camera_sonar import Rig
+from sim.arguments import Parser, add_outputs, add_parameters, command, flag
 from sim.cli_estimators import SCENE_FILES, add_compare, add_estimators, estimated
 from sim.estimators import SCENES
 from sim.files import Files, simulated
 from sim.mission import Mission
 from sim.monte_carlo import FailedRunsError, sentence
-from sim.survey_log import SurveyLog
 from sim.world import World
 from sim.worlds.grid3d import grid3d
-from sim.worlds.harbor import Harbor, harbor
+from sim.worlds.harbor import harbor
 from sim.worlds.hauv import hauv_floor, hauv_hull
 from sim.worlds.manhattan import manhattan
 from sim.worlds.rig import rig
@@ -40,26 +38,15 @@ __all__ = ["MISSIONS", "WORLDS", "main"]
 
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
-RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
-SURVEYS: dict[str, Callable[..., SurveyLog]] = {"survey": survey}
-HARBORS: dict[str, Callable[..., Harbor]] = {"harbor": harbor}
-KINDS: dict[str, dict[str, Any]] = {
-    "world": WORLDS,
-    "mission": MISSIONS,
-    "rig": RIGS,
-    "survey": SURVEYS,
-    "harbor": HARBORS,
-    "scene": SCENES,
+WRITTEN: dict[str, Mapping[str, Callable[..., Any]]] = {  # files, and what makes them, by name
+    "graph.npz, truth.npz, graph.g2o, truth.g2o": WORLDS,
+    "a mission (CSV files, for nls solve), graph.npz, truth.npz": MISSIONS,
+    "graph.npz, truth.npz, rig.png, rig.json (before and after)": {"rig": rig},
+    "a raw log (CSV files, for nls solve), truth/, raw/ (for nls import)": {"survey": survey},
+    "keyframes.csv, scans.csv, truth.csv": {"harbor": harbor},
+    SCENE_FILES: SCENES,
 }
-MADE: dict[str, Callable[..., Any]] = {name: make for made in KINDS.values() for name, make in made.items()}
-WRITTEN = {
-    "world": "graph.npz, truth.npz, graph.g2o, truth.g2o",
-    "mission": "a mission (CSV files, for nls solve), graph.npz, truth.npz",
-    "rig": "graph.npz, truth.npz, rig.png, rig.json (before and after)",
-    "survey": "a raw log (CSV files, for nls solve), truth/, raw/ (for nls import)",
-    "harbor": "keyframes.csv, scans.csv, truth.csv",
-    "scene": SCENE_FILES,
-}
+MADE = {name: (make, written) for written, makers in WRITTEN.items() for name, make in makers.items()}
 EXAMPLES = """examples:
   nls-sim sphere --out demo                       graph and truth in the folder demo, and a table
   nls-sim manhattan --poses 1000 --seed 7         the table only
@@ -112,7 +99,7 @@ def _main(argv: Sequence[str] | None, phase: Phase) -> int:
         if name in SCENES or name == "compare":
             table, files, description, failed = estimated(name, seed, arguments, out is not None)
         else:
-            world = MADE[name](np.random.default_rng(seed), **arguments)
+            world = MADE[name][0](np.random.default_rng(seed), **arguments)
             (table, files), description, failed = simulated(world, out), world.description, None
         if out is not None:
             phase.now(f"while writing {out}")
@@ -160,10 +147,9 @@ def parser() -> Parser:
         allow_abbrev=False,
     )
     worlds = top.add_subparsers(dest="NAME", metavar="NAME", required=True, title="worlds", parser_class=Parser)
-    for name, make in MADE.items():
+    for name, (make, written) in MADE.items():
         doc = inspect.getdoc(make) or ""
         summary = re.split(r"\nParameters\n-+\n", doc)[0]
-        kind = next(kind for kind, made in KINDS.items() if name in made)
         sub = worlds.add_parser(
             name,
             help=summary.splitlines()[0].replace("%", "%%"),
@@ -172,8 +158,7 @@ def parser() -> Parser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
-        sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
-        sub.add_argument("--out", metavar="DIR", help=f"write {WRITTEN[kind]} and README.txt into this folder")
+        add_outputs(sub, written)
         add_parameters(sub, make)
         if name in SCENES:
             add_estimators(sub)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Collection
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 
 from models.errors import OptionError
 from models.listing import some
-from sim.arguments import add_parameters, flag, number, parameters, seed_number, whole_number
+from sim.arguments import add_outputs, add_parameters, flag, number, parameters, whole_number
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
 from sim.files import HOLD, Contents, Files, Rows, native_files
@@ -53,12 +52,7 @@ def add_compare(worlds: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
-    sub.add_argument(
-        "--out",
-        metavar="DIR",
-        help="write compare.png and .json (scaling.png and .json) and README.txt into this folder",
-    )
+    add_outputs(sub, "compare.png and .json (scaling.png and .json)")
     unset = argparse.SUPPRESS
     sub.add_argument("--world", choices=list(SCENES), default=unset, help="the scene (default subsea)")
     sub.add_argument(
@@ -142,11 +136,8 @@ def _single(
     track, history = followed(world, name, **settings) if pictured else (tracked(world, name, **settings), [])
     statistics = errors(world, track)
     low, high = nees_bounds(track.manifold.dim, 1)
-    nees = (
-        f"{statistics['nees']:.4g} of the last pose"
-        if "nees" in statistics
-        else "not defined: the covariance is singular"
-    )
+    singular = "not defined: the covariance is singular"
+    nees = f"{statistics['nees']:.4g} of the last pose" if "nees" in statistics else singular
     walls = f" in r, {statistics['walls']:.3g} deg in alpha" if "walls" in statistics else ""
     rows = [
         ("estimator", track.method),
@@ -186,13 +177,8 @@ def _compared(
         tracks, title = [entry.track for entry in comparison], f"{world.name}, seed {world.seed}"
         figure = several(tracks, world.truth, world.start, title)
         report = {
-            entry.name: {
-                "method": entry.track.method,
-                **entry.errors,
-                "seconds": entry.seconds,
-                "megabytes": entry.megabytes,
-            }
-            for entry in comparison
+            e.name: {"method": e.track.method, **e.errors, "seconds": e.seconds, "megabytes": e.megabytes}
+            for e in comparison
         }
         contents = _pictured("compare", figure, {**request, "estimators": report})
         return contents, "compare.png: tracks, errors, 3 sigma, NEES.\ncompare.json: the table, m and s.\n"
@@ -226,17 +212,11 @@ def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[Rows, F
 
 
 def _many(
-    world: LandmarkWorld,
-    head: Rows,
-    request: dict[str, Any],
-    names: list[str],
-    count: int,
-    file: str | None,
+    world: LandmarkWorld, head: Rows, request: dict[str, Any], names: list[str], count: int, file: str | None
 ) -> Estimated:
     seeds = range(request["seed"], request["seed"] + count)
-    function = partial(
-        of_seed, scene=request["world"], estimators=names, options=request["options"], settings=request["settings"]
-    )
+    given = {"scene": request["world"], "estimators": names} | {k: request[k] for k in ("options", "settings")}
+    function = partial(of_seed, **given)
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
         try:
@@ -246,7 +226,9 @@ def _many(
                 raise
             records, failed = error.records, error
     rows = monte_carlo_rows(seeds, list(records.values()), world.truth.stack("x").manifold.dim)
-    rows += [] if failed is None else [("failed", f"{_listed(failed.failures)}, left out of the means")]
+    if failed is not None:
+        seeds_failed = f"seed{'' if len(failed.failures) == 1 else 's'} {some(list(failed.failures), LISTED)}"
+        rows.append(("failed", f"{seeds_failed}, left out of the means"))
     rows += [("note", str(note.message)) for note in noted]
 
     def files() -> Contents:
@@ -258,11 +240,6 @@ def _many(
         return {"runs.json": json_text(report).encode()}, "runs.json: options, and the errors of every seed, m.\n"
 
     return [*head, *rows], files, world.description, failed
-
-
-def _listed(seeds: Collection[int]) -> str:
-    """Seeds in words."""
-    return f"seed{'' if len(seeds) == 1 else 's'} {some(list(seeds), LISTED)}"
 
 
 def _pictured(name: str, figure: Any, report: dict[str, Any]) -> dict[str, bytes]:

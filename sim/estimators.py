@@ -18,12 +18,11 @@ from models import LINE
 from models.algebra import Array
 from models.errors import GraphWarning, LeadlineError, OptionError
 from nls import Marginals, initialize
-from nls.filters.base import POSE, Filter, Step, Track, landmark_kind
+from nls.filters.base import POSE, Filter, Track, landmark_kind
 from nls.filters.consistency import nees, regular
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.smoother import Smoother
-from nls.values import Values
 from sim.landmark_world import LandmarkWorld
 from sim.worlds.lines import lines
 from sim.worlds.subsea import subsea
@@ -75,8 +74,18 @@ def followed(world: LandmarkWorld, name: str, **settings: int) -> tuple[Track, H
         if chosen is None:
             track = batch(world)
             return track, [(track.landmarks, track.P_landmarks)] * len(track.x)
-        watched = Followed(chosen)
-        return watched.run(world.graph, world.start), watched.history
+        history: History = []
+
+        def watched(act: Callable[..., None]) -> Callable[..., None]:
+            def acted(*given: Any) -> None:
+                act(*given)
+                keys, _, P = chosen.landmarks
+                history.append((keys, P.copy()))
+
+            return acted
+
+        chosen.start, chosen.step = watched(chosen.start), watched(chosen.step)  # type: ignore[method-assign]
+        return chosen.run(world.graph, world.start), history
 
 
 @contextmanager
@@ -174,52 +183,6 @@ def of_seed(
     return {"dead reckoning": {"ate": world.ate(world.start)}} | {
         name: errors(world, tracked(world, name, **settings)) for name in estimators
     }
-
-
-class Followed(Filter):
-    """A filter that keeps what it knew of the landmarks at each step.
-
-    Parameters
-    ----------
-    filter : any.
-
-    Attributes
-    ----------
-    history : at each step, the landmarks and their covariances (m, d, d).
-    """
-
-    def __init__(self, filter: Filter) -> None:
-        self.filter = filter
-        self.history: History = []
-
-    @property
-    def method(self) -> str:
-        return self.filter.method
-
-    def start(self, step: Step, values: Values) -> None:
-        self.filter.start(step, values)
-        self.history = []
-        self._keep()
-
-    def step(self, step: Step) -> None:
-        self.filter.step(step)
-        self._keep()
-
-    @property
-    def pose(self) -> tuple[Array, Array]:
-        return self.filter.pose
-
-    @property
-    def landmarks(self) -> tuple[Keys, Array, Array]:
-        return self.filter.landmarks
-
-    def smoothed(self) -> Array | None:
-        """All poses as they are believed now, None where nothing is smoothed."""
-        return self.filter.smoothed()
-
-    def _keep(self) -> None:
-        keys, _, P = self.filter.landmarks
-        self.history.append((keys, P.copy()))
 
 
 def estimator(

@@ -168,17 +168,15 @@ def truth_files(log: SurveyLog) -> dict[str, bytes]:
 def survey_rows(log: SurveyLog) -> Rows:
     """The table of a survey, one (label, text) a line."""
     tables = log.tables
-    lost, wrong = int((tables["dvl"]["valid"] == 0).sum()), int(log.wrong.sum())
+    lost, lowest = int((tables["dvl"]["valid"] == 0).sum()), tables["dvl"]["altitude_m"].min()
+    wrong = int(log.wrong.sum())
     contacts = len(tables["contacts"]["i"]) if "contacts" in tables else 0
     count = {name: len(table["time_s"]) for name, table in tables.items() if "time_s" in table}
     true = ", ".join(f"{name} {value:.4g}" for name, value in log.calibration.items())
     return [
         ("world", f"{log.name}, seed {log.seed}"),
         ("way", f"{log.distance:.4g} m in {log.duration} s"),
-        (
-            "DVL",
-            f"{count['dvl']} pings, {lost} without bottom lock, {tables['dvl']['altitude_m'].min():.3g} m up or more",
-        ),
+        ("DVL", f"{count['dvl']} pings, {lost} without bottom lock, {lowest:.3g} m up or more"),
         ("AHRS, depth", f"{count['ahrs']} and {count['depth']}"),
         ("GPS", f"{count['fixes']} fixes at the surface"),
         ("LBL", f"{count['ranges']} travel times to {len(log.beacons)} beacons"),
@@ -225,8 +223,11 @@ def calibrated(rig: Rig) -> Result:
 
 def calibration_rows(rig: Rig, result: Result) -> Rows:
     """The table, one (label, text) a line."""
-    before, after = rig.errors(rig.start), rig.errors(result.values)
-    angles = np.degrees([before.extrinsic_rad, after.extrinsic_rad])
+    shown = [
+        (f"{100 * e.poses:.3g} cm", f"{100 * e.points:.3g} cm", f"{100 * e.extrinsic_m:.3g} cm, {angle:.3g} deg")
+        for e in (rig.errors(rig.start), rig.errors(result.values))
+        for angle in [np.degrees(e.extrinsic_rad)]
+    ]
     return [
         ("world", f"{rig.name}, seed {rig.seed}"),
         ("poses", f"{rig.poses} in SE3"),
@@ -235,13 +236,7 @@ def calibration_rows(rig: Rig, result: Result) -> Rows:
         ("chi2 at truth", f"{rig.graph.chi2(rig.truth):.6g}, expected {rig.rows} (rows of A)"),
         ("chi2", f"{result.chi2_initial:.6g} -> {result.chi2_final:.6g}, dof {result.dof}"),
         ("solved", f"{result.status.name}, {result.iterations} iterations of {result.method}: {result.reason}"),
-        ("cameras", f"{100 * before.poses:.3g} cm -> {100 * after.poses:.3g} cm"),
-        ("points", f"{100 * before.points:.3g} cm -> {100 * after.points:.3g} cm"),
-        (
-            "sonar",
-            f"{100 * before.extrinsic_m:.3g} cm, {angles[0]:.3g} deg -> {100 * after.extrinsic_m:.3g} cm, "
-            f"{angles[1]:.3g} deg",
-        ),
+        *zip(("cameras", "points", "sonar"), map(" -> ".join, zip(*shown, strict=True)), strict=True),
         ("alignment", ALIGNED),
     ]
 
@@ -259,21 +254,12 @@ def calibration_files(rig: Rig, result: Result) -> Contents:
         "sonar, position [cm]": (100 * before.extrinsic_m, 100 * after.extrinsic_m),
         "sonar, angle [deg]": (float(np.degrees(before.extrinsic_rad)), float(np.degrees(after.extrinsic_rad))),
     }
+    fields = ("method", "linear_solver", "converged", "reason", "iterations", "chi2_initial", "chi2_final", "dof")
     report: dict[str, Any] = {
         "world": rig.name,
-        "seed": rig.seed,
-        "poses": rig.poses,
-        "points": rig.points,
-        "images": len(rig.images),
-        "contacts": len(rig.contacts),
-        "method": result.method,
-        "linear_solver": result.linear_solver,
-        "converged": result.converged,
-        "reason": result.reason,
-        "iterations": result.iterations,
-        "chi2_initial": result.chi2_initial,
-        "chi2_final": result.chi2_final,
-        "dof": result.dof,
+        **{name: getattr(rig, name) for name in ("seed", "poses", "points")},
+        **{name: len(getattr(rig, name)) for name in ("images", "contacts")},
+        **{name: getattr(result, name) for name in fields},
         "alignment": ALIGNED,
         "before": asdict(before),
         "after": asdict(after),

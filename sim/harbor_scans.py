@@ -12,7 +12,6 @@ Source: M. Richards, Fundamentals of Radar Signal Processing, 2014, section 6.3 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from models.algebra import Array, wrap
 from models.sensors import BLUEVIEW_M900, ImagingSonar
 from nls.missions.scans import Scans
 from nls.missions.sonar import detect
-from sim.scene import Scene
+from sim.scene import Scene, slices
 from sim.sonar_images import sonar_image
 
 __all__ = ["SONAR", "drawn", "imaged"]
@@ -41,11 +40,11 @@ def drawn(
     snr = 10 ** (signal / 10)
     azimuth = ((np.arange(sonar.beams) + 0.5) / sonar.beams - 0.5) * sonar.fan
     echoes = []
-    for rows in _blocks(len(poses)):
+    for rows in slices(len(poses), BLOCK):
         hits = scene.hits(poses[rows], azimuth)
         k, beam = np.nonzero(rng.random(hits.range.shape) < false_alarms ** (1 / (1 + snr * hits.cosine**2)))
         echoes.append(np.column_stack([rows.start + k, hits.range[k, beam], azimuth[beam]]))
-    for rows in _blocks(len(poses) if len(scene.rocks) else 0):
+    for rows in slices(len(poses) if len(scene.rocks) else 0, BLOCK):
         to = scene.rocks - poses[rows, None, :2]  # (n, rocks, 2)
         r, bearing = np.hypot(to[..., 0], to[..., 1]), wrap(np.arctan2(to[..., 1], to[..., 0]) - poses[rows, 2:])
         visible = (np.abs(bearing) <= sonar.fan / 2) & (r <= scene.hits(poses[rows], bearing).range)
@@ -63,12 +62,6 @@ def drawn(
     p, keyframe = z[:, 1:2] * np.column_stack([np.cos(z[:, 2]), np.sin(z[:, 2])]), z[:, 0].astype(np.intp)
     first = np.unique(np.column_stack([keyframe, np.floor(p / THIN)]), axis=0, return_index=True)[1]
     return Scans(p[first], keyframe[first], len(poses))
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """So many keyframes, a block at a time."""
-    for begin in range(0, count, BLOCK):
-        yield slice(begin, min(begin + BLOCK, count))
 
 
 def imaged(

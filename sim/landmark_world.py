@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from factors import BearingRange, Between, Line, Prior, Wheels
-from nls import FactorGraph, Values
 from sim.world import Simulated
 
 __all__ = ["KNOWN_START", "LandmarkWorld"]
@@ -38,10 +37,6 @@ class LandmarkWorld(Simulated):
     description : what the world is, in sentences with the numbers.
     """
 
-    name: str
-    truth: Values
-    graph: FactorGraph
-    start: Values
     rows: int
     landmarks_as: str
     seed: int | None

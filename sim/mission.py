@@ -25,11 +25,13 @@ from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
 from nls.starts import dead_reckoning, first_sighting
 from sim.checks import check_not_negative, check_rng
-from sim.hauv import SIGMA_SONAR, SIGMA_XYH, SIGMA_ZPR
 from sim.world import Simulated, reflected, seed_of
 
 __all__ = ["Mission", "rebuilt", "visible"]
 
+SIGMA_XYH = np.array([0.01, 0.01, radians(0.25)])  # a step: x and y, m, heading, rad
+SIGMA_ZPR = np.array([0.01, radians(0.1), radians(0.1)])  # z, m, pitch and roll, rad
+SIGMA_SONAR = np.array([0.01, radians(0.25)])  # range, m, azimuth, rad
 FEWEST = 3  # contacts of a landmark; what was seen less often is left out
 ANCHOR_XY, ANCHOR_YAW = 1e-3, 1e-4  # m and rad: sigmas of the known first pose
 SOFTNESS = radians(1.0)  # of the hinge that keeps elevations in the aperture
@@ -54,10 +56,6 @@ class Mission(Simulated):
     description : what the mission is, in sentences with the numbers.
     """
 
-    name: str
-    truth: Values
-    graph: FactorGraph
-    start: Values
     sonar: ImagingSonar
     offset: Array = field(repr=False)
     elevation: str

@@ -120,7 +120,7 @@ def runs(
     todo = [int(seed) for seed in seeds if seed not in done]
     failures: dict[int, Exception] = {}
     with ExitStack() as stack:
-        file = None if resume is None else stack.enter_context(_Appending(Path(resume)))
+        append = None if resume is None else stack.enter_context(_appending(Path(resume)))
         bar = stack.enter_context(_bar(len(seeds), len(seeds) - len(todo), progress))
         if executor is None and todo:
             executor = stack.enter_context(_all_cores(len(todo)))
@@ -139,8 +139,8 @@ def runs(
                     failures[seed] = text
                     continue
                 done[seed] = json.loads(text)
-                if file is not None:
-                    file.append(f'{{"seed": {seed}, "record": {text}}}\n')
+                if append is not None:
+                    append(f'{{"seed": {seed}, "record": {text}}}\n')
         finally:  # after an error or Ctrl-C: what has not begun never does
             for future in pending:
                 future.cancel()
@@ -270,27 +270,23 @@ def _object(path: Path, number: int, line: bytes) -> dict[str, Any]:
     return entry
 
 
-class _Appending:
-    """A file that whole lines are added to, each with one call to the system."""
+@contextmanager
+def _appending(path: Path) -> Iterator[Callable[[str], None]]:
+    """What adds whole lines to a file, each with one call to the system."""
+    file = os.open(path, os.O_WRONLY | os.O_APPEND)
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> _Appending:
-        self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
-        return self
-
-    def append(self, line: str) -> None:
+    def append(line: str) -> None:
         """Add a line, and see it on the disk; of a line that does not fit nothing stays in the file."""
-        data = line.encode()
-        before = os.fstat(self._file).st_size
+        data, before = line.encode(), os.fstat(file).st_size
         try:
-            if os.write(self._file, data) != len(data):
+            if os.write(file, data) != len(data):
                 raise OSError(ENOSPC, os.strerror(ENOSPC))
-            os.fsync(self._file)
+            os.fsync(file)
         except OSError as error:
-            os.ftruncate(self._file, before)
-            raise GraphFileError(f"cannot be written: {error.strerror or error}", str(self.path)) from error
+            os.ftruncate(file, before)
+            raise GraphFileError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
-    def __exit__(self, *_: object) -> None:
-        os.close(self._file)
+    try:
+        yield append
+    finally:
+        os.close(file)

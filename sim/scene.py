@@ -154,7 +154,8 @@ class Scene:
         d = np.stack([np.cos(yaw).ravel(), np.sin(yaw).ravel()], axis=1)
         r, cosine = np.full(len(d), np.inf), np.zeros(len(d))
         surface = np.full(len(d), -1, dtype=np.intp)
-        for rays in _slices(len(d), len(self.walls) + len(self.piles)):
+        surfaces = len(self.walls) + len(self.piles)
+        for rays in slices(len(d) if surfaces else 0, max(1, PAIRS // max(surfaces, 1))):
             t, c = (
                 np.concatenate(pair, axis=1)
                 for pair in zip(self._walls(o[rays], d[rays]), self._piles(o[rays], d[rays]), strict=True)
@@ -230,9 +231,6 @@ def _rows(name: str, rows: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _slices(rays: int, surfaces: int) -> Iterator[slice]:
-    """Portions of the rays that make at most `PAIRS` pairs with the surfaces; none without surfaces."""
-    if surfaces:
-        size = max(1, PAIRS // surfaces)
-        for begin in range(0, rays, size):
-            yield slice(begin, begin + size)
+def slices(count: int, size: int) -> Iterator[slice]:
+    """Portions of so many rows, of this size at most."""
+    return (slice(begin, begin + size) for begin in range(0, count, size))

@@ -11,8 +11,7 @@ from factors import XYH, Diagonal, RangeAzimuth
 from models.algebra import Array, Index, wrap
 from models.errors import OptionError
 from sim.checks import check_fraction, check_rng
-from sim.hauv import SIGMA_SONAR
-from sim.mission import FEWEST, Mission, rebuilt
+from sim.mission import FEWEST, SIGMA_SONAR, Mission, rebuilt
 
 __all__ = ["drop_contacts", "exchange_contacts", "false_contacts", "poor_odometry"]
 

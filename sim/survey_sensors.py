@@ -58,12 +58,7 @@ class Errors:
     @property
     def calibration(self) -> dict[str, float]:
         """By the names of calibration.csv."""
-        named = {
-            "dvl_scale": self.dvl_scale,
-            "dvl_yaw_rad": self.dvl_yaw,
-            "ahrs_clock_s": self.ahrs_clock,
-            "sound_speed_scale": self.sound_speed,
-        }
+        named = dict(zip(PRIORS, (self.dvl_scale, self.dvl_yaw, self.ahrs_clock, self.sound_speed), strict=True))
         return named | ({"declination_rad": self.declination} if self.declination else {})
 
 

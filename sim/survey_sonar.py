@@ -45,10 +45,8 @@ def sonar_tables(
     xy = rng.uniform(-AROUND, track.size + AROUND, size=(landmarks, 2))
     points = np.column_stack([xy, sounded(xy)])
     grid = np.arange(0.0, track.duration + 0.5)
-    measured = [
-        table["time_s"] - table.get("delay_s", 0.0) for table in (tables[n] for n in ("fixes", "ranges", "usbl"))
-    ]
-    others = np.unique(np.concatenate(measured))
+    stamped = [tables[name] for name in ("fixes", "ranges", "usbl")]
+    others = np.unique(np.concatenate([table["time_s"] - table.get("delay_s", 0.0) for table in stamped]))
     others = others[np.abs(others - np.round(others)) > SAME]
     times = np.sort(np.concatenate([grid, others[np.diff(others, prepend=-1.0) > SAME]]))
     t = grid[::SEEN_EVERY]
@@ -63,20 +61,10 @@ def sonar_tables(
         )
     p = SE3.act(SE3.inverse(SE3.compose(X, offset[None]))[i], points[k])
     z = range_azimuth(p)[0] + noise_scale * SIGMAS * rng.standard_normal((len(i), 2))
-    sonar = {
-        "name": np.array([f'"{SONAR.name}"']),
-        **{name: np.array([value]) for name, value in (("beams", SONAR.beams), ("bins", SONAR.bins))},
-        **{
-            name: np.array([value])
-            for name, value in (
-                ("fan_rad", SONAR.fan),
-                ("aperture_rad", SONAR.aperture),
-                ("range_min_m", SONAR.window[0]),
-                ("range_max_m", SONAR.window[1]),
-                *zip(("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m"), MOUNT, strict=True),
-            )
-        },
-    }
+    columns: tuple[str, ...] = ("name", "beams", "bins", "fan_rad", "aperture_rad", "range_min_m", "range_max_m")
+    columns += ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
+    row = (f'"{SONAR.name}"', SONAR.beams, SONAR.bins, SONAR.fan, SONAR.aperture, *SONAR.window, *MOUNT)
+    sonar = {name: np.array([value]) for name, value in zip(columns, row, strict=True)}
     contacts = {
         "i": np.searchsorted(times, t)[i],
         "landmark": k,

@@ -29,16 +29,19 @@ F = TypeVar("F", bound=Factor)
 __all__ = ["Simulated", "World", "chain", "measure", "position_error", "reflected"]
 
 
+@dataclass(frozen=True)
 class Simulated:
     """Numbers and measurements of every simulated world.
 
     Attributes
     ----------
+    name : of the function that made it.
     truth : the true poses, kind ``x``, and what else is to be found.
     graph : the measurements.
     start : where a solver begins.
     """
 
+    name: str
     truth: Values
     graph: FactorGraph
     start: Values
@@ -80,10 +83,6 @@ class World(Simulated):
     description : what the world is, in sentences with the numbers.
     """
 
-    name: str
-    truth: Values
-    graph: FactorGraph
-    start: Values
     seed: int | None
     description: str
 
@@ -180,15 +179,8 @@ def build(
         f"{sigma_t:g} m and {sigma_r:g} rad. Relative measurements only: the gauge is free."
     )
     truth = Values({x: (group, X)})
-    return World(name, truth, graph, start_from_odometry(truth, odometry), seed_of(rng), sentences)
-
-
-def start_from_odometry(truth: Values, odometry: Array) -> Values:
-    """The odometry (n - 1, size) chained from the first true pose."""
-    stack = truth.stack("x")
-    group = stack.manifold
-    assert isinstance(group, LieGroup)
-    return Values({"x": (group, chain(group, stack.X[0], odometry))})
+    start = Values({x: (group, chain(group, truth.stack(x).X[0], odometry))})
+    return World(name, truth, graph, start, seed_of(rng), sentences)
 
 
 def position_error(estimate: Values, truth: Values) -> float:

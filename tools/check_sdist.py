@@ -63,9 +63,8 @@ def problems(names: Collection[str], files: Collection[str], readme: str) -> lis
     """
     needed = {*TOP, *PICTURE.findall(readme), *(name for name in files if name.split("/")[0] in PACKAGES)}
     wrong = [f"{name} is missing" for name in sorted(needed - set(names))]
-    return wrong + [
-        f"{name} is there: tests need the repository" for name in sorted(names) if name.startswith("tests/")
-    ]
+    tests = [name for name in sorted(names) if name.startswith("tests/")]
+    return wrong + [f"{name} is there: tests need the repository" for name in tests]
 
 
 def main() -> int:

@@ -31,11 +31,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).with_name("mutants.csv")
-ROOMS = (
-    "models",
-    "factors",
-    *(f"nls/{room}" for room in ["sparse", "linear", "optimizers", "starts", "covariance", "robust", "io", "filters"]),
-)
+INNER = ("sparse", "linear", "optimizers", "starts", "covariance", "robust", "io", "filters")
+ROOMS = ("models", "factors", *(f"nls/{room}" for room in INNER))
 SWAPS = {
     **{"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="},
     **{"+": "-", "-": "+", "*": "/", "/": "*", "&": "|", "|": "&", "+=": "-=", "-=": "+=", "*=": "/="},
@@ -126,18 +123,8 @@ def killed(mutant: Mutant | None, tests: list[str]) -> str:
         if mutant is not None:
             path = copy / mutant.file
             path.write_text(mutant.applied(path.read_text(encoding="utf-8")), encoding="utf-8")
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-x",
-            "-q",
-            "--no-header",
-            "--tb=no",
-            "-p",
-            "no:cacheprovider",
-            *tests,
-        ]
+        quiet = ("-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider")
+        command = [sys.executable, "-m", "pytest", *quiet, *tests]
         environment = os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
         try:
             run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS)
@@ -147,9 +134,8 @@ def killed(mutant: Mutant | None, tests: list[str]) -> str:
     if run.returncode in (1, 2) and failures:
         return failures[0].split(" - ")[0].split(" ", 1)[1]
     if run.returncode != 0:
-        raise RuntimeError(
-            f"pytest ended with {run.returncode} and named no test: {run.stdout[-500:]}{run.stderr[-500:]}"
-        )
+        said = f"{run.stdout[-500:]}{run.stderr[-500:]}"
+        raise RuntimeError(f"pytest ended with {run.returncode} and named no test: {said}")
     return ""
 
 

@@ -8,11 +8,10 @@ without scale. A closure is wrong where its position is 3 m off that of DGPS, wi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from script import Table, make_page, markdown, timed
@@ -47,14 +46,10 @@ OTHERS = """\
 | the same, closures chosen by the truth | 0.89 |
 | leadline, sonar alone, defaults | **{own:.2f}** |
 """
-PARAMETERS: list[tuple[Any, str]] = [  # by module and name: halved and doubled
-    (scans, "MOST_PARTNERS"),
-    (scans, "PARTNER_SPACING"),
-    (correlation, "INDEPENDENT_POINTS"),
-    (correlation, "BENT_SUBMAP"),
-    (matches, "LEAST_SCORE"),
-    (matches, "LEAST_ODDS"),
-    (matches, "WIDEST_SPREAD"),
+PARAMETERS = [  # by module and name: halved and doubled
+    *((scans, name) for name in ("MOST_PARTNERS", "PARTNER_SPACING")),
+    *((correlation, name) for name in ("INDEPENDENT_POINTS", "BENT_SUBMAP")),
+    *((matches, name) for name in ("LEAST_SCORE", "LEAST_ODDS", "WIDEST_SPREAD")),
 ]
 
 
@@ -108,17 +103,6 @@ class Mission:
         return float(d2.mean()) / 2, float(np.sqrt(np.trace(blocks, axis1=1, axis2=2).mean()))
 
 
-@contextmanager
-def changed(module: Any, name: str, value: Any) -> Iterator[None]:
-    """A constant with another value."""
-    before = getattr(module, name)
-    setattr(module, name, value)
-    try:
-        yield
-    finally:
-        setattr(module, name, before)
-
-
 def closed_with(mission: Mission, drift: Drift | None = None, **options: Any) -> tuple[Closing, float]:
     """The closing and its processor time, s."""
     return timed(lambda: close(*dead_reckoning(mission.poses, drift), mission.scans, **options))
@@ -170,7 +154,8 @@ def halved_and_doubled(mission: Mission) -> list[str]:
     for module, name in PARAMETERS:
         value, errors = getattr(module, name), []
         for factor in (0.5, 2):
-            with changed(module, name, max(1, round(value * factor)) if isinstance(value, int) else value * factor):
+            other = max(1, round(value * factor)) if isinstance(value, int) else value * factor
+            with patch.object(module, name, other):
                 errors.append(error())
         shown = ", ".join(f"{v:g}" for v in np.atleast_1d(value))
         table.add(f"{module.__name__.rsplit('.', 1)[-1]}.{name}", shown, *errors)

@@ -24,7 +24,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from script import child, make_page, markdown, timed
+from script import POSE_GRAPHS, child, make_page, markdown, timed
 
 import nls
 import sim
@@ -36,33 +36,12 @@ from nls.certificate.newton import newton
 from nls.certificate.problem import certifiable
 from nls.certificate.spectrum import spectrum, staircase
 
-PUBLISHED = {  # and the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, where it is there
-    "pose-graphs-3d/sphere2500.g2o.gz": "1687",
-    "pose-graphs-3d/torus3D.g2o.gz": "24230",
-    "pose-graphs-3d/parking-garage.g2o.gz": "1.263",
-    "pose-graphs-2d/manhattan.g2o": "6432",
-    "pose-graphs-2d/city10000.g2o.gz": "638.6",
-    "pose-graphs-2d/intel.g2o": "52.35",
-    "pose-graphs-2d/kitti_00.g2o": "",
-    "pose-graphs-2d/CSAIL.g2o": "31.70",
-    "pose-graphs-2d/FR079_P_toro.graph": "",
-    "pose-graphs-2d/input_INTEL.g2o": "",
-    "pose-graphs-2d/input_M3500_g2o.g2o": "",
-    "pose-graphs-2d/manhattanOlson3500.g2o": "",
-    "pose-graphs-2d/ring.g2o": "",
-    "pose-graphs-3d/smallGrid3D.g2o": "",
-    "pose-graphs-3d/tinyGrid3D.g2o": "",
-    "pose-graphs-3d/Klaus3.g2o": "",
+PUBLISHED = {  # the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, where it is there
+    **{"sphere2500": "1687", "torus3D": "24230", "parking-garage": "1.263", "manhattan": "6432", "city10000": "638.6"},
+    **{"intel": "52.35", "kitti_00": "", "CSAIL": "31.70", "FR079": "", "input_INTEL": "", "input_M3500": ""},
+    **dict.fromkeys(("manhattanOlson3500", "ring", "smallGrid3D", "tinyGrid3D", "Klaus3"), ""),
 }
-STUCK = "pose-graphs-3d/torus3D.g2o.gz"
-SHAKEN = (
-    "pose-graphs-2d/intel.g2o",
-    "pose-graphs-2d/CSAIL.g2o",
-    "pose-graphs-2d/FR079_P_toro.graph",
-    "pose-graphs-2d/input_INTEL.g2o",
-    "pose-graphs-2d/kitti_00.g2o",
-    "pose-graphs-3d/smallGrid3D.g2o",
-)
+SHAKEN = ("intel", "CSAIL", "FR079", "input_INTEL", "kitti_00", "smallGrid3D")
 LEGEND = """\
 - one BLAS thread, processor time; *solve*: start values and optimization of chi2, *certify*: optimization of
   the SE-Sync cost by Newton's method from there, the eigenvalues, and optimization of chi2 from its minimum
@@ -77,6 +56,11 @@ TITLES += ("eigenvalue", "steps", "solve [s]", "certify [s]", "apart [m]", "apar
 TURNS, SHIFTS = (0.1, 0.5, 1.5, 3.0), (0.1, 1.0, 3.0)  # rad and m by which poses are shaken, one after the other
 RIGHT = 1e-4  # of chi2: a solution that is above the lowest one by more is wrong
 (x,) = nls.kinds("x")
+
+
+def title(name: str) -> str:
+    """The name of the file of a public graph."""
+    return Path(POSE_GRAPHS[name]).name.split(".")[0]
 
 
 def solved(path: Path, start: str) -> tuple[FactorGraph, Values, float, float]:
@@ -202,11 +186,11 @@ def worlds(data: Path) -> Iterator[World]:
             starts = shaken(world.start, rng, 16) + shaken(world.truth, rng, 8)
             yield World(name, world.graph, starts, known)
     yield from (contradiction(seed) for seed in range(40))
-    for file in SHAKEN:
-        graph, values, _ = nls.load(data / file)
+    for name in SHAKEN:
+        graph, values, _ = nls.load(data / POSE_GRAPHS[name])
         chain = nls.initialize(graph, values, "odometry")[0]
         starts = [chain, *shaken(chain, np.random.default_rng(0), 15)]
-        yield World(Path(file).name.split(".")[0], graph, starts, [nls.initialize(graph, values, "chordal")[0]])
+        yield World(title(name), graph, starts, [nls.initialize(graph, values, "chordal")[0]])
 
 
 def way_on(world: World, certificate: Certificate) -> Values | None:
@@ -277,10 +261,10 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
 def page(data: Path, before: Path | None) -> list[str]:
     """The page below its head."""
     rows = [
-        certified(file.split("/")[1].split(".")[0], *solved(data / file, "auto"), published)
-        for file, published in PUBLISHED.items()
+        certified(title(name), *solved(data / POSE_GRAPHS[name], "auto"), published)
+        for name, published in PUBLISHED.items()
     ]
-    graph, values, chi2, seconds = solved(data / STUCK, "file")
+    graph, values, chi2, seconds = solved(data / POSE_GRAPHS["torus3D"], "file")
     rows.append(certified("torus3D, start of the file", graph, values, chi2, seconds, ""))
     return [LEGEND, *markdown(TITLES, rows, 15 * "-"), climbed(graph, values), *tables(data, before)]
 

@@ -36,6 +36,7 @@ WORLDS: dict[str, Callable[[np.random.Generator], sim.World]] = {
     "grid3d": lambda rng: sim.grid3d(rng, 200),
 }
 OPTIONS: dict[str, dict[str, Any]] = {"all": {}, "lag 20": {"lag": 20}}
+STREAMS = [(f"{name}, {how}", make, options) for name, make in WORLDS.items() for how, options in OPTIONS.items()]
 DAMAGES = ("a bit", "a byte", "a block", "cut off")
 COMMAND = [sys.executable, "-c", "from nls.cli import command; raise SystemExit(command())", "stream"]
 LONGEST = 4.0  # s from the begin of a stream to its kill, at most
@@ -75,21 +76,19 @@ def verdict(path: Path, again_whole: bytes) -> str:
 def damaged_files(count: int, folder: Path) -> list[list[object]]:
     """A row for each of ten checkpoints."""
     rows = []
-    for name, make in WORLDS.items():
-        for how, options in OPTIONS.items():
-            rng, path = np.random.default_rng(len(rows)), folder / "damaged"
-            whole = smoother_bytes(driven(make(rng), options))
-            path.write_bytes(whole)
-            again_whole = smoother_bytes(nls.Incremental.load(path))
-            found: Counter[str] = Counter()
-            for k in range(count // (len(WORLDS) * len(OPTIONS))):
-                path.write_bytes(damaged(whole, DAMAGES[k % len(DAMAGES)], rng))
-                found[verdict(path, again_whole)] += 1
-            wrong = sum(found.values()) - found["refused"] - found["the same"]
-            numbers = found.total(), found["refused"], found["the same"], wrong
-            rows.append([f"{name}, {how}", f"{len(whole):,}", *numbers])
-            if wrong:
-                print(name, how, found, flush=True)
+    for title, make, options in STREAMS:
+        rng, path = np.random.default_rng(len(rows)), folder / "damaged"
+        whole = smoother_bytes(driven(make(rng), options))
+        path.write_bytes(whole)
+        again_whole = smoother_bytes(nls.Incremental.load(path))
+        found: Counter[str] = Counter()
+        for k in range(count // len(STREAMS)):
+            path.write_bytes(damaged(whole, DAMAGES[k % len(DAMAGES)], rng))
+            found[verdict(path, again_whole)] += 1
+        wrong = found.total() - found["refused"] - found["the same"]
+        rows.append([title, f"{len(whole):,}", found.total(), found["refused"], found["the same"], wrong])
+        if wrong:
+            print(title, found, flush=True)
     return rows
 
 
@@ -121,20 +120,18 @@ def streamed(*words: str | Path) -> str:
 def cut_files(count: int, folder: Path) -> list[list[object]]:
     """A row for each sort of stream: a shorter file, then the whole one."""
     rows = []
-    for name, make in WORLDS.items():
-        for how, options in OPTIONS.items():
-            rng, path, short = np.random.default_rng(len(rows)), folder / "whole.g2o", folder / "short.g2o"
-            lines = in_time(make(rng), path)
-            words = [word for option, value in options.items() for word in (f"--{option}", str(value))]
-            whole, different = printed(streamed(path, *words)), 0
-            number = count // (len(WORLDS) * len(OPTIONS))
-            for k in rng.choice(np.arange(1, len(lines)), number, replace=False).tolist():
-                state = folder / f"state-{name}-{how[:3]}-{k}"
-                short.write_text("".join(lines[:k]))
-                streamed(short, "--checkpoint", state, *words)
-                again = printed(streamed(path, "--checkpoint", state, *words))
-                different += again != {step: whole[step] for step in again} or max(again) != max(whole)
-            rows.append([f"{name}, {how}", len(whole), number, different])
+    for title, make, options in STREAMS:
+        rng, path, short = np.random.default_rng(len(rows)), folder / "whole.g2o", folder / "short.g2o"
+        lines = in_time(make(rng), path)
+        words = [word for option, value in options.items() for word in (f"--{option}", str(value))]
+        whole, different, number = printed(streamed(path, *words)), 0, count // len(STREAMS)
+        for k in rng.choice(np.arange(1, len(lines)), number, replace=False).tolist():
+            state = folder / f"state-{len(rows)}-{k}"
+            short.write_text("".join(lines[:k]))
+            streamed(short, "--checkpoint", state, *words)
+            again = printed(streamed(path, "--checkpoint", state, *words))
+            different += again != {step: whole[step] for step in again} or max(again) != max(whole)
+        rows.append([title, len(whole), number, different])
     return rows
 
 

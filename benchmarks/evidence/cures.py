@@ -20,8 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Cure", "Unfollowable", "cures_of"]
-
 LOGS = ".log"  # the end of the name of a log, before its suffix
 NUMBER, NAME = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", r"(?:\w+_\w+|valid|it)\b"
 NAMES = rf"{NAME}(?:(?:, | and ){NAME})*"

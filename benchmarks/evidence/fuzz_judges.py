@@ -21,8 +21,6 @@ import numpy as np
 from fuzz_mutants import number_of, unpacked
 from fuzz_seeds import Reading, Seed
 
-__all__ = ["judged"]
-
 EDGE = re.compile(rb"EDGE(?!_SWITCH_PRIOR).*|ODOMETRY|Constraint2|LANDMARK.*|POINT3|VERTEX.*:PRIOR")
 VERTEX = re.compile(rb"VERTEX(?!_SWITCH).*")
 BESIDE = re.compile(rb"PARAMS.*|FIX|VERTEX_SWITCH|EDGE_SWITCH_PRIOR")

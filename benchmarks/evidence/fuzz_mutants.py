@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-__all__ = ["mutated", "number_of", "unpacked"]
-
 Rng = np.random.Generator
 GZIP, ZIP = b"\x1f\x8b", b"PK\x03\x04"
 WORD = re.compile(rb"[^\s,;:{}\[\]\"=#]+")

@@ -28,8 +28,6 @@ from tests.nls.io.io_files import ALL
 from tests.nls.missions.folder.mission_files import TINY, raw
 from tests.nls.missions.scans.room_files import room
 
-__all__ = ["FOLDER", "READERS", "Reading", "Seed", "graph_reading", "seeds"]
-
 FOLDER = "mission_of_fuzz"
 ROWS = 24  # of a table of a log
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from math import radians
 from time import process_time
 
@@ -45,9 +46,9 @@ x, l = kinds("x", "l")
 def mission(scene: str, elevation: str, seed: int) -> sim.Mission:
     """A reference mission."""
     make, aperture = SCENES[scene]
-    if elevation == SEARCH:
-        return without_landmarks(make(np.random.default_rng(seed), aperture=radians(aperture), elevation="free"))
-    return make(np.random.default_rng(seed), aperture=radians(aperture), elevation=elevation)
+    how = "free" if elevation == SEARCH else elevation
+    made = make(np.random.default_rng(seed), aperture=radians(aperture), elevation=how)
+    return without_landmarks(made) if elevation == SEARCH else made
 
 
 def without_landmarks(given: sim.Mission) -> sim.Mission:
@@ -85,17 +86,16 @@ def drift(seeds: int) -> list[str]:
     """A row a scene, a treatment and an optimizer."""
     titles = ["scene", "elevation", "dead reckoning, m", "optimizer", "optimized, m", "better", "iterations", "status"]
     table = Table([*titles, "s"], "llrlrrrlr")
-    for scene in SCENES:
-        for elevation in (*TREATMENTS, SEARCH):
-            given = [mission(scene, elevation, seed) for seed in range(seeds)]
-            before = np.array([m.ate(m.start) for m in given])
-            for name, optimizer in (("Gauss-Newton", GaussNewton()), ("Levenberg-Marquardt", LevenbergMarquardt())):
-                found = [solve(m, optimizer) for m in given]
-                better = sum(s.ate < b for s, b in zip(found, before, strict=True))
-                status = ", ".join(f"{count} {word}" for word, count in Counter(s.status for s in found).most_common())
-                cells = [scene, elevation, spread(before), name, spread(s.ate for s in found), f"{better}/{seeds}"]
-                cells += [spread((s.iterations for s in found), 0), status]
-                table.add(*cells, f"{np.mean([s.seconds for s in found]):.2f}")
+    for scene, elevation in product(SCENES, (*TREATMENTS, SEARCH)):
+        given = [mission(scene, elevation, seed) for seed in range(seeds)]
+        before = np.array([m.ate(m.start) for m in given])
+        for name, optimizer in (("Gauss-Newton", GaussNewton()), ("Levenberg-Marquardt", LevenbergMarquardt())):
+            found = [solve(m, optimizer) for m in given]
+            better = sum(s.ate < b for s, b in zip(found, before, strict=True))
+            status = ", ".join(f"{count} {word}" for word, count in Counter(s.status for s in found).most_common())
+            cells = [scene, elevation, spread(before), name, spread(s.ate for s in found), f"{better}/{seeds}"]
+            cells += [spread((s.iterations for s in found), 0), status]
+            table.add(*cells, f"{np.mean([s.seconds for s in found]):.2f}")
     return table
 
 
@@ -154,22 +154,20 @@ def consistency(seeds: range) -> list[str]:
     titles = ["scene", "elevation", f"final pose, expected 6 in {pose[0]:.2f}-{pose[1]:.2f}"]
     titles += [f"one landmark a seed, expected 3 in {point[0]:.2f}-{point[1]:.2f}"]
     lines = Table([*titles, "all well observed, and how many; expected 3", "of them beyond 95 %"], names=2)
-    for scene in CONSISTENCY:
-        for elevation in (*TREATMENTS, ALONE):
-            given = (mission(scene, elevation.split(",")[0], seed) for seed in seeds)
-            found = [nees(alone(m) if elevation == ALONE else m) for m in given]
-            each = np.concatenate([f.all for f in found])
-            means = [float(np.mean([f.pose for f in found])), float(np.mean([f.landmark for f in found]))]
-            said = [
-                f"{mean:.2f}" + ("" if low <= mean <= high else " **outside**")
-                for mean, (low, high) in zip(means, (pose, point), strict=True)
-            ]
-            beyond = 100 * np.mean(each > chi2_gate(3, 0.95))
-            half = 1.96 * clustered_error([f.all for f in found])
-            everyone = f"{each.mean():.2f} +- {half:.2f} ({len(each)})" + (
-                "" if abs(each.mean() - 3) <= half else " **outside**"
-            )
-            lines.add(scene, elevation, *said, everyone, f"{beyond:.1f} %")
+    for scene, elevation in product(CONSISTENCY, (*TREATMENTS, ALONE)):
+        given = (mission(scene, elevation.split(",")[0], seed) for seed in seeds)
+        found = [nees(alone(m) if elevation == ALONE else m) for m in given]
+        each = np.concatenate([f.all for f in found])
+        said = []
+        for mean, (low, high) in (
+            (np.mean([f.pose for f in found]), pose),
+            (np.mean([f.landmark for f in found]), point),
+        ):
+            said.append(f"{mean:.2f}{'' if low <= mean <= high else ' **outside**'}")
+        half = 1.96 * clustered_error([f.all for f in found])
+        outside = "" if abs(each.mean() - 3) <= half else " **outside**"
+        beyond = 100 * np.mean(each > chi2_gate(3, 0.95))
+        lines.add(scene, elevation, *said, f"{each.mean():.2f} +- {half:.2f} ({len(each)}){outside}", f"{beyond:.1f} %")
     return [f"## Consistency, seeds {seeds[0]} to {seeds[-1]}, Levenberg-Marquardt", *lines]
 
 

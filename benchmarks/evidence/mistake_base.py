@@ -16,11 +16,6 @@ from mistake_missions import ANGLES, DEPTH, PLACES, SEEN, TIME, VELOCITIES, Surv
 
 from models.algebra import Array
 
-__all__ = [
-    *("DEG", "FOOT", "KNOT", "NAMES", "PITCH", "ROLL", "TURNED", "YAW", "Change", "Mistake"),
-    *("change", "grown", "mapped", "named", "on", "repeated", "rows", "some", "unit"),
-]
-
 Change = Callable[[Survey], None]
 KNOT, FOOT, DEG = 3600 / 1852, 1 / 0.3048, 180 / np.pi
 ROLL, PITCH, YAW = ANGLES

@@ -12,8 +12,6 @@ from mistake_sensors import of_acoustics, of_angles, of_depths, of_places, of_ve
 
 from models.algebra import Array
 
-__all__ = ["MISTAKES"]
-
 CLOCKS = {"1 s": 1.0, "3 s": 3.0, "18 s": 18.0, "1 h": 3600.0, "1 week": 604800.0}
 
 

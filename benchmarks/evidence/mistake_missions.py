@@ -7,7 +7,7 @@ bearing and elevation throughout. `rov`: no DVL; compass, depth and the position
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,6 @@ from models.algebra import Array, apply
 from models.geodesy import LocalPlane
 from models.manifolds.so3 import rotation3
 from models.sensors import dvl_velocity, spherical
-
-__all__ = ["MISSIONS", "Survey", "toml"]
 
 LENGTH, DT, BEFORE = 400.0, 0.1, 5.0  # s; the truth begins before the logs
 START = 30_000.0  # s of the day
@@ -206,16 +204,10 @@ def dive(seed: int) -> Survey:
     }
     mapping: dict[str, Any] = {
         "time_s": TIME,
-        "dvl": {
-            "file": log_of("dvl"),
-            **dict(zip(("vx_m_s", "vy_m_s", "vz_m_s"), VELOCITIES, strict=True)),
-            "valid": "lock",
-        },
+        "dvl": {"file": log_of("dvl"), **keyed("vx_m_s vy_m_s vz_m_s", VELOCITIES), "valid": "lock"},
         **angles_and_depth(),
-        "fixes": {"file": log_of("fixes"), **places(), "sigma_x_m": SIGMA_GPS, "sigma_y_m": SIGMA_GPS, **arms(ANTENNA)},
-        "dvl_mount": dict(
-            zip(("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"), (*DVL_ARM, 0, 0, 0), strict=True)
-        ),
+        "fixes": positioned(SIGMA_GPS, ANTENNA),
+        "dvl_mount": keyed("x_m y_m z_m roll_rad pitch_rad yaw_rad", (*DVL_ARM, 0, 0, 0)),
         "noise": {"sigma_v_m_s": SIGMA_V, "scale": 2 * SCALE, "sigma_bridge_m_s_sqrt_s": 0.05, **noise()},
     }
     return Survey("dive", logs, mapping, START + vehicle.t, vehicle.X[:, 3:])
@@ -237,10 +229,11 @@ def usbl(seed: int) -> Survey:
     survey.logs["ship"] = table(
         k, [*PLACES, "z [m]", *ANGLES], np.column_stack([*SITE.geodetic(X[:, 3:5]), X[:, 5], heading(X[:, :3])]), 8
     )
-    names = ("range_m", "bearing_rad", "elevation_rad")
-    sigmas = dict(zip((f"sigma_{name}" for name in names), SIGMA_USBL, strict=True))
-    survey.mapping["usbl"] = {"file": log_of("usbl"), **dict(zip(names, SEEN, strict=True)), **sigmas}
-    survey.mapping["ship"] = {"file": log_of("ship"), **places(), "z_m": "z [m]", **angles()}
+    seen_keys = keyed("range_m bearing_rad elevation_rad", SEEN)
+    sigmas = keyed("sigma_range_m sigma_bearing_rad sigma_elevation_rad", SIGMA_USBL)
+    survey.mapping["usbl"] = {"file": log_of("usbl"), **seen_keys, **sigmas}
+    where = keyed("lat_deg lon_deg", PLACES) | {"z_m": "z [m]"} | keyed("roll_rad pitch_rad yaw_rad", ANGLES)
+    survey.mapping["ship"] = {"file": log_of("ship"), **where}
     survey.mission = "usbl"
     return survey
 
@@ -260,13 +253,7 @@ def rov(seed: int) -> Survey:
         "time_s": TIME,
         "motion": {"sigma_walk_m_sqrt_s": WALK},
         **angles_and_depth(),
-        "fixes": {
-            "file": log_of("fixes"),
-            **places(),
-            "sigma_x_m": SIGMA_FIX,
-            "sigma_y_m": SIGMA_FIX,
-            **arms(TRANSPONDER),
-        },
+        "fixes": positioned(SIGMA_FIX, TRANSPONDER),
         "noise": noise(),
     }
     return Survey("rov", logs, mapping, START + vehicle.t, vehicle.X[:, 3:])
@@ -277,30 +264,26 @@ def log_of(name: str) -> str:
     return f"{name}.log.csv"
 
 
-def places() -> dict[str, str]:
-    """The columns of a position in a mapping."""
-    return dict(zip(("lat_deg", "lon_deg"), PLACES, strict=True))
+def keyed(names: str, values: Iterable[Any]) -> dict[str, Any]:
+    """Keys of a mapping, and their values."""
+    return dict(zip(names.split(), values, strict=True))
 
 
-def angles() -> dict[str, str]:
-    """The columns of an attitude in a mapping."""
-    return dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), ANGLES, strict=True))
+def positioned(sigma: float, arm: tuple[float, ...]) -> dict[str, Any]:
+    """The section of positions."""
+    keys = {"file": log_of("fixes"), **keyed("lat_deg lon_deg", PLACES), "sigma_x_m": sigma, "sigma_y_m": sigma}
+    return keys | keyed("arm_x_m arm_y_m arm_z_m", arm)
 
 
 def angles_and_depth() -> dict[str, dict[str, str]]:
     """The sections that every mission has."""
-    return {"ahrs": {"file": log_of("ahrs"), **angles()}, "depth": {"file": log_of("depth"), "z_m": DEPTH}}
+    attitude = keyed("roll_rad pitch_rad yaw_rad", ANGLES)
+    return {"ahrs": {"file": log_of("ahrs"), **attitude}, "depth": {"file": log_of("depth"), "z_m": DEPTH}}
 
 
 def noise() -> dict[str, float]:
     """The noise of these sections."""
-    names = ("sigma_roll_rad", "sigma_pitch_rad", "sigma_yaw_rad", "sigma_z_m")
-    return dict(zip(names, (*SIGMA_RPY, SIGMA_Z), strict=True))
-
-
-def arms(arm: tuple[float, ...]) -> dict[str, float]:
-    """A lever arm in a mapping."""
-    return dict(zip(("arm_x_m", "arm_y_m", "arm_z_m"), arm, strict=True))
+    return keyed("sigma_roll_rad sigma_pitch_rad sigma_yaw_rad sigma_z_m", (*SIGMA_RPY, SIGMA_Z))
 
 
 MISSIONS: dict[str, Callable[[int], Survey]] = {"dive": dive, "usbl": usbl, "rov": rov}

@@ -32,8 +32,6 @@ from models import euler
 from models.algebra import Array, apply
 from models.manifolds.so3 import rotation3
 
-__all__ = ["of_acoustics", "of_angles", "of_depths", "of_places", "of_velocities"]
-
 
 def turning(degrees: float) -> Callable[[Array], Array]:
     """Velocities along axes that are turned to starboard from those of the vehicle."""

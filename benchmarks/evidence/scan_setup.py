@@ -20,17 +20,7 @@ from nls.metrics import ate
 from nls.missions.checks.scan_mounting import COMPONENTS, Mounting
 from nls.missions.checks.words import LABELS, shown
 from nls.missions.scans.folder import read_scan_mission
-from nls.sonar.scans import (
-    Closing,
-    Drift,
-    Scans,
-    SetupFinding,
-    SetupKind,
-    check_setup,
-    close,
-    dead_reckoning,
-    mounting,
-)
+from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting
 
 (x,) = kinds("x")
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from script import Table, make_page, pooled, timed
+from wrong_contacts import SCENES, spoiled
 
-import sim
 from factors import Cauchy, Robust, sonar_factors
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
@@ -26,16 +26,7 @@ from nls.plot.picture import write_picture
 from nls.plot.style import BEFORE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, TRUE
 from nls.starts import search_elevation
 
-SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
-SPOILED: dict[str, dict[str, float]] = {  # parts of the contacts
-    "clean": {},
-    "5 % false": {"outliers": 0.05},
-    "10 % false": {"outliers": 0.1},
-    "20 % false": {"outliers": 0.2},
-    "40 % false": {"outliers": 0.4},
-    "30 % lost": {"drop_outs": 0.3},
-    "60 % lost": {"drop_outs": 0.6},
-}
+SPOILED = ("clean", "5 % false", "10 % false", "20 % false", "40 % false", "30 % lost", "60 % lost")
 SWEEP = ("40 % false", "30 % lost", "60 % lost")  # a fifth of the seeds
 AXES = {"false contacts": ("clean", "5 % false", "10 % false", "20 % false", "40 % false")}
 AXES |= {"lost contacts": ("clean", "30 % lost", "60 % lost")}
@@ -59,10 +50,9 @@ class Trial:
     seconds: float
 
 
-def trial(scene: str, spoiled: str, seed: int) -> Trial:
+def trial(scene: str, how: str, seed: int) -> Trial:
     """Associate the contacts of one mission, solve, and compare."""
-    mission = SCENES[scene](np.random.default_rng(seed), **SPOILED[spoiled])
-    clean = SCENES[scene](np.random.default_rng(seed))
+    mission, clean = spoiled(scene, how, seed), spoiled(scene, "clean", seed)
     others, poses = FactorGraph(mission.graph.factors[:4]), Values.of([mission.start.stack("x")])
     associated, seconds = timed(associate, others, poses, mission.contacts, mission.sonar.aperture)
     contacts = associated.sightings
@@ -72,17 +62,10 @@ def trial(scene: str, spoiled: str, seed: int) -> Trial:
     graph = FactorGraph([*others.factors, *factors])
     solved = graph.optimize(search_elevation(graph, associated.values)).values
     true = np.where(mission.wrong, -1, mission.contacts.keys[1].numbers)
-    return Trial(
-        scene,
-        spoiled,
-        *pair_precision_recall(associated.numbers, true),
-        associated.share,
-        associated.settled,
-        mission.ate(mission.truth.replaced({"x": solved[x]})),
-        clean.ate(clean.graph.optimize(clean.start).values),
-        mission.ate(mission.start),
-        seconds,
-    )
+    quality = *pair_precision_recall(associated.numbers, true), associated.share, associated.settled
+    named = clean.ate(clean.graph.optimize(clean.start).values)
+    ate = mission.ate(mission.truth.replaced({"x": solved[x]}))
+    return Trial(scene, how, *quality, ate, named, mission.ate(mission.start), seconds)
 
 
 def rows(trials: list[Trial]) -> list[str]:
@@ -90,13 +73,13 @@ def rows(trials: list[Trial]) -> list[str]:
     titles = ["scene", "contacts", "seeds", "precision", "recall", "explained", "ATE reckoned, m", "named, m"]
     titles += ["without names, m", "over named, mean (largest)", "above reckoned", "settled", "s"]
     table = Table(titles, names=2)
-    for scene, spoiled in product(SCENES, SPOILED):
-        of = [t for t in trials if (t.scene, t.spoiled) == (scene, spoiled)]
+    for scene, how in product(SCENES, SPOILED):
+        of = [t for t in trials if (t.scene, t.spoiled) == (scene, how)]
         if not of:
             continue
         names = ("ate", "named", "reckoned", "precision", "recall")
         ate, named, reckoned, precision, recall = (np.array([getattr(t, name) for t in of]) for name in names)
-        cells = [scene, spoiled, len(of), f"{precision.mean():.3f}", f"{recall.mean():.3f}"]
+        cells = [scene, how, len(of), f"{precision.mean():.3f}", f"{recall.mean():.3f}"]
         cells += [f"{100 * np.mean([t.share for t in of]):.1f} %", f"{reckoned.mean():.3f}", f"{named.mean():.4f}"]
         cells += [f"{ate.mean():.4f}", f"{ate.mean() / named.mean():.2f} ({(ate / named).max():.2f})"]
         cells += [f"{count} of {len(of)}" for count in ((ate > reckoned).sum(), sum(t.settled for t in of))]
@@ -110,11 +93,11 @@ def draw(trials: list[Trial], path: Path) -> None:
 
     figure = Figure(figsize=(9, 6.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
-    for column, (title, spoiled) in enumerate(AXES.items()):
-        percent = np.array([0.0 if name == "clean" else float(name.split()[0]) for name in spoiled])
+    for column, (title, ways) in enumerate(AXES.items()):
+        percent = np.array([0.0 if name == "clean" else float(name.split()[0]) for name in ways])
         above, below = axes[:, column]
         for scene, line in zip(SCENES, ("o-", "s:"), strict=True):
-            of = [[t for t in trials if (t.scene, t.spoiled) == (scene, name)] for name in spoiled]
+            of = [[t for t in trials if (t.scene, t.spoiled) == (scene, name)] for name in ways]
             for name, (label, color) in LINES.items():
                 y = [100 * np.mean([getattr(t, name) for t in some]) for some in of]
                 above.plot(percent, y, line, color=color, label=f"{label}, {scene}")
@@ -138,9 +121,9 @@ def draw(trials: list[Trial], path: Path) -> None:
 def page(seeds: int, processes: int, out: Path) -> list[str]:
     """The table, and the picture in its folder."""
     cases = [
-        (scene, spoiled, seed)
-        for spoiled, scene in product(SPOILED, SCENES)
-        for seed in range(max(1, seeds // 5) if spoiled in SWEEP else seeds)
+        (scene, how, seed)
+        for how, scene in product(SPOILED, SCENES)
+        for seed in range(max(1, seeds // 5) if how in SWEEP else seeds)
     ]
     trials = []
     for done in pooled(processes, trial, *zip(*cases, strict=True)):

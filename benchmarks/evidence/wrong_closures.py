@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from script import POSE_GRAPHS
 
 import nls
 from factors import Between
@@ -16,22 +17,10 @@ from models.algebra import Index, Mask
 from nls import FactorGraph, Values
 from nls.metrics import ate
 
-SETS = {
-    "CSAIL": "pose-graphs-2d/CSAIL.g2o",
-    "FR079": "pose-graphs-2d/FR079_P_toro.graph",
-    "INTEL": "pose-graphs-2d/input_INTEL.g2o",
-    "intel": "pose-graphs-2d/intel.g2o",
-    "kitti_00": "pose-graphs-2d/kitti_00.g2o",
-    "ring": "pose-graphs-2d/ring.g2o",
-    "M3500": "pose-graphs-2d/input_M3500_g2o.g2o",
-    "manhattan": "pose-graphs-2d/manhattan.g2o",
-    "Olson": "pose-graphs-2d/manhattanOlson3500.g2o",
-    "city10000": "pose-graphs-2d/city10000.g2o.gz",
-    "smallGrid3D": "pose-graphs-3d/smallGrid3D.g2o",
-    "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
-    "torus3D": "pose-graphs-3d/torus3D.g2o.gz",
-    "parking-garage": "pose-graphs-3d/parking-garage.g2o.gz",
-}
+RENAMED = {"INTEL": "input_INTEL", "M3500": "input_M3500", "Olson": "manhattanOlson3500"}
+NAMES = ("CSAIL", "FR079", "INTEL", "intel", "kitti_00", "ring", "M3500", "manhattan", "Olson", "city10000")
+NAMES += ("smallGrid3D", "sphere2500", "torus3D", "parking-garage")
+SETS = {name: POSE_GRAPHS[RENAMED.get(name, name)] for name in NAMES}
 GROUP = 10  # wrong closures in a group
 KINDS = {  # how the ends are drawn, and how many in a row say the same
     "random": ("random", 1),

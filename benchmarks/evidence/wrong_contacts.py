@@ -26,15 +26,7 @@ from nls.io import LoadReport
 
 STEPS = 20  # of the solution with all contacts
 SCENES: dict[str, Callable[..., sim.Mission]] = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
-SPOILED = {
-    "none": {},
-    "5 % false": {"outliers": 0.05},
-    "10 % false": {"outliers": 0.1},
-    "20 % false": {"outliers": 0.2},
-    "5 % exchanged": {"wrong_associations": 0.05},
-    "10 % exchanged": {"wrong_associations": 0.1},
-    "30 % lost": {"drop_outs": 0.3},
-}
+SPOILED = ("none", "5 % false", "10 % false", "20 % false", "5 % exchanged", "10 % exchanged", "30 % lost")
 
 
 @dataclass(frozen=True)
@@ -63,9 +55,16 @@ class Run:
     seconds: tuple[float, float]
 
 
+def spoiled(scene: str, how: str, seed: int) -> sim.Mission:
+    """The mission of a scene and a seed with so many of its contacts false, exchanged or lost."""
+    percent, _, word = how.partition(" % ")
+    option = {"false": "outliers", "exchanged": "wrong_associations", "lost": "drop_outs"}.get(word)
+    return SCENES[scene](np.random.default_rng(seed), **({option: int(percent) / 100} if option else {}))
+
+
 def run(scene: str, seed: int) -> list[Run]:
     """The mission of a scene and a seed in every way it is spoiled."""
-    return [solved(SCENES[scene](np.random.default_rng(seed), **ways)) for ways in SPOILED.values()]
+    return [solved(spoiled(scene, how, seed)) for how in SPOILED]
 
 
 def solved(mission: sim.Mission) -> Run:

@@ -1,19 +1,32 @@
-"""The hovering vehicle: it mows the sea floor, or strafes along a hull, and its imaging sonar looks on."""
+r"""The hovering vehicle: it mows the sea floor, or strafes along a hull, and its imaging sonar looks on.
+
+    roll = 2 deg sin(0.31 t + 1),   pitch = 2 deg sin(0.23 t),   z += 0.15 m sin(0.17 t)     at pose t of the first pass
+
+Odometry in x, y and heading drifts; depth, pitch and roll do not; the sonar, a DIDSON set to 1-6 m, gives range and
+azimuth. The data of the vehicle, with DVL, depth sensor and inertial unit: F. Hover, R. Eustice, A. Kim et al.,
+"Advanced perception, navigation and planning for autonomous in-water ship hull inspection", IJRR 31(12), 2012.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi, radians
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from sim.checks import check_poses, check_size
-from sim.hauv import STEP, didson, lawn_mower, mounted, scattered, swaying
+from models import euler
+from models.algebra import Array, pack, wrap
+from models.options import check_between
+from models.sensors import DIDSON_HIGH
+from sim.checks import check_poses, check_rng, check_size
 from sim.mission import Mission, survey
 from sim.spoil import spoiled
 
 __all__ = ["hauv_floor", "hauv_hull"]
 
+STEP = 0.25  # m, from pose to pose along a leg
 FLOOR, HULL = 0.8, 0.4  # m from leg to leg, and from level to level
 
 
@@ -182,7 +195,7 @@ def _flown(
     Parameters
     ----------
     sizes : names and numbers of the legs, and of the poses of each.
-    along, across, between : of `sim.hauv.lawn_mower`.
+    along, across, between : of `lawn_mower`.
     reference : points, and the cubic meters that hold them, where their number is left open.
     pitch : of the sonar, rad.
     faults : of `sim.spoil.spoiled`.
@@ -194,8 +207,60 @@ def _flown(
     check_poses(f"passes * {' * '.join(sizes)}", passes * legs * (per_leg + between))
     path = lawn_mower(legs, per_leg, along, across, between)
     end = np.array(along[:3]) * (per_leg - 1) + np.array(across[:3]) * (legs - 1)
-    landmarks = scattered(rng, np.array(low), end + high, points, reference)
-    text = description.format(legs=legs, length=STEP * (per_leg - 1), points=len(landmarks))
-    X, sonar, offset = swaying(path, passes), didson(aperture), mounted(pitch)
-    mission = survey(name, rng, X, landmarks, sonar, offset, elevation, noise_scale, text)
+    check_rng(rng)
+    box = end + high - low
+    points = round(reference[0] * float(np.prod(box)) / reference[1]) if points is None else points
+    check_size("points", points, 1)
+    landmarks = rng.uniform(low, end + high, size=(points, 3))
+    text = description.format(legs=legs, length=STEP * (per_leg - 1), points=points)
+    check_between("aperture", aperture, 0, pi, "an angle in (0, pi), rad")
+    sonar = replace(DIDSON_HIGH, window=(1.0, 6.0), aperture=aperture)
+    offset = euler.to_se3([0.0, pitch, 0.0, 0.3, 0.0, 0.1])  # 0.3 m ahead, 0.1 m below, pitched up
+    mission = survey(name, rng, swaying(path, passes), landmarks, sonar, offset, elevation, noise_scale, text)
     return spoiled(mission, rng, *faults)
+
+
+def lawn_mower(legs: int, per_leg: int, along: npt.ArrayLike, across: npt.ArrayLike, between: int) -> Array:
+    """Parallel legs, flown there and back in turn, and the poses from the end of each to the beginning of the next.
+
+    Parameters
+    ----------
+    legs, per_leg : how many legs, and poses on each.
+    along : (4,) step in x, y, z, m, and yaw, rad, from pose to pose of a leg.
+    across : (4,) the same from leg to leg, passed linearly.
+    between : intermediate poses from leg to leg.
+
+    Returns
+    -------
+    (n, 4) array of x, y, z, m, and yaw, rad, not wrapped.
+
+    Examples
+    --------
+    >>> lawn_mower(2, 3, [1, 0, 0, 0], [0, 2, 0, 0], between=1)[:, :2].tolist()
+    [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0], [0.0, 2.0]]
+    """
+    leg, place = np.divmod(np.arange(legs * (per_leg + between) - between), per_leg + between)
+    u = np.minimum(place, per_leg - 1)
+    u = np.where(leg % 2, per_leg - 1 - u, u)  # every other leg is flown back
+    v = leg + np.maximum(place - per_leg + 1, 0) / (between + 1)
+    return np.asarray(u[:, None] * np.asarray(along, dtype=float) + v[:, None] * np.asarray(across, dtype=float))
+
+
+def swaying(path: Array, passes: int) -> Array:
+    """Poses (n, 7) of a vehicle that follows a path (m, 4) of x, y, z and yaw, sways, and flies it again backwards.
+
+    The second pass has the same poses as the first, attitude included, in reverse order, the third those of the first:
+    n = passes (m - 1) + 1.
+
+    Examples
+    --------
+    >>> swaying(lawn_mower(4, 25, [0.25, 0, 0, 0], [0, 0.8, 0, np.pi], between=8), passes=2).shape
+    (247, 7)
+    """
+    t = np.arange(len(path))
+    x, y, z, yaw = path.T
+    roll, pitch = radians(2) * np.sin(0.31 * t + 1), radians(2) * np.sin(0.23 * t)
+    X = euler.to_se3(pack([roll, pitch, wrap(yaw), x, y, z + 0.15 * np.sin(0.17 * t)]))
+    last = len(path) - 1
+    there_and_back = last - np.abs(np.arange(passes * last + 1) % (2 * last) - last)
+    return np.asarray(X[there_and_back])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,33 +14,31 @@ from nls.filters.consistency import nees_bounds
 x, l = kinds("x", "l")
 
 
-@pytest.fixture
-def hauv(script: Callable[[str], Any]) -> Any:
-    return script("hauv")
+SCRIPT = "hauv"
 
 
-def test_normalized_errors_of_their_own_covariance(hauv: Any) -> None:
+def test_normalized_errors_of_their_own_covariance(evidence: Any) -> None:
     dim = 6
     rng = np.random.default_rng(dim)
     L = np.tril(rng.standard_normal((400, dim, dim))) + 3 * np.eye(dim)
     P, v = L @ L.mT, rng.standard_normal((400, dim))
     e = (L @ v[..., None])[..., 0]
-    np.testing.assert_allclose(hauv.normalized(e, P), (v**2).sum(axis=1))
+    np.testing.assert_allclose(evidence.normalized(e, P), (v**2).sum(axis=1))
     low, high = nees_bounds(dim, 400)
-    assert low < hauv.normalized(e, P).mean() < high
+    assert low < evidence.normalized(e, P).mean() < high
     assert (low, high) == pytest.approx(
         (dim - 1.96 * np.sqrt(2 * dim / 400), dim + 1.96 * np.sqrt(2 * dim / 400)), rel=0.01
     )
 
 
 @pytest.mark.parametrize("make", [sim.hauv_floor, sim.hauv_hull])
-def test_alone_keeps_the_well_observed(hauv: Any, make: Any) -> None:
+def test_alone_keeps_the_well_observed(evidence: Any, make: Any) -> None:
     mission = make(np.random.default_rng(1), passes=1, elevation="free")
-    well, kept = hauv.well_observed(mission), hauv.alone(mission)
+    well, kept = evidence.well_observed(mission), evidence.alone(mission)
     assert 0 < kept.landmarks == well.sum() < mission.landmarks
     np.testing.assert_array_equal(kept.truth.stack("l").numbers, np.flatnonzero(well))
     np.testing.assert_array_equal(kept.truth[l], mission.truth[l][well])
-    assert hauv.well_observed(kept).all()
-    found = hauv.nees(kept)
+    assert evidence.well_observed(kept).all()
+    found = evidence.nees(kept)
     assert len(found.all) == kept.landmarks
     assert found.landmark == found.all[kept.landmarks // 2]

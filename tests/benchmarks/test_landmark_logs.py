@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
@@ -28,9 +26,7 @@ PARK = {
 }
 
 
-@pytest.fixture
-def logs(script: Callable[[str], Any]) -> Any:
-    return script("logs")
+SCRIPT = "logs"
 
 
 def written(folder: Path, files: dict[str, str]) -> Path:
@@ -39,8 +35,8 @@ def written(folder: Path, files: dict[str, str]) -> Path:
     return folder
 
 
-def test_an_mrclam_log(tmp_path: Path, logs: Any) -> None:
-    log = logs.read_mrclam(written(tmp_path, MRCLAM), 7)
+def test_an_mrclam_log(tmp_path: Path, evidence: Any) -> None:
+    log = evidence.read_mrclam(written(tmp_path, MRCLAM), 7)
     np.testing.assert_allclose(log.t, [0.5, 0.6])
     np.testing.assert_array_equal(log.u, [[0.1, 0.2], [0.5, 0.6]])  # of two rows at one time the last
     np.testing.assert_allclose(log.t_seen, [0.7, 0.7, 0.8])
@@ -51,12 +47,12 @@ def test_an_mrclam_log(tmp_path: Path, logs: Any) -> None:
     np.testing.assert_allclose(log.true_poses(np.array([0.5, 1.0])), [[1.5, 2.5, 3 + (np.pi - 3) / 2], [2, 3, -np.pi]])
 
 
-def test_a_victoria_park_log(tmp_path: Path, logs: Any) -> None:
+def test_a_victoria_park_log(tmp_path: Path, evidence: Any) -> None:
     folder = written(tmp_path, PARK)
     scans = folder / "LASER_TREE.txt"
     (folder / "LASER_TREE.txt.gz").write_bytes(gzip.compress(scans.read_bytes()))
     scans.unlink()
-    log = logs.read_victoria_park(folder)
+    log = evidence.read_victoria_park(folder)
     np.testing.assert_array_equal(log.u, [[0.5, 0.01], [0.6, 0.02]])
     np.testing.assert_array_equal(log.t_scan, [0.85, 1.06, 1.28])
     np.testing.assert_array_equal(log.scan, [0, 0, 2])
@@ -88,9 +84,9 @@ LASER_TREE.txt | 2 20 0.5\\n1\\n | 2 | time 1.0 does not rise over 2.0
 
 
 @for_all(case=MISTAKES)
-def test_every_mistake_has_its_line(case: list[str], tmp_path: Path, logs: Any) -> None:
+def test_every_mistake_has_its_line(case: list[str], tmp_path: Path, evidence: Any) -> None:
     name, text, line, words = case
     place = written(written(tmp_path, MRCLAM), PARK)
     (place / name).write_text(text)
-    reader = partial(logs.read_mrclam, robot=7) if name in MRCLAM else logs.read_victoria_park
+    reader = partial(evidence.read_mrclam, robot=7) if name in MRCLAM else evidence.read_victoria_park
     assert assert_refused(int(line), words, reader, place).path.endswith(name)

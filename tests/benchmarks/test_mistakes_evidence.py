@@ -22,27 +22,25 @@ SENTENCES = [  # with the table it must make of z_m 1, 2 and 3 on lines 2, 3 and
 ]
 
 
-@pytest.fixture
-def cures(script: Callable[[str], Any]) -> Any:
-    return script("cures")
+SCRIPT = "cures"
 
 
 @pytest.mark.parametrize(("sentence", "rows"), SENTENCES)
-def test_tables_are_edited(cures: Any, tmp_path: Path, sentence: str, rows: list[str]) -> None:
+def test_tables_are_edited(evidence: Any, tmp_path: Path, sentence: str, rows: list[str]) -> None:
     (tmp_path / "depth.csv").write_text("time_s,z_m\n0,1\n1,2\n2,3\n")
-    cures.cures_of(sentence)[0].edit(tmp_path)
+    evidence.cures_of(sentence)[0].edit(tmp_path)
     head, *found = (tmp_path / "depth.csv").read_text().splitlines()
     assert (head, found) == ("z_m,time_s" if "names" in sentence else "time_s,z_m", rows)
 
 
-def test_a_line_of_calibration_csv_replaces_one_of_its_name(cures: Any, tmp_path: Path) -> None:
+def test_a_line_of_calibration_csv_replaces_one_of_its_name(evidence: Any, tmp_path: Path) -> None:
     for value in ("0.1", "-0.2274"):
-        (cure,) = cures.cures_of(f"write `declination_rad,{value},9e-4` in calibration.csv, which leaves chi2 at 21")
+        (cure,) = evidence.cures_of(f"write `declination_rad,{value},9e-4` in calibration.csv, which leaves chi2 at 21")
         cure.edit(tmp_path)
     assert (tmp_path / "calibration.csv").read_text() == "name,value,sigma\ndeclination_rad,-0.2274,9e-4\n"
 
 
-def test_keys_of_the_mapping(cures: Any) -> None:
+def test_keys_of_the_mapping(evidence: Any) -> None:
     mapping = {"time_s": "t", "dvl": {"vx_m_s": "vx", "vz_m_s": {"column": "vz", "sign": -1}}, "depth": {"z_m": "z"}}
     written = 'time_s = "t"\n[dvl]\nvx_m_s = "vx"\nvz_m_s = { column = "vz", sign = -1 }\n[depth]\nz_m = "z"\n'
     for sentence in (
@@ -52,7 +50,7 @@ def test_keys_of_the_mapping(cures: Any) -> None:
         "write `scale = 0.1` and `offset = -18` for time_s in [depth] of the mapping",
         'map.toml:6: no depths; write z_m = { column = "z", unit = "cm" } if it is',
     ):
-        cures.cures_of(sentence)[0].map(mapping, written)
+        evidence.cures_of(sentence)[0].map(mapping, written)
     assert mapping == {
         "time_s": "t",
         "dvl": {
@@ -67,7 +65,7 @@ def test_keys_of_the_mapping(cures: Any) -> None:
     }
 
 
-def test_what_cannot_be_followed_is_said(cures: Any, tmp_path: Path) -> None:
+def test_what_cannot_be_followed_is_said(evidence: Any, tmp_path: Path) -> None:
     (tmp_path / "depth.csv").write_text("time_s,z_m\n0,1\n")
     sentences = {
         "depth.log.csv:3: the time falls; write sort = true in [depth] of the mapping if it may be": "sort",
@@ -75,15 +73,15 @@ def test_what_cannot_be_followed_is_said(cures: Any, tmp_path: Path) -> None:
     }
     for sentence, key in sentences.items():
         mapping: dict[str, Any] = {"depth": {"file": "depth.log.csv"}}
-        cures.cures_of(sentence)[0].map(mapping, "")
+        evidence.cures_of(sentence)[0].map(mapping, "")
         assert mapping["depth"][key] in (True, "NA")
     for sentence in ("multiply z_m by -1", "fixes.csv: multiply x_m by -1", "depth.csv: multiply y_m by -1"):
-        with pytest.raises(cures.Unfollowable):
-            cures.cures_of(sentence)[0].edit(tmp_path)
-    with pytest.raises(cures.Unfollowable):
-        cures.cures_of("write `missing = 0` in [depth] of the mapping")[0].map({}, "")
-    assert cures.cures_of("use a kernel: --robust Position=cauchy:1")[0].words == ("Position=cauchy:1",)
-    assert cures.cures_of("check units, signs, axes and times of depth.csv") == []
+        with pytest.raises(evidence.Unfollowable):
+            evidence.cures_of(sentence)[0].edit(tmp_path)
+    with pytest.raises(evidence.Unfollowable):
+        evidence.cures_of("write `missing = 0` in [depth] of the mapping")[0].map({}, "")
+    assert evidence.cures_of("use a kernel: --robust Position=cauchy:1")[0].words == ("Position=cauchy:1",)
+    assert evidence.cures_of("check units, signs, axes and times of depth.csv") == []
 
 
 def test_of_causes_that_nothing_tells_apart_the_one_that_was_made_is_followed(script: Callable[[str], Any]) -> None:

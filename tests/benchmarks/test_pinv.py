@@ -14,10 +14,7 @@ import sim
 
 @pytest.mark.parametrize("name", ["lu", "formula"])
 def test_a_measurement_leaves_the_update(
-    name: str,
-    part: Callable[[str], Any],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, part: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pinv = part("pinv")
     monkeypatch.setattr(pinv, "RUNS", 1)

@@ -16,10 +16,7 @@ def run(load: float, optimize: float, g2o: float, gtsam: float) -> dict[str, Any
 
 
 def test_only_who_reached_the_optimum_counts(part: Callable[[str], Any]) -> None:
-    modules = {
-        "leadline": SimpleNamespace(COST="g2o"),
-        "gtsam": SimpleNamespace(COST="gtsam"),
-    }
+    modules = {"leadline": SimpleNamespace(COST="g2o"), "gtsam": SimpleNamespace(COST="gtsam")}
     runs = {
         "leadline": {"auto": run(10.0, 9.0, 100.00005, 203.0)},
         "gtsam": {

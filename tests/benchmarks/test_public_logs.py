@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from typing import Any
 
-import pytest
-
-
-@pytest.fixture
-def evidence(script: Callable[[str], Any]) -> Any:
-    return script("public_logs")
+SCRIPT = "public_logs"
 
 
 def test_every_log_has_its_mapping_and_its_origin(evidence: Any) -> None:

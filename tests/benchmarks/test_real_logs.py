@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,7 @@ import pytest
 
 from models import SE3
 
-
-@pytest.fixture
-def evidence(script: Callable[[str], Any]) -> Any:
-    return script("real_logs")
+SCRIPT = "real_logs"
 
 
 def test_auv_at_sea(data: Path, evidence: Any) -> None:

@@ -19,10 +19,7 @@ from models import SE2
 from nls import FactorGraph
 from nls.robust.loop_graph import loop_graph, neighbors
 
-
-@pytest.fixture
-def evidence(script: Callable[[str], Any]) -> Any:
-    return script("robust")
+SCRIPT = "robust"
 
 
 @pytest.fixture

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from nls import Cholesky
+from tests.benchmarks.conftest import run
 
-ROOT = Path(__file__).parents[2]
-SCRIPTS = ROOT / "benchmarks"
 QUICK = ("build", "linearize SE2")
 
-pytestmark = [
-    pytest.mark.skipif(not SCRIPTS.exists(), reason="there are no benchmarks here (an installed copy has none)"),
-    pytest.mark.skipif(Cholesky.missing() is not None, reason="the references need CHOLMOD"),
-]
-
-
-def run(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-W", "error", str(SCRIPTS / script), *map(str, arguments)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+pytestmark = pytest.mark.skipif(Cholesky.missing() is not None, reason="the references need CHOLMOD")
 
 
 def table(folder: Path, script: str, world: str, *arguments: object) -> dict[str, list[str]]:

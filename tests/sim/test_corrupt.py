@@ -76,13 +76,10 @@ def test_a_group_agrees_with_itself(world: sim.World) -> None:
         assert (np.diff(k.numbers[:whole].reshape(-1, 5), axis=1) == 1).all()
 
 
-def test_impossible_fractions_are_refused(world: sim.World) -> None:
+def test_what_cannot_be_spoiled_is_refused(world: sim.World) -> None:
     for fraction in (-0.1, float("nan"), float("inf")):
         with pytest.raises(OptionError, match="at least 0"):
             sim.outliers(world, fraction, np.random.default_rng(1))
-
-
-def test_worlds_that_cannot_be_spoiled_are_refused() -> None:
     with pytest.raises(OptionError, match="without loop closures"):
         sim.outliers(sim.ring(np.random.default_rng(0), 1, 20), 0.1, np.random.default_rng(1))
     vague = sim.sphere(np.random.default_rng(0), rings=2, per_ring=4, sigma_t=100.0, sigma_r=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,24 +12,9 @@ from models.errors import OptionError
 from sim.cli import WORLDS
 from sim.files import harbor_files, native_files, survey_files
 from tests.combinations import for_all
+from tests.sim.scenes import MADE, four_sigma, made
 
 nan = float("nan")
-MADE: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
-    "manhattan": (sim.manhattan, {"n_poses": 150}),
-    "grid3d": (sim.grid3d, {"n_poses": 120}),
-    "ring": (sim.ring, {"laps": 2, "per_lap": 50}),
-    "sphere": (sim.sphere, {"rings": 6, "per_ring": 10}),
-    "torus": (sim.torus, {"coils": 6, "per_coil": 10}),
-    "hauv-floor": (sim.hauv_floor, {"legs": 2, "per_leg": 12}),
-    "hauv-hull": (sim.hauv_hull, {"levels": 2, "per_level": 13}),
-    "subsea": (sim.subsea, {}),
-    "subsea of filters": (sim.subsea, {"landmarks": "independent", "azimuth": "absolute"}),
-    "subsea in part known": (sim.subsea, {"known_landmarks": 2}),
-    "lines": (sim.lines, {}),
-    "rig": (sim.rig, {"poses": 6, "points": 60}),
-    "survey": (sim.survey, {"legs": 3, "leg": 60.0}),
-    "harbor": (sim.harbor, {"keyframes": 80}),
-}
 GRAPHS = [name for name in MADE if name not in ("survey", "harbor")]
 NOT_POSSIBLE: dict[str, dict[str, list[Any]]] = {
     "manhattan": {"n_poses": [2, 10.5, True, 10**9], "streets": [1], "block": [0], "spacing": [0.0]}
@@ -54,21 +38,11 @@ NOT_POSSIBLE: dict[str, dict[str, list[Any]]] = {
 }
 
 
-def made(name: str, seed: int = 0, **options: Any) -> Any:
-    make, sizes = MADE[name]
-    return make(np.random.default_rng(seed), **{**sizes, **options})
-
-
 def content(world: Any) -> dict[str, bytes]:
     """All numbers of a world, as its files have them."""
     if isinstance(world, sim.SurveyLog):
         return survey_files(world)[0]
     return harbor_files(world)[0] if isinstance(world, sim.Harbor) else native_files(world)
-
-
-def four_sigma(chi2: float, dof: float) -> bool:
-    """A chi-square variable has mean dof and variance 2 dof."""
-    return abs(chi2 - dof) < 4 * np.sqrt(2 * dof)
 
 
 def test_every_world_has_a_small_one() -> None:
@@ -100,12 +74,23 @@ def test_without_noise_the_truth_is_the_optimum(name: str) -> None:
 
 
 @for_all(name=GRAPHS)
-def test_chi2_at_the_truth_over_seeds(name: str) -> None:
+def test_chi2_over_seeds(name: str) -> None:
+    """At the truth, and of pose graphs at the optimum; of each seed and of all together."""
     worlds = [made(name, seed) for seed in range(10)]
     chi2 = [getattr(world, "sensed", world.graph).chi2(world.truth) for world in worlds]
     rows = [world.rows for world in worlds]
     assert all(map(four_sigma, chi2, rows))
     assert four_sigma(sum(chi2), sum(rows))
+    if name not in WORLDS:
+        return
+    results = [world.graph.optimize(world.start) for world in worlds]
+    for world, result, at_truth in zip(worlds, results, chi2, strict=True):
+        assert result.converged, result.reason
+        assert result.dof == world.dof
+        assert four_sigma(result.chi2_final, world.dof)
+        assert result.chi2_final < at_truth
+        assert sim.position_error(result.values, world.truth) < sim.position_error(world.start, world.truth)
+    assert four_sigma(sum(result.chi2_final for result in results), sum(world.dof for world in worlds))
 
 
 def test_impossible_options_are_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 from math import pi, radians
 
@@ -12,20 +11,15 @@ import pytest
 import sim
 from models import SE3, euler
 from models.errors import GraphError
-from models.sensors import ImagingSonar, cartesian, spherical
+from models.sensors import ImagingSonar, cartesian, levelled, spherical, zpr
 from nls import kinds
 from sim.cli import MISSIONS
 from sim.mission import visible
 from tests.combinations import for_all
+from tests.sim.scenes import made
 
 x, l = kinds("x", "l")
-every_mission = for_all(make=MISSIONS.values())
-SMALL = {"hauv-floor": {"legs": 2, "per_leg": 12}, "hauv-hull": {"levels": 2, "per_level": 13}}
-Make = Callable[..., sim.Mission]
-
-
-def small(make: Make, seed: int = 0, **options: object) -> sim.Mission:
-    return make(np.random.default_rng(seed), **SMALL[make.__name__.replace("_", "-")], **options)
+every_mission = for_all(name=MISSIONS)
 
 
 def states(mission: sim.Mission) -> dict[str, np.ndarray]:
@@ -33,9 +27,9 @@ def states(mission: sim.Mission) -> dict[str, np.ndarray]:
     return dict(zip(names, euler.from_se3(mission.truth[x]).T, strict=True))
 
 
-def seen_from(mission: sim.Mission, i: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(range, azimuth, elevation) of points from poses."""
-    S = SE3.compose(mission.truth[x][i], mission.offset[None])
+def seen_from(mission: sim.Mission, X: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(range, azimuth, elevation) of points from poses, of each from one."""
+    S = SE3.compose(X, mission.offset[None])
     return spherical(SE3.act(SE3.inverse(S), points))[0]
 
 
@@ -86,12 +80,12 @@ def test_the_hull_is_strafed_as_defined() -> None:
     assert "250 points" in mission.description
 
 
-@for_all(make=MISSIONS.values(), aperture=[radians(14), radians(28)])
-def test_contacts_are_what_the_sonar_sees(make: Make, aperture: float) -> None:
+@for_all(name=MISSIONS, aperture=[radians(14), radians(28)])
+def test_contacts_are_what_the_sonar_sees(name: str, aperture: float) -> None:
     """Every pair in view is a contact and no other: brute force over all poses and landmarks."""
-    mission = small(make, aperture=aperture, noise_scale=0.0)
+    mission = made(name, aperture=aperture, noise_scale=0.0)
     n, m = mission.poses, mission.landmarks
-    h = seen_from(mission, np.repeat(np.arange(n), m), np.tile(mission.truth[l], (n, 1)))
+    h = seen_from(mission, np.repeat(mission.truth[x], m, axis=0), np.tile(mission.truth[l], (n, 1)))
     view = (h[:, 0] >= 1) & (h[:, 0] < 6) & (np.abs(h[:, 1]) < radians(14.4)) & (np.abs(h[:, 2]) <= aperture / 2)
     i, k = np.divmod(np.flatnonzero(view), m)
     np.testing.assert_array_equal(mission.contacts.keys[0].numbers, i)
@@ -101,23 +95,16 @@ def test_contacts_are_what_the_sonar_sees(make: Make, aperture: float) -> None:
 
 
 @every_mission
-def test_the_start_is_dead_reckoning(make: Make) -> None:
-    """One step after the other, by the definition of the levelled step; landmarks where they were first seen."""
-    mission = small(make, 3)
-    state = euler.from_se3(mission.truth[x][:1])[0]
-    expected = [state]
-    for (dx, dy, dyaw), (z, pitch, roll) in zip(mission.odometry.z, mission.attitude.z[1:], strict=True):
-        _, _, yaw, px, py, _ = expected[-1]
-        c, s = np.cos(yaw), np.sin(yaw)
-        expected.append(np.array([roll, pitch, yaw + dyaw, px + c * dx - s * dy, py + s * dx + c * dy, z]))
-    np.testing.assert_allclose(SE3.local(mission.start[x], euler.to_se3(np.array(expected))), 0.0, atol=1e-9)
-    np.testing.assert_array_equal(mission.start[x][0], mission.truth[x][0])
-    pose, target = (k.numbers for k in mission.contacts.keys)
-    for k in range(0, mission.landmarks, 7):
-        first = np.flatnonzero(target == k)[np.argmin(pose[target == k])]
-        p = cartesian(np.append(mission.contacts.z[first], 0.0)[None])[0]
-        S = SE3.compose(mission.start[x][pose[first]][None], mission.offset[None])
-        np.testing.assert_allclose(mission.start[l][k], SE3.act(S, p)[0], atol=1e-9)
+def test_the_start_is_dead_reckoning(name: str) -> None:
+    """One step after the other from the first true pose; landmarks where they were first seen, at elevation 0."""
+    mission = made(name, 3)
+    X, contacts = mission.start[x], mission.contacts
+    np.testing.assert_array_equal(X[0], mission.truth[x][0])
+    np.testing.assert_allclose(levelled(X[:-1], X[1:])[0], mission.odometry.z, atol=1e-9)
+    np.testing.assert_allclose(zpr(X[1:])[0], mission.attitude.z[1:], atol=1e-9)
+    numbers, first = np.unique(contacts.keys[1].numbers, return_index=True)  # contacts are in the order of the poses
+    h = seen_from(mission, X[contacts.keys[0].numbers[first]], mission.start[l[numbers]])
+    np.testing.assert_allclose(h, np.column_stack([contacts.z[first], np.zeros(len(h))]), atol=1e-9)
     anchor, heading = mission.graph.factors[2:4]
     np.testing.assert_allclose(np.ravel(anchor.z), mission.truth[x][0, :2])
     assert float(np.ravel(heading.z)[0]) == pytest.approx(euler.from_se3(mission.truth[x][:1])[0, 2])
@@ -126,9 +113,9 @@ def test_the_start_is_dead_reckoning(make: Make) -> None:
 
 
 @every_mission
-def test_contacts_of_any_noise_are_what_a_sonar_gives(make: Make) -> None:
+def test_contacts_of_any_noise_are_what_a_sonar_gives(name: str) -> None:
     for seed in range(10):
-        z = small(make, seed, noise_scale=1e4, outliers=0.1).contacts.z
+        z = made(name, seed, noise_scale=1e4, outliers=0.1).contacts.z
         assert (z[:, 0] >= 0).all()
         assert (np.abs(z[:, 1]) <= np.pi).all()
 

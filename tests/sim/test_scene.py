@@ -78,14 +78,14 @@ def test_an_empty_scene_has_no_surface() -> None:
 
 
 def test_mistakes_are_named() -> None:
-    with pytest.raises(GraphError, match=r"walls of shape \(2, 2\), expected \(n, 2, 2\)"):
-        Scene(walls=QUAY[0])
-    with pytest.raises(GraphError, match=r"walls\[1\] has length 0"):
-        Scene(walls=[*QUAY, [[1, 1], [1, 1]]])
-    with pytest.raises(GraphError, match=r"piles\[0\] has the radius 0 m"):
-        Scene(piles=[[1, 1, 0]])
-    with pytest.raises(GraphError, match=r"rocks\[1\] is \[nan, 0.0\]"):
-        Scene(rocks=[[0, 0], [np.nan, 0]])
+    for surfaces, match in (
+        ({"walls": QUAY[0]}, r"walls of shape \(2, 2\), expected \(n, 2, 2\)"),
+        ({"walls": [*QUAY, [[1, 1], [1, 1]]]}, r"walls\[1\] has length 0"),
+        ({"piles": [[1, 1, 0]]}, r"piles\[0\] has the radius 0 m"),
+        ({"rocks": [[0, 0], [np.nan, 0]]}, r"rocks\[1\] is \[nan, 0.0\]"),
+    ):
+        with pytest.raises(GraphError, match=match):
+            Scene(**surfaces)  # type: ignore[arg-type]
     with pytest.raises(GraphError, match=r"azimuths of shape \(3, 2\), expected \(b,\) or \(1, b\)"):
         Scene().hits(np.zeros((1, 3)), np.zeros((3, 2)))
     with pytest.raises(OptionError, match="window"):
