@@ -13,7 +13,7 @@ from models.algebra import Array
 from nls import FactorGraph, Values
 from nls.certificate.newton import Optimum, _second_order, nearest, newton, rotations, tangent
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import _rounded, placed, spectrum, staircase
+from nls.certificate.spectrum import spectrum, staircase
 from nls.linear import default
 from nls.linear.factorization import SingularSystemError
 from nls.linear.lu import SuperLU
@@ -176,21 +176,6 @@ def test_the_weights_are_those_of_the_chart() -> None:
     graph = certifiable(FactorGraph([edges]), Values({x: (SE2, SE2.identity(3))}))
     assert graph.W[:, 0] == pytest.approx(sigmas[:, 2] ** -2.0)
     assert graph.W[:, 2] == pytest.approx(2 / (sigmas[:, :2] ** 2).sum(axis=1))
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=repr)
-def test_rounding_finds_the_rows_that_hold_the_poses(group: LieGroup) -> None:
-    """Wherever the rows are, mirrored too, and however the whole is moved."""
-    graph, M, *_ = problem_of(group)
-    d, rng = group.point_dim, np.random.default_rng(SEED)
-    T = group.exp(rng.normal(size=(1, group.dim)))
-    assert np.allclose(placed(graph.matrices(group.compose(T, graph.poses(M))), M, graph.held), M, atol=1e-12)
-    basis = np.linalg.qr(rng.normal(size=(d + 2, d + 2)))[0][:d]
-    for mirror in (1, -1):
-        basis[0] *= mirror
-        hidden = M @ basis
-        assert graph.cost(hidden) == pytest.approx(graph.cost(M), rel=1e-12)
-        assert np.allclose(placed(_rounded(hidden), M, graph.held), M, atol=1e-9)
 
 
 def test_newton_never_goes_up(monkeypatch: pytest.MonkeyPatch) -> None:
