@@ -234,16 +234,9 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
         near = [pattern.key(k) for k in np.flatnonzero(stays).tolist()]
         left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
         if near and len(left):
-            priors.append(
-                MarginalPrior(
-                    near,
-                    [touched[key] for key in near],
-                    left[:, e:-1],
-                    left[:, -1],
-                    relative=all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any()),
-                    unmoved=tuple(slot for slot, key in enumerate(near) if key.kind in unmoved),
-                )
-            )
+            X0, slots = [touched[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
+            relative = all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any())
+            priors.append(MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative=relative, unmoved=slots))
     return priors
 
 

@@ -144,8 +144,7 @@ def along(graph: FactorGraph, values: Values, kind: str) -> Track:
     part = np.concatenate([[0], np.cumsum(label[1:] != label[:-1])])
     i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
     T = group.between(X[step], X[step + 1])
-    steps = len(step)
-    C = Marginals(graph, values, pairs=[(i, j)]).relative(i, j) if steps else np.zeros((0, group.dim, group.dim))
+    C = Marginals(graph, values, pairs=[(i, j)]).relative(i, j) if len(step) else np.zeros((0, group.dim, group.dim))
     return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
 
 

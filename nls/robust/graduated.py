@@ -235,18 +235,14 @@ def gnc(
         variance, local = 1.0, float("nan")
         doubts = verdict.doubts(choice.result, total - problem.rejected(choice.inliers), total, probability)
     gone = landmarks.gone(choice.inliers)
-    left = [
-        Left(repr(Keys(kind, int(number))), int(count))
-        for kind, mask in gone.items()
-        for number, count in zip(
-            values.stack(kind).numbers[mask].tolist(), landmarks.counts(kind, masks)[mask].tolist(), strict=True
-        )
-    ]
+    left: list[Left] = []
+    for kind, mask in gone.items():
+        keys, counts = Keys(kind, values.stack(kind).numbers[mask]), landmarks.counts(kind, masks)[mask]
+        left += [Left(repr(key), int(count)) for key, count in zip(keys, counts, strict=True)]
+    rows = zip(graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n)
-        for k, (factor, d, m, s, leaves) in enumerate(
-            zip(graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
-        )
+        for k, (factor, d, m, s, leaves) in enumerate(rows)
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]
     rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))

@@ -85,9 +85,8 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
     del groups[300:]  # those of the largest residuals are judged
     touched = [np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True) for members in groups]
-    for members, (nodes, place), P in zip(
-        groups, touched, _joint(graph, values, loops, [n for n, _ in touched]), strict=True
-    ):
+    joint = _joint(graph, values, loops, [nodes for nodes, _ in touched])
+    for members, (nodes, place), P in zip(groups, touched, joint, strict=True):
         k = len(members)
         blocks = np.zeros((k, d, len(nodes), d))
         for block, at in zip(A, np.split(place, 2), strict=True):

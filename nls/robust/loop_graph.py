@@ -149,10 +149,8 @@ def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
     (a, b), d = pairs[~np.isnan(d)].T, d[~np.isnan(d)]
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= 5  # steps
     enough_pairs = near.sum() >= ENOUGH_PAIRS
-    variance, typical = (
-        unit_variance(float(np.quantile(d[near], q)) / chi2_gate(group.dim, q)) if enough_pairs else 1.0
-        for q in (LOW, 0.5)
-    )
+    noise = [float(np.quantile(d[near], q)) / chi2_gate(group.dim, q) if enough_pairs else 1.0 for q in (LOW, 0.5)]
+    variance, typical = map(unit_variance, noise)
     agree = d <= min(variance, 1.0) * chi2_gate(group.dim, 0.99)
     joined = np.column_stack([a, b])[agree & near]
     a, b = a[agree], b[agree]

@@ -54,10 +54,8 @@ class Preselection:
 
     def doubts(self) -> list[Doubt]:
         """Reasons to doubt the choice, see `nls.robust.verdict`."""
-        judged = self._witnesses(self.choice)
-        evidence = Evidence(
-            self.problem, self.loops, self.choice, self.rivals, self.tried, self.variance, judged, self.moved
-        )
+        of_choice = self.problem, self.loops, self.choice, self.rivals, self.tried, self.variance
+        evidence = Evidence(*of_choice, self._witnesses(self.choice), self.moved)
         return verdict.preselected(evidence, self.probability)
 
     def _explained(self) -> tuple[Choice, float] | None:

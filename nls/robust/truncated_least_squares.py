@@ -121,9 +121,8 @@ class Truncated:
         result = graph.optimize(self.landmarks.present(inliers, values))
         values = put_back(values, result.values)
         s = self._s(values)
-        cost = sum(
-            float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)
-        )
+        parts = zip(self.masks, s, self.c2, strict=True)
+        cost = sum(float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in parts)
         return Choice(result, graph, inliers, s, cost, values)
 
     def among(self, choice: Choice, loops: LoopGraph, right: Mask) -> Choice:

@@ -339,8 +339,8 @@ class Schur(NormalEquations):
         u, v = blocks.u, blocks.v
         across, inside = gone[u] != gone[v], ~(gone[u] | gone[v])
         l, p = np.where(gone[u], u, v)[across], np.where(gone[u], v, u)[across]
-        joined = np.ones(len(l), dtype=bool), (number[l], number[p])
-        incidence = sp.csr_array(joined, shape=(len(first), len(survivors)))
+        ones = np.ones(len(l), dtype=bool), (number[l], number[p])
+        incidence = sp.csr_array(ones, shape=(len(first), len(survivors)))
         degree = np.diff(incidence.indptr)
         pairs = float((degree * (degree + 1.0) / 2).sum())
         if PER_PAIR * pairs > self.memory_limit:

@@ -16,7 +16,7 @@ from models.algebra import Array
 from nls import PCG, FactorGraph, GaussNewton, Schur, Values
 from nls.linear import LU, LinearSolver
 from nls.linear.factorization import SingularSystemError
-from nls.linear.schur.solver import SchurDecomposition, _heaviest, independent
+from nls.linear.schur.solver import _heaviest, independent
 from nls.optimizers import OPTIMIZERS
 from tests.nls.graphs import Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
@@ -53,23 +53,6 @@ def test_the_step_is_that_of_cholesky(solver: LinearSolver) -> None:
             sample = landmarks(group, seed=5)
             sample.graph.fix(held)
             same(sample.graph.linearize(sample.values), solver=solver)
-
-
-def test_the_complement_is_the_formula() -> None:
-    """S = H_pp - H_pl H_ll^-1 H_lp, with points that a pose sees twice and points of two dimensions."""
-    sample = two_kinds()
-    system = sample.graph.linearize(sample.values)
-    state = Schur().analyze(system.pattern).factorization
-    assert isinstance(state.decomposition, SchurDecomposition)
-    complement = state.decomposition._complement
-    filled = complement.fill(system.H_blocks)
-    p, n = state.hessian.permutation, complement.n
-    H = system.H.toarray()[np.ix_(p, p)]
-    S = H[n:, n:] - H[n:, :n] @ np.linalg.inv(H[:n, :n]) @ H[:n, n:]
-    found = complement.hessian.symmetric(filled.flat).toarray()
-    np.testing.assert_allclose(found, S, rtol=0, atol=1e-12 * np.abs(H).max())
-    np.testing.assert_allclose(filled.pivots, np.linalg.cholesky(H[:n, :n]).diagonal() ** 2, rtol=1e-10)
-    assert np.abs(H[n:, n:] - S).max() > 0.1 * np.abs(H).max()
 
 
 @EACH

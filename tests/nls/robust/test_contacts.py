@@ -14,7 +14,7 @@ from factors.noise import Noise, SqrtInformation
 from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import UnderconstrainedError
-from nls import FactorGraph, Marginals, Values, kinds
+from nls import FactorGraph, Values, kinds
 from nls.robust.contacts import TRIED, agreement, along, misfit
 from nls.robust.landmarks import landmarks_of
 from nls.starts.parts import put_back
@@ -38,24 +38,6 @@ def poses_of(mission: sim.Mission) -> tuple[FactorGraph, Values]:
     """The trusted measurements of a mission, and dead reckoning."""
     stack = mission.start.stack("x")
     return FactorGraph(mission.graph.factors[:4]), Values({x: (SE3, stack.X, stack.numbers)})
-
-
-def test_relative_covariances_are_those_of_the_track() -> None:
-    rng, n = RNG(1), 12
-    step = SE3.exp(0.3 * rng.normal(size=(n - 1, 6)))
-    numbers = 3 * np.arange(n)[::-1]  # neither dense nor in the order of the stack
-    forward = np.sort(numbers)
-    graph = FactorGraph([Between(x[forward[:-1]], x[forward[1:]], step, Isotropic(0.02))])
-    values = nls.starts.chain(graph, Values({x: (SE3, SE3.identity(n), numbers)}))
-    track = along(graph, values, "x")
-    T, P = track.odometry.between(np.array([0, 9, 4]), np.array([7, 2, 11]))
-    assert (track.part == 0).all()
-    for i, j, pose, covariance in zip((0, 9, 4), (7, 2, 11), T, P, strict=True):
-        held = FactorGraph(graph.factors)
-        held.fix(x[int(forward[i])])
-        expected = Marginals(held, values).covariance(x[int(forward[j])], frame="body")
-        np.testing.assert_allclose(covariance, expected, rtol=1e-6, atol=1e-10)
-        np.testing.assert_allclose(pose, SE3.between(values[x[[forward[i]]]], values[x[[forward[j]]]])[0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified
+from nls.robust.contacts import along
 from nls.robust.groups import FITS, WIDER_GATE, misfits, witnesses
 from nls.robust.growth import path_covariances
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
@@ -109,6 +110,11 @@ def test_covariances_along_paths_are_those_of_the_chain(space: LieGroup) -> None
         held.fix(x[int(first)])
         expected = nls.Marginals(held, values).covariance(x[int(last)], frame="body")
         np.testing.assert_allclose(C[k], expected, rtol=1e-6, atol=1e-10)
+    renumbered = FactorGraph([Between(x[3 * a], x[3 * b], step, noise)])  # neither dense nor in the order of the stack
+    track = along(renumbered, Values({x: (space, T[::-1], 3 * np.arange(n)[::-1])}), "x")
+    assert (track.part == 0).all()
+    for found, one in zip(track.odometry.between(i, j), (Z, C), strict=True):
+        np.testing.assert_allclose(found, one, atol=1e-12)
 
 
 def test_the_lowest_optimum_is_that_of_the_better_start() -> None:

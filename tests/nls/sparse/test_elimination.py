@@ -131,15 +131,6 @@ def test_no_pairs_and_no_nodes() -> None:
     assert firsts(np.array([0, 0]), none).tolist() == []
 
 
-def test_the_first_of_some_nodes_in_every_component() -> None:
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        component = connected(rng.integers(0, 30, 15), rng.integers(0, 30, 15), 30)
-        nodes = rng.permutation(30)[:20]
-        expected = {int(c): next(int(v) for v in nodes if component[v] == c) for c in component[nodes]}
-        assert firsts(component, nodes).tolist() == [expected[c] for c in sorted(expected)]
-
-
 # ---- the size of R, counted before it is computed
 
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from factors import Between, Diagonal, Isotropic, Prior
 from models import SE2, R
 from models.algebra import Array
-from nls import FactorGraph, LinearSystem, Values
-from nls.gauge import fixed_variables
-from nls.sparse.pattern import Pattern
+from nls import FactorGraph, Values
 from nls.values import Stack
 from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph, x
 from tests.nls.solving import near
@@ -73,28 +70,6 @@ def test_A_b_and_H_equal_the_double_sum(name: str) -> None:
     np.testing.assert_allclose(system.column_norms, np.linalg.norm(A, axis=0), rtol=1e-13)
     cosine = np.abs(A.T @ b) / (np.linalg.norm(A, axis=0) * np.linalg.norm(b))
     assert system.scaled_gradient == pytest.approx(cosine.max(), rel=1e-10)
-
-
-def free_pattern(sample: Sample) -> Pattern:
-    return Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
-
-
-@pytest.mark.parametrize("name", ["R(1)", "SE3 odd ids", "two poses", "mixed", "mixed, some fixed"])
-def test_any_elimination_order_gives_the_same_H(name: str) -> None:
-    sample = SAMPLES[name]()
-    pattern = free_pattern(sample)
-    system = LinearSystem.at(pattern, sample.values)
-    for seed in range(2):
-        hessian = pattern.hessian(lambda u, v, V, seed=seed: np.random.default_rng(seed).permutation(V))  # type: ignore[misc]
-        S = system.H_blocks
-        lower = hessian.matrix(S)
-        assert (sp.triu(lower, 1)).nnz == 0
-        assert all((np.diff(column) > 0).all() for column in np.split(lower.indices, lower.indptr[1:-1]))
-        p = hessian.permutation
-        assert np.array_equal(np.sort(p), np.arange(pattern.n))
-        H = (system.A.T @ system.A).toarray()[np.ix_(p, p)]
-        np.testing.assert_allclose(lower.toarray(), np.tril(H), rtol=0, atol=1e-12 * np.abs(H).max())
-        assert np.array_equal(hessian.diagonal(S), lower.diagonal())
 
 
 def test_H_stores_one_block_per_joined_pair_whatever_its_factors() -> None:

@@ -12,7 +12,6 @@ from factors import Between, Diagonal, Factor, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphWarning, OptionError, UnderconstrainedError, Values, initialize
 from nls.starts import STARTS, chain, chordal, spanning_tree
-from nls.starts.chordal import nearest_rotation
 from tests.nls.graphs import GROUPS, ODD, Seen, between, distance, in_frame, l, pose_graph, walk, x
 
 PLACES: tuple[LieGroup, ...] = (SE2, SE3)
@@ -187,20 +186,3 @@ def test_graphs_without_relative_poses_keep_their_values() -> None:
     for method in STARTS.values():
         assert np.array_equal(method(graph, values)[l], [[5.0, 5.0]])
     assert initialize(graph, values)[1] == "file"
-
-
-def test_the_nearest_rotation_is_never_a_reflection() -> None:
-    """Of all rotations the one with the largest trace of R'M, also where M turns space inside out, at any scale."""
-    rng = np.random.default_rng(10)
-    M = rng.normal(size=(40, 3, 3))
-    assert (np.linalg.det(M) < 0).sum() > 5
-    found, size = nearest_rotation(M)
-    same(np.linalg.det(found), 1.0, rtol=1e-12)
-    same(found @ found.mT, np.broadcast_to(np.eye(3), (40, 3, 3)), rtol=0, atol=1e-12)
-    best = np.einsum("nij,nij->n", found, M)
-    assert (np.einsum("kij,nij->nk", SE3.rotation(walk(SE3, 300, rng)), M) <= best[:, None] + 1e-12).all()
-    assert (size > 0).all()
-    for scale in (1e-150, 1e100):
-        R, scaled = nearest_rotation(M * scale)
-        same(R, found, rtol=0, atol=1e-12)
-        same(scaled, size * scale, rtol=1e-12)
