@@ -112,39 +112,6 @@ def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Capt
     assert os.listdir(tmp_path) == [file.name]
 
 
-SUFFIXES = {"-o": "g2o.gz", "--covariance": "csv", "--plot": "png", "--report": "html", "--json": "json"}
-
-
-def test_no_output_is_left_half_done(tmp_path: Path, capsys: Captured) -> None:
-    """All of them are more than 100 bytes; each has an error of its own that names it, and older ones stay."""
-    file = write(tmp_path, PLANE)
-    names = {option: tmp_path / f"out{option}.{suffix}" for option, suffix in SUFFIXES.items()}
-    older = dict.fromkeys([name.name for k, name in enumerate(names.values()) if k % 2], b"older")
-    for name in older:
-        (tmp_path / name).write_bytes(b"older")
-
-    def failing(*arguments: object) -> tuple[str, list[str]]:
-        with small_disk(100):
-            assert main([str(argument) for argument in arguments]) == 2
-        out, err = capsys.readouterr()
-        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {file.name: PLANE.encode(), **older}
-        return out, err.splitlines()
-
-    out, lines = failing("solve", file, *(word for item in names.items() for word in item))
-    assert "converged" in out
-    assert "written" not in out
-    assert len(lines) == len(names)
-    for name in names.values():
-        assert sum(line.startswith(f"nls: {name}: cannot be written: ") for line in lines) == 1
-    for command, *options in (("convert", "o.tum"), ("plot", "o.png"), ("info", "--json", "o.json")):
-        name = tmp_path / options[-1]
-        name.write_bytes(b"older")
-        older[name.name] = b"older"
-        out, lines = failing(command, file, *options[:-1], name)
-        assert (out, len(lines)) == ("", 1)
-        assert lines[0].startswith(f"nls: {name}: cannot be written: ")
-
-
 def test_a_text_is_utf_8(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_bytes(gzip.compress("\ufeffSchären\r\n".encode()))

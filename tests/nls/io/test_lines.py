@@ -95,13 +95,6 @@ def test_a_mission_names_table_and_row(elevation: str, tmp_path: Path) -> None:
     assert len(graph.factors) == len(report.sources)
 
 
-def test_an_anchor_nobody_gave_has_no_line(tmp_path: Path) -> None:
-    path = folder(tmp_path / "m", anchor=None)
-    graph, _, report = nls.load(path)
-    assert [type(factor) for factor in graph.factors[2:4]] == [Position, Heading]
-    assert [report.place(k, 0) for k in (2, 3)] == [str(path)] * 2
-
-
 def test_a_raw_log_names_the_rows_before_its_poses(tmp_path: Path) -> None:
     files = raw() | {"poses": "i,time_s\n" + "".join(f"{k},{k + 0.25 * (k % 3) + 0.1}\n" for k in range(20))}
     files["ahrs"] = "\n".join(row for row in files["ahrs"].splitlines() if not row.startswith(("8.", "9.")))

@@ -15,8 +15,8 @@ from nls.io.trajectory import read_kitti, read_tum
 from nls.io.unused_lines import refuse_misspelt
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, assert_refused, cases, read, same, write
-from tests.nls.io.io_files import ALL, BAL, FILES, PYFG, TORO_2, read_any
+from tests.nls.io.g2o_files import INFORMATION_2, PLANE, assert_refused, cases, read, same, write
+from tests.nls.io.io_files import ALL, BAL, FILES, TORO_2, read_any
 
 EDGE = f"0 3 1.05 2.05 3.1 {INFORMATION_2}"
 SPACES = {
@@ -134,13 +134,6 @@ def mixed(text: str) -> bytes:
     """Every line ends in another way than the one before."""
     ends = [b"\r", b"\r\n", b"\n"]
     return b"".join(line.encode() + ends[k % 3] for k, line in enumerate(text.splitlines()))
-
-
-def test_an_error_behind_carriage_returns_has_its_line(tmp_path: Path) -> None:
-    for text, name in ((SPACE + "EDGE_SE3:QUAT 0 1\n", "a.g2o"), (PYFG + "EDGE_RANGE 1 A0\n", "a.pyfg")):
-        with pytest.raises(GraphFileError) as caught:
-            load(write(tmp_path, mixed(text), name))
-        assert caught.value.line == len(text.splitlines())
 
 
 def test_logs_and_tables_with_any_line_ends(tmp_path: Path) -> None:

@@ -140,6 +140,8 @@ def test_why_a_file_was_read_so(tmp_path: Path) -> None:
     assert load(write(tmp_path, PLANE, "f.txt"))[2].reason == "'A0' after a time is the name of a pose"
     assert load(tmp_path / "f.txt", dialect="pyfg")[2].reason == "as asked for"
     assert load(write(tmp_path, BAL, "f.txt"))[2].reason == "three counts on its first line"
+    damaged = write(tmp_path, "VERTEX_SE2 0 nan 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")  # no name of pyfg
+    assert_refused(1, "'nan' is not a number", load, damaged)
 
 
 MISTAKES = cases("""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors import Between, Isotropic, Landmark, Prior
+from factors import Between, Isotropic, Landmark
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphError, GraphWarning, OptionError, Values, kinds, load, save
 from tests.combinations import for_all
@@ -164,15 +164,6 @@ def test_ids_of_offsets_of_two_files_and_of_none(tmp_path: Path) -> None:
     assert loaded[2].ignored == [unused]
     loaded[0].add(Landmark(x[2], l[11], [1.0, 2.0], Isotropic(1), [9.0, 0.0, 0.0]))
     assert again(loaded, tmp_path)[2].ignored == [unused]
-
-
-def test_in_space_a_factor_without_offset_is_written_with_one_of_nothing(tmp_path: Path) -> None:
-    graph = FactorGraph([Prior(x[0], SE3.identity()[0], Isotropic(0.1)), Landmark(x[0], l[9], [1, 2, 3], Isotropic(1))])
-    values = Values({x: (SE3, SE3.identity()), l: (R(3), [[1.0, 2.0, 3.5]], [9])})
-    save(tmp_path / "out.g2o", graph, values)
-    assert (tmp_path / "out.g2o").read_text().splitlines()[0] == "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
-    back, found, _ = load(tmp_path / "out.g2o", "log")
-    assert back.chi2(found) == pytest.approx(graph.chi2(values), rel=1e-12)
 
 
 def test_the_largest_id_of_a_parameter_leaves_others_free(tmp_path: Path) -> None:
