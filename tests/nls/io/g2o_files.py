@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from factors import Factor, Robust
-from nls import FactorGraph, GraphFileError, GraphWarning, LoadReport, Values, load, save
+from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
 
 INFORMATION_2 = "500 1 2 400 3 300"
@@ -58,6 +58,13 @@ def assert_refused(
     assert caught.value.line == line, str(caught.value)
     assert words in str(caught.value)
     return caught.value
+
+
+def assert_unwritable(path: Path, words: str, graph: FactorGraph, values: Values, dialect: str | None = None) -> None:
+    """Saving raises an error with these words, and writes nothing."""
+    with pytest.raises(GraphError, match=words):
+        save(path, graph, values, dialect=dialect)
+    assert list(path.parent.iterdir()) == []
 
 
 def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:

@@ -11,11 +11,11 @@ import pytest
 
 from factors import Between, Huber, Isotropic, Prior, Robust
 from models import SE2
-from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, kinds, load, save
+from nls import FactorGraph, GraphFileError, GraphWarning, kinds, load, save
 from nls.io.files import write_bytes
 from tests.combinations import for_all
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import PLANE, again, read, same, write
+from tests.nls.io.g2o_files import PLANE, again, assert_unwritable, read, same, write
 
 x, l = kinds("x", "l")
 
@@ -26,9 +26,8 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
     partial, offset = Prior(x[0], z, Isotropic(1), ("x", "y")), Prior(x[0], z, Isotropic(1), offset=[1.0, 0.0, 0.0])
     robust = Prior(x[0], z, Robust(Isotropic(1), Huber(1.0)))
     for factor, said in ((partial, "cannot be written"), (offset, "cannot be written"), (robust, "robust kernel")):
-        with pytest.raises(GraphError, match=rf"out\.g2o: Prior\(x0\) .*{said}"):
-            save(tmp_path / "out.g2o", FactorGraph([factor]), sample.values)
-    assert list(tmp_path.iterdir()) == []
+        words = rf"out\.g2o: Prior\(x0\) .*{said}"
+        assert_unwritable(tmp_path / "out.g2o", words, FactorGraph([factor]), sample.values)
 
 
 def test_variables_without_a_value_and_two_conventions(tmp_path: Path) -> None:
@@ -43,9 +42,7 @@ def test_variables_without_a_value_and_two_conventions(tmp_path: Path) -> None:
         (mixed, "g2o, log"),
     ]
     for other, message in refused:
-        with pytest.raises(GraphError, match=message):
-            save(tmp_path / "out.g2o", other, values)
-    assert list(tmp_path.iterdir()) == []
+        assert_unwritable(tmp_path / "out.g2o", message, other, values)
     mixed.remove(mixed.factors[0])
     save(tmp_path / "out.g2o", mixed, values)
 

@@ -126,7 +126,7 @@ def test_extreme_ids_blank_lines_and_comments(name: str, tmp_path: Path) -> None
 
 
 @for_all(name=FILES)
-def test_lines_in_any_order_and_unknown_tags(name: str, tmp_path: Path) -> None:
+def test_lines_in_any_order(name: str) -> None:
     """Edges before vertices, FIX before what it names, parameters last: the same chi2."""
     dialect, text = FILES[name]
     one = read(text, dialect=dialect)
@@ -139,12 +139,6 @@ def test_lines_in_any_order_and_unknown_tags(name: str, tmp_path: Path) -> None:
     assert numbers[0] == numbers[1]
     fixed = [sorted(repr(k) for keys in graph.fixed for k in keys) for graph, _, _ in (one, two)]
     assert fixed[0] == fixed[1]
-    path = write(tmp_path, text + "EDGE_WHATEVER 1 2 three\nEDGE_WHATEVER 4\n")
-    with pytest.warns(GraphWarning, match=r"EDGE_WHATEVER \(2, first"):
-        loaded = load(path, dialect=dialect, ignore_tags=["EDGE_WHATEVER"])
-    assert loaded[2].ignored == ["EDGE_WHATEVER 1 2 three", "EDGE_WHATEVER 4"]
-    back = again(loaded, tmp_path, dialect=dialect, ignore_tags=["EDGE_WHATEVER"])
-    assert back[2].ignored == loaded[2].ignored
 
 
 def test_self_edges_and_empty_files(tmp_path: Path) -> None:

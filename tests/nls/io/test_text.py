@@ -29,15 +29,10 @@ exponent = st.one_of(
 )
 
 
-def parse(words: list[str]) -> np.ndarray:
-    """The words on one line, as numbers."""
-    text = Text(("T " + " ".join(words) + "\n").encode())
-    return text.table(np.array([0]), len(words), "numbers")[0]
-
-
 def same_bits(words: list[str]) -> None:
+    """The words on one line are the numbers of Python."""
     expected = np.array([float(word) for word in words])
-    found = parse(words)
+    found = Text(f"T {' '.join(words)}\n".encode()).table(np.array([0]), len(words), "numbers")[0]
     wrong = found.view(np.int64) != expected.view(np.int64)
     assert not wrong.any(), [(w, f, e) for w, f, e, bad in zip(words, found, expected, wrong, strict=True) if bad]
 
