@@ -36,12 +36,6 @@ EDGE_SE3:QUAT 0 2 1.9 0.2 0.4 0 0.099833416646828155 0 0.99500416527802582 {UPPE
 """
 
 
-def quoted(line: str) -> str:
-    """A line as errors quote it: whole words, 80 characters at most."""
-    line = line.strip()
-    return line if len(line) <= 80 else f"{line[:77].rpartition(' ')[0]} ..."
-
-
 def cases(text: str) -> list[list[str]]:
     """The rows of a table as cells: bars separate them, and a backslash and n end a line within one."""
     return [

@@ -59,6 +59,14 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
     os.link(file, hard)
     write_bytes(hard, b"newest")
     assert (hard.read_bytes(), gzip.decompress(file.read_bytes())) == (b"newest", b"newer")
+    before, target, to_nothing = os.umask(0o027), tmp_path / "target", tmp_path / "to nothing"
+    to_nothing.symlink_to(target)
+    try:
+        write_bytes(to_nothing, b"new")
+    finally:
+        os.umask(before)
+    assert to_nothing.is_symlink()
+    assert (target.read_bytes(), target.stat().st_mode & 0o777) == (b"new", 0o640)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="open files have no names here")

@@ -23,7 +23,6 @@ from tests.nls.io.g2o_files import (
     again,
     assert_refused,
     cases,
-    quoted,
     read,
     same,
     write,
@@ -107,10 +106,8 @@ EDGE_SE2 0 1 1e308 0 0 {INFORMATION_2}\nEDGE_SE2 1 2 1e308 0 0 {INFORMATION_2}\n
 
 @for_all(case=WRONG)
 def test_every_mistake_has_its_line(case: list[str]) -> None:
-    text, line = case[0], int(case[1])
-    error = assert_refused(line, case[2], read, text)
-    assert str(error).startswith(f"f.g2o:{line}: ")
-    assert error.text == (quoted(text.splitlines()[line - 1]) if text.strip() else error.text)
+    line = int(case[1])
+    assert str(assert_refused(line, case[2], read, case[0])).startswith(f"f.g2o:{line}: ")
 
 
 # ---- what is unusual and right

@@ -69,22 +69,6 @@ def test_compressed_by_suffix(name: str, tmp_path: Path) -> None:
     same(read(PLANE), load(tmp_path / name))
 
 
-def test_permissions_are_those_of_the_user_and_a_link_stays(tmp_path: Path) -> None:
-    """Of an older file and of a link: test_files."""
-    before = os.umask(0o027)
-    try:
-        write_bytes(tmp_path / "other", b"new")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "other").stat().st_mode & 0o777 == 0o640
-    (tmp_path / "there").mkdir()
-    target, link = tmp_path / "there" / "target", tmp_path / "link"
-    link.symlink_to(target)  # to nothing yet
-    write_bytes(link, b"new")
-    assert link.is_symlink()
-    assert [(path, path.read_bytes()) for path in (tmp_path / "there").iterdir()] == [(target, b"new")]
-
-
 def test_a_pipe_and_a_device_are_written_to(tmp_path: Path) -> None:
     pipe, found = tmp_path / "pipe", []
     os.mkfifo(pipe)

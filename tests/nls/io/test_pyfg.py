@@ -128,7 +128,6 @@ def test_unknown_lines_are_kept(tmp_path: Path) -> None:
     assert before[2].notes == [*before[2].warnings, "1 comment line"]
     assert before[2].ignored == ["EDGE_BEARING 1 A0 L3 0.5 0.1", "EDGE_BEARING x"]
     assert again(before, tmp_path, ignore_tags=["EDGE_BEARING"])[2].ignored == before[2].ignored
-    assert_refused(15, "may join variables: EDGE_BEARING (2)", load, path)
 
 
 def test_why_a_file_was_read_so(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -13,6 +15,7 @@ from tests.combinations import for_all
 from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, read
 from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE
 
+Numbers = tuple[float, ...]
 x, l, o = kinds("x", "l", "o")
 M2, M3 = np.array([[4, 0.5], [0.5, 3]]), np.array([[4, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 2]])
 M6 = np.zeros((6, 6))
@@ -41,49 +44,40 @@ def chart(group: LieGroup, E: np.ndarray) -> np.ndarray:
 
 def expected(text: str, group: LieGroup) -> list[tuple[str, float]]:
     """Tag and chi2 of every measurement of a file, as the sources of g2o define its error."""
-    d, size = group.point_dim, group.size
-    rows = [(w[0], [float(n) for n in w[1:]]) for w in (line.split() for line in text.splitlines()) if w]
-    pose = {(t[0], int(v[0])): T(group, np.array(v[1:])) for t, v in rows if t[0] in "VP" and len(v) == 1 + size}
-    point = {int(v[0]): np.array([*v[1:], 1.0]) for t, v in rows if t[0] == "V" and len(v) == 1 + d}
-    inv = np.linalg.inv
+    d, size, inv = group.point_dim, group.size, np.linalg.inv
+    rows = [(w[0], [float(n) for n in w[1:]]) for w in (line.split() for line in text.splitlines())]
+    V, P = ({v[0]: T(group, v[1:]) for t, v in rows if t[0] == letter and len(v) == 1 + size} for letter in "VP")
+    L = {v[0]: np.array([*v[1:], 1.0]) for t, v in rows if t[0] == "V" and len(v) == 1 + d}
+
+    def turned(z: Numbers, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        return chart(group, inv(T(group, z[:size])) @ inv(X) @ Y)
+
+    def seen(S: np.ndarray, l: np.ndarray, z: Numbers) -> np.ndarray:
+        return (inv(S) @ l)[:d] - z[:d]
+
+    def angle(p: np.ndarray) -> float:
+        return float(np.arctan2(p[1], p[0]))
+
+    errors: dict[str, Callable[..., npt.ArrayLike]] = {
+        "EDGE_SE2 EDGE_SE3:QUAT": lambda i, j, *z: turned(z, V[i], V[j]),
+        "EDGE_SE2_XY": lambda i, j, *z: seen(V[i], L[j], z),
+        "EDGE_BEARING_SE2_XY": lambda i, j, *z: [angle(inv(V[i]) @ L[j]) - z[0]],
+        "EDGE_PRIOR_SE2": lambda i, *z: turned(z, np.eye(d + 1), V[i]),
+        "EDGE_PRIOR_SE2_XY": lambda i, *z: V[i][:d, d] - z[:d],
+        "EDGE_PRIOR_XY EDGE_POINTXYZ_PRIOR": lambda i, *z: L[i][:d] - z[:d],
+        "EDGE_POINTXY EDGE_POINTXYZ": lambda i, j, *z: (L[j] - L[i])[:d] - z[:d],
+        "EDGE_SE2_OFFSET EDGE_SE3_OFFSET": lambda i, j, a, b, *z: turned(z, V[i] @ P[a], V[j] @ P[b]),
+        "EDGE_SE2_POINTXY_OFFSET EDGE_SE3_TRACKXYZ": lambda i, j, a, *z: seen(V[i] @ P[a], L[j], z),
+        "EDGE_SE2_CALIB EDGE_SE3_CALIB": lambda i, j, o, *z: turned(z, V[i] @ V[o], V[j] @ V[o]),
+        "EDGE_SE2_XY_CALIB": lambda i, j, o, *z: seen(V[i] @ V[o], L[j], z),
+        "EDGE_SE3_PRIOR": lambda i, a, *z: turned(z, np.eye(d + 1), V[i] @ P[a]),
+        "EDGE_SE3_XYZ_PRIOR": lambda i, _, *z: V[i][:d, d] - z[:d],  # the parameter is ignored
+    }
+    by_tag = {tag: error for tags, error in errors.items() for tag in tags.split()}
     out = []
-    for tag, v in rows:
-        if tag[0] != "E":
-            continue
-        i = int(v[0])
-        X = pose.get(("V", i))
-        M = EDGE if tag == "EDGE_SE2" else {2: M2, 3: M3, 6: M6}[d if "XY" in tag or "POINT" in tag else group.dim]
-        if tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
-            e = chart(group, inv(T(group, v[2 : 2 + size])) @ inv(X) @ pose["V", int(v[1])])
-        elif tag == "EDGE_SE2_XY":
-            e = (inv(X) @ point[int(v[1])])[:2] - v[2:4]
-        elif tag == "EDGE_BEARING_SE2_XY":
-            p = inv(X) @ point[int(v[1])]
-            e, M = np.array([np.arctan2(p[1], p[0]) - v[2]]), np.array([[25.0]])
-        elif tag == "EDGE_PRIOR_SE2":
-            e = chart(group, inv(T(group, v[1:4])) @ X)
-        elif tag == "EDGE_PRIOR_SE2_XY":
-            e = X[:2, 2] - v[1:3]
-        elif tag in ("EDGE_PRIOR_XY", "EDGE_POINTXYZ_PRIOR"):
-            e = point[i][:d] - v[1 : 1 + d]
-        elif tag in ("EDGE_POINTXY", "EDGE_POINTXYZ"):
-            e = (point[int(v[1])] - point[i])[:d] - v[2 : 2 + d]
-        elif tag in ("EDGE_SE2_OFFSET", "EDGE_SE3_OFFSET"):
-            S_i, S_j = X @ pose["P", int(v[2])], pose["V", int(v[1])] @ pose["P", int(v[3])]
-            e = chart(group, inv(T(group, v[4 : 4 + size])) @ inv(S_i) @ S_j)
-        elif tag in ("EDGE_SE2_POINTXY_OFFSET", "EDGE_SE3_TRACKXYZ"):
-            e = (inv(X @ pose["P", int(v[2])]) @ point[int(v[1])])[:d] - v[3 : 3 + d]
-        elif tag in ("EDGE_SE2_CALIB", "EDGE_SE3_CALIB"):
-            O = pose["V", int(v[2])]
-            e = chart(group, inv(T(group, v[3 : 3 + size])) @ inv(X @ O) @ pose["V", int(v[1])] @ O)
-        elif tag == "EDGE_SE2_XY_CALIB":
-            e = (inv(X @ pose["V", int(v[2])]) @ point[int(v[1])])[:2] - v[3:5]
-        elif tag == "EDGE_SE3_PRIOR":
-            e = chart(group, inv(T(group, v[2:9])) @ X @ pose["P", int(v[1])])
-        elif tag == "EDGE_SE3_XYZ_PRIOR":
-            e = X[:3, 3] - v[2:5]  # the parameter is ignored
-        else:
-            raise AssertionError(tag)
+    for tag, v in (row for row in rows if row[0][0] == "E"):
+        e = np.asarray(by_tag[tag](*v))
+        M = EDGE if tag == "EDGE_SE2" else {1: np.array([[25.0]]), 2: M2, 3: M3, 6: M6}[len(e)]
         out.append((tag, float(e @ M @ e)))
     return out
 
