@@ -31,8 +31,7 @@ from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
-PIXEL = Isotropic(1.0)
+KINDS = {"c": CAMERA, "k": LENS, "l": R(3)}
 FILE = "a bundle-adjustment file"
 
 
@@ -89,7 +88,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     camera, point = numbers[: 9 * cameras].reshape(-1, 9), numbers[9 * cameras :].reshape(-1, 3)
 
     values = Values({"c": (CAMERA, camera[:, :6]), "k": (LENS, camera[:, 6:]), "l": (R(3), point)})
-    graph = FactorGraph([BundleProjection(Keys("c", i), Keys("k", i), Keys("l", j), z, PIXEL)])
+    graph = FactorGraph([BundleProjection(Keys("c", i), Keys("k", i), Keys("l", j), z, Isotropic(1.0))])
     report = LoadReport(path, "bal", "3-D", "none", sources=[Source(path, rows + 1)])
     report.tags = {"cameras": cameras, "points": points, "observations": observations}
     report.notes.append("the file states no noise: 1 pixel is taken")
@@ -125,10 +124,10 @@ def bal_text(
     for factor in graph.factors:
         if not isinstance(factor, BundleProjection):
             raise unwritable(str(path), factor, FILE)
-    if missing := {"c", "k", "l"} - set(values.stacks):
+    if missing := KINDS.keys() - values.stacks:
         raise GraphError(f"{path}: {FILE} needs the kinds c, k and l; there is no {min(missing)}")
-    stacks = [_counted(str(path), values, *kind) for kind in (CAMERAS, LENSES, POINTS)]
-    if extra := set(values.stacks) - {"c", "k", "l"}:
+    stacks = [_counted(str(path), values, *kind) for kind in KINDS.items()]
+    if extra := values.stacks.keys() - KINDS:
         raise GraphError(f"{path}: {FILE} holds the kinds c, k and l, not {', '.join(sorted(extra))}")
     if len(stacks[0]) != len(stacks[1]):
         raise GraphError(f"{path}: {len(stacks[0])} cameras c and {len(stacks[1])} lenses k, expected one for each")

@@ -57,7 +57,15 @@ class BoundedText:
         if self.size > SLACK:
             self.content += sum(map(self._content, self.chunks[self.weighed :]))
             self.weighed = len(self.chunks)
-            self._refuse_idle(self.size - self.content, SLACK + SHARE * self.content)
+            idle, allowed = self.size - self.content, SLACK + SHARE * self.content
+            if idle > allowed:
+                raise ResourceLimitError(
+                    f"{self.subject} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} "
+                    f"others, the limit is {allowed:,}; take them out",
+                    idle,
+                    allowed,
+                    "blanks and comments",
+                )
         if (PER_BYTE + PER_WORD) * self.size > self.limit:
             self.words += sum(map(_words, self.chunks[self.counted :]))
             self.counted = len(self.chunks)
@@ -73,17 +81,6 @@ class BoundedText:
         self.chunks.append(chunk)
         self.size += len(chunk)
         self.refuse_above(self.size)
-
-    def _refuse_idle(self, idle: int, allowed: int) -> None:
-        """Refuse more bytes of blanks, commas and comments than are allowed beside the content."""
-        if idle > allowed:
-            raise ResourceLimitError(
-                f"{self.subject} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others, "
-                f"the limit is {allowed:,}; take them out",
-                idle,
-                allowed,
-                "blanks and comments",
-            )
 
     def refuse_above(self, size: int, words: int = 0) -> None:
         """Refuse a text of so many bytes, and so many words and lines, when reading it takes more than the limit.

@@ -30,40 +30,6 @@ QUOTES = "\"'`\u00b4\u00ab\u00bb\u2018\u2019\u201a\u201c\u201d\u201e()[]{}<>"  #
 NAMED = 9  # tags in a sentence
 
 
-def refuse_edges(
-    text: Text, unknown: Mapping[bytes, Index], ignore_tags: Sequence[str], known: Iterable[bytes]
-) -> None:
-    """Refuse unknown tags that begin with EDGE: without lines that join variables the rest may be another graph.
-
-    Parameters
-    ----------
-    text : the file.
-    unknown : lines (from 0) by tags that are not known.
-    ignore_tags : those whose lines may be left out, see `tags_to_ignore`.
-    known : tags that are read.
-
-    Raises
-    ------
-    GraphFileError
-        With the first such line.
-    OptionError
-        A tag to ignore that is read.
-    """
-    names = tags_to_ignore(ignore_tags)
-    if read := sorted(names & {printable(tag) for tag in known}):
-        raise OptionError("ignore_tags", read[0], "tags that are not read; delete lines of this one that are wrong")
-    edges = {printable(tag): lines for tag, lines in unknown.items() if tag[:4].upper() == b"EDGE"}
-    edges = {tag: lines for tag, lines in edges.items() if not names >= tags_to_ignore(tag)}
-    if edges:
-        counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
-        option = (shlex.quote(",".join(edges)), repr(list(edges)))
-        raise text.error(
-            f"tags that are not known and may join variables: {counts}; the rest may be another graph",
-            min(int(lines[0]) for lines in edges.values()),
-            [Advice("ignore tags", option)] * (len(option[0]) <= 500),
-        )
-
-
 def tags_to_ignore(ignore_tags: Sequence[str]) -> set[str]:
     """The tags that may be left out, those with commas in parts; one text is a list with commas, as of a command."""
     names = ",".join([ignore_tags] if isinstance(ignore_tags, str) else ignore_tags)
@@ -128,6 +94,8 @@ def set_aside(
 ) -> None:
     """Keep the lines that are not used as text, and refuse those that may be meant as others.
 
+    Unknown tags that begin with EDGE are refused: without lines that join variables the rest may be another graph.
+
     Parameters
     ----------
     text : the file.
@@ -140,13 +108,27 @@ def set_aside(
 
     Raises
     ------
-    GraphFileError, OptionError
-        As for `refuse_misspelt` and `refuse_edges`.
+    GraphFileError
+        With the first line of such a tag, or of one that is misspelt, see `refuse_misspelt`.
+    OptionError
+        A tag to ignore that is read.
     """
     strays = {tag: lines for tag, lines in unknown.items() if tag not in unused}
     if strays:
         refuse_misspelt(text, strays, known, first)
-    refuse_edges(text, strays, ignore_tags, known)
+    names = tags_to_ignore(ignore_tags)
+    if read := sorted(names & {printable(tag) for tag in known}):
+        raise OptionError("ignore_tags", read[0], "tags that are not read; delete lines of this one that are wrong")
+    edges = {printable(tag): lines for tag, lines in strays.items() if tag[:4].upper() == b"EDGE"}
+    edges = {tag: lines for tag, lines in edges.items() if not names >= tags_to_ignore(tag)}
+    if edges:
+        counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
+        option = (shlex.quote(",".join(edges)), repr(list(edges)))
+        raise text.error(
+            f"tags that are not known and may join variables: {counts}; the rest may be another graph",
+            min(int(lines[0]) for lines in edges.values()),
+            [Advice("ignore tags", option)] * (len(option[0]) <= 500),
+        )
     if unknown:
         aside = "with unknown tags " if strays else ""
         named = [f"{printable(tag, 30)} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]

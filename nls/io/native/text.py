@@ -99,7 +99,7 @@ def _repeated(text: str) -> tuple[str, int]:
 
     Examples
     --------
-    >>> _repeated('{"a": {"b": 1},\\n "b": "\\\\"a\\\\": {",\\n "a": 2}')
+    >>> _repeated('{"a": {"b": 1},\\n "b": "\\\\"a\\\\": {",\\n "\\\\u0061": 2}')
     ('a', 3)
     """
     keys: list[set[str]] = []

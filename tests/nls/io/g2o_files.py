@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from factors import Factor, Robust
-from nls import FactorGraph, GraphFileError, GraphWarning, LoadReport, Values, load, save
+from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
 
 INFORMATION_2 = "500 1 2 400 3 300"
@@ -36,12 +36,6 @@ EDGE_SE3:QUAT 0 2 1.9 0.2 0.4 0 0.099833416646828155 0 0.99500416527802582 {UPPE
 """
 
 
-def quoted(line: str) -> str:
-    """A line as errors quote it: whole words, 80 characters at most."""
-    line = line.strip()
-    return line if len(line) <= 80 else f"{line[:77].rpartition(' ')[0]} ..."
-
-
 def cases(text: str) -> list[list[str]]:
     """The rows of a table as cells: bars separate them, and a backslash and n end a line within one."""
     return [
@@ -58,6 +52,13 @@ def assert_refused(
     assert caught.value.line == line, str(caught.value)
     assert words in str(caught.value)
     return caught.value
+
+
+def assert_unwritable(path: Path, words: str, graph: FactorGraph, values: Values, dialect: str | None = None) -> None:
+    """Saving raises an error with these words, and writes nothing."""
+    with pytest.raises(GraphError, match=words):
+        save(path, graph, values, dialect=dialect)
+    assert list(path.parent.iterdir()) == []
 
 
 def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:

@@ -59,6 +59,14 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
     os.link(file, hard)
     write_bytes(hard, b"newest")
     assert (hard.read_bytes(), gzip.decompress(file.read_bytes())) == (b"newest", b"newer")
+    before, target, to_nothing = os.umask(0o027), tmp_path / "target", tmp_path / "to nothing"
+    to_nothing.symlink_to(target)
+    try:
+        write_bytes(to_nothing, b"new")
+    finally:
+        os.umask(before)
+    assert to_nothing.is_symlink()
+    assert (target.read_bytes(), target.stat().st_mode & 0o777) == (b"new", 0o640)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="open files have no names here")
@@ -110,39 +118,6 @@ def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Capt
     with pytest.raises(GraphFileError, match="cannot be written: its name is that of a folder"):
         write_bytes(out, b"x")
     assert os.listdir(tmp_path) == [file.name]
-
-
-SUFFIXES = {"-o": "g2o.gz", "--covariance": "csv", "--plot": "png", "--report": "html", "--json": "json"}
-
-
-def test_no_output_is_left_half_done(tmp_path: Path, capsys: Captured) -> None:
-    """All of them are more than 100 bytes; each has an error of its own that names it, and older ones stay."""
-    file = write(tmp_path, PLANE)
-    names = {option: tmp_path / f"out{option}.{suffix}" for option, suffix in SUFFIXES.items()}
-    older = dict.fromkeys([name.name for k, name in enumerate(names.values()) if k % 2], b"older")
-    for name in older:
-        (tmp_path / name).write_bytes(b"older")
-
-    def failing(*arguments: object) -> tuple[str, list[str]]:
-        with small_disk(100):
-            assert main([str(argument) for argument in arguments]) == 2
-        out, err = capsys.readouterr()
-        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {file.name: PLANE.encode(), **older}
-        return out, err.splitlines()
-
-    out, lines = failing("solve", file, *(word for item in names.items() for word in item))
-    assert "converged" in out
-    assert "written" not in out
-    assert len(lines) == len(names)
-    for name in names.values():
-        assert sum(line.startswith(f"nls: {name}: cannot be written: ") for line in lines) == 1
-    for command, *options in (("convert", "o.tum"), ("plot", "o.png"), ("info", "--json", "o.json")):
-        name = tmp_path / options[-1]
-        name.write_bytes(b"older")
-        older[name.name] = b"older"
-        out, lines = failing(command, file, *options[:-1], name)
-        assert (out, len(lines)) == ("", 1)
-        assert lines[0].startswith(f"nls: {name}: cannot be written: ")
 
 
 def test_a_text_is_utf_8(tmp_path: Path) -> None:

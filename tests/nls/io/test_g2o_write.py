@@ -11,11 +11,11 @@ import pytest
 
 from factors import Between, Huber, Isotropic, Prior, Robust
 from models import SE2
-from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, kinds, load, save
+from nls import FactorGraph, GraphFileError, GraphWarning, kinds, load, save
 from nls.io.files import write_bytes
 from tests.combinations import for_all
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import PLANE, again, read, same, write
+from tests.nls.io.g2o_files import PLANE, again, assert_unwritable, read, same, write
 
 x, l = kinds("x", "l")
 
@@ -26,9 +26,8 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
     partial, offset = Prior(x[0], z, Isotropic(1), ("x", "y")), Prior(x[0], z, Isotropic(1), offset=[1.0, 0.0, 0.0])
     robust = Prior(x[0], z, Robust(Isotropic(1), Huber(1.0)))
     for factor, said in ((partial, "cannot be written"), (offset, "cannot be written"), (robust, "robust kernel")):
-        with pytest.raises(GraphError, match=rf"out\.g2o: Prior\(x0\) .*{said}"):
-            save(tmp_path / "out.g2o", FactorGraph([factor]), sample.values)
-    assert list(tmp_path.iterdir()) == []
+        words = rf"out\.g2o: Prior\(x0\) .*{said}"
+        assert_unwritable(tmp_path / "out.g2o", words, FactorGraph([factor]), sample.values)
 
 
 def test_variables_without_a_value_and_two_conventions(tmp_path: Path) -> None:
@@ -43,9 +42,7 @@ def test_variables_without_a_value_and_two_conventions(tmp_path: Path) -> None:
         (mixed, "g2o, log"),
     ]
     for other, message in refused:
-        with pytest.raises(GraphError, match=message):
-            save(tmp_path / "out.g2o", other, values)
-    assert list(tmp_path.iterdir()) == []
+        assert_unwritable(tmp_path / "out.g2o", message, other, values)
     mixed.remove(mixed.factors[0])
     save(tmp_path / "out.g2o", mixed, values)
 
@@ -70,22 +67,6 @@ def test_compressed_by_suffix(name: str, tmp_path: Path) -> None:
     assert data[4:8] == bytes(4)  # no time of writing: equal graphs give equal bytes
     assert gzip.decompress(data) == (tmp_path / "out.g2o").read_bytes()
     same(read(PLANE), load(tmp_path / name))
-
-
-def test_permissions_are_those_of_the_user_and_a_link_stays(tmp_path: Path) -> None:
-    """Of an older file and of a link: test_files."""
-    before = os.umask(0o027)
-    try:
-        write_bytes(tmp_path / "other", b"new")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "other").stat().st_mode & 0o777 == 0o640
-    (tmp_path / "there").mkdir()
-    target, link = tmp_path / "there" / "target", tmp_path / "link"
-    link.symlink_to(target)  # to nothing yet
-    write_bytes(link, b"new")
-    assert link.is_symlink()
-    assert [(path, path.read_bytes()) for path in (tmp_path / "there").iterdir()] == [(target, b"new")]
 
 
 def test_a_pipe_and_a_device_are_written_to(tmp_path: Path) -> None:

@@ -12,23 +12,11 @@ from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, Rang
 from factors.base import Factor
 from tests.combinations import for_all
 from tests.nls.io.io_files import ALL
+from tests.nls.io.test_pyfg import PLANE
 from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 NO_MEASUREMENT = ("VERTEX", "PARAMS", "FIX", "#", "EDGE_SWITCH_PRIOR")
-TWO_VEHICLES = """VERTEX_SE2 0 A0 0 0 0
-VERTEX_SE2 0 B0 0 1 0
-EDGE_RANGE 0 A0 B0 1.1 0.04
-VERTEX_SE2 1 A1 1 0 0
-EDGE_SE2 1 A0 A1 1.2 0 0 0.01 0 0 0.01 0 0.001
-VERTEX_SE2:PRIOR 1 A1 1.3 0 0 0.01 0 0 0.01 0 0.001
-VERTEX_SE2 1 B1 1 1 0
-EDGE_SE2 1 B0 B1 1.4 0 0 0.01 0 0 0.01 0 0.001
-EDGE_RANGE 1 A1 B1 1.5 0.04
-VERTEX_SE2 2 A2 2 0 0
-EDGE_SE2 2 A1 A2 1.6 0 0 0.01 0 0 0.01 0 0.001
-EDGE_RANGE 2 B1 A2 1.7 0.04
-"""
-TEXTS = ALL | {"pyfg, two vehicles": ("pyfg", TWO_VEHICLES)}
+TEXTS = ALL | {"pyfg, two vehicles": ("pyfg", PLANE)}
 ENDS = ["\n", "\r\n", "\r"]
 
 
@@ -93,13 +81,6 @@ def test_a_mission_names_table_and_row(elevation: str, tmp_path: Path) -> None:
             row = lines[int(line) - 1].split(",")
             assert row[: len(factor.keys)] == [str(keys.numbers[k]) for keys in factor.keys]
     assert len(graph.factors) == len(report.sources)
-
-
-def test_an_anchor_nobody_gave_has_no_line(tmp_path: Path) -> None:
-    path = folder(tmp_path / "m", anchor=None)
-    graph, _, report = nls.load(path)
-    assert [type(factor) for factor in graph.factors[2:4]] == [Position, Heading]
-    assert [report.place(k, 0) for k in (2, 3)] == [str(path)] * 2
 
 
 def test_a_raw_log_names_the_rows_before_its_poses(tmp_path: Path) -> None:

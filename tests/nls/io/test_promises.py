@@ -18,7 +18,6 @@ from tests.combinations import for_all
 from tests.nls.io.g2o_files import again, assert_refused, read, same, write
 from tests.nls.io.io_files import ALL, FILES, read_any
 
-EDGES = [name for name, (_, text) in FILES.items() if "VERTEX" not in text]
 NUMBERS = ["0", "-1", "9", "1e308", "-1e308", "1e-308", "3.5", "007", "9223372036854775807", "1e160"]
 WORDS = ["", *f"nan inf 1_0 \uff11 0x1 # FIX EDGE2 VERTEX_XY EDGE_SE3:QUAT {2**63} 1e999".split()]
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "1,5", "--1"]
@@ -126,7 +125,7 @@ def test_extreme_ids_blank_lines_and_comments(name: str, tmp_path: Path) -> None
 
 
 @for_all(name=FILES)
-def test_lines_in_any_order_and_unknown_tags(name: str, tmp_path: Path) -> None:
+def test_lines_in_any_order(name: str) -> None:
     """Edges before vertices, FIX before what it names, parameters last: the same chi2."""
     dialect, text = FILES[name]
     one = read(text, dialect=dialect)
@@ -139,19 +138,9 @@ def test_lines_in_any_order_and_unknown_tags(name: str, tmp_path: Path) -> None:
     assert numbers[0] == numbers[1]
     fixed = [sorted(repr(k) for keys in graph.fixed for k in keys) for graph, _, _ in (one, two)]
     assert fixed[0] == fixed[1]
-    path = write(tmp_path, text + "EDGE_WHATEVER 1 2 three\nEDGE_WHATEVER 4\n")
-    with pytest.warns(GraphWarning, match=r"EDGE_WHATEVER \(2, first"):
-        loaded = load(path, dialect=dialect, ignore_tags=["EDGE_WHATEVER"])
-    assert loaded[2].ignored == ["EDGE_WHATEVER 1 2 three", "EDGE_WHATEVER 4"]
-    back = again(loaded, tmp_path, dialect=dialect, ignore_tags=["EDGE_WHATEVER"])
-    assert back[2].ignored == loaded[2].ignored
 
 
-def test_self_edges_and_empty_files(tmp_path: Path) -> None:
-    for dialect, text in (FILES[name] for name in EDGES):
-        first = text.splitlines()[0].split()
-        damaged = " ".join([*first[:2], first[1], *first[3:]]) + "\n" + text
-        assert_refused(1, "vertex 0", read, damaged, dialect=dialect)
+def test_empty_files(tmp_path: Path) -> None:
     for dialect in DIALECTS:
         for data in (b"", b"\n \n", gzip.compress(b"")):
             with pytest.raises(GraphFileError, match=r"graph\.g2o(:\d)?: .*"):

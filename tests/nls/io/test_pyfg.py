@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors import Between, Cauchy, Covariance, Diagonal, Information, Isotropic, Landmark, Prior, Range
+from factors import Between, Cauchy, Covariance, Diagonal, Factor, Information, Isotropic, Landmark, Prior, Range
 from models import SE2, SO2, R
-from nls import FactorGraph, GraphError, GraphWarning, Values, kinds, load, save
+from nls import FactorGraph, GraphWarning, Values, kinds, load, save
 from nls.io.files import read_bytes
 from nls.io.pyfg import read_pyfg
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import CONVENTIONS, Loaded, assert_refused, cases, write
+from tests.nls.io.g2o_files import CONVENTIONS, Loaded, assert_refused, assert_unwritable, cases, write
 from tests.nls.io.g2o_files import same as same_graph
 from tests.nls.io.io_files import BAL
 
@@ -71,8 +71,6 @@ def test_what_is_read_in_the_plane() -> None:
         "B": (SE2, [10]),
         "L": (R(2), [3]),
     }
-    assert values[B[10]].tolist() == [-3, 1, -3]
-    assert values[L[3]].tolist() == [4, 6]
     assert {k: t.tolist() for k, t in report.vertex_times.items()} == {"A": [0.5, 1.5], "B": [0.7]}
     found = [(type(f), repr(f), t.tolist()) for f, t in report.factor_times]
     assert found == [
@@ -84,12 +82,10 @@ def test_what_is_read_in_the_plane() -> None:
         (Range, "Range(A[0, 1], L[3, 3])", [0.6, 1.7]),
         (Range, "Range(B10, A1)", [0.8]),
     ]
-    prior, _, _, between, landmark, ranges, _ = graph.factors
+    prior, *_, ranges, _ = graph.factors
     assert prior.noise.matrix.tolist() == [  # type: ignore[attr-defined]
         [[0.01, 0.002, 0.003], [0.002, 0.04, 0.005], [0.003, 0.005, 0.06]]
     ]
-    assert between.z.tolist() == [[-4, -1, -3.1]]
-    assert landmark.z.tolist() == [[2.6, 3.1]]
     assert ranges.z.tolist() == [5.1, 4.0]
     assert ranges.chi2(values)[0] == pytest.approx((5.1 - 5) ** 2 / 0.04)
     assert (report.format, report.dimension) == ("pyfg", "2-D")
@@ -132,7 +128,6 @@ def test_unknown_lines_are_kept(tmp_path: Path) -> None:
     assert before[2].notes == [*before[2].warnings, "1 comment line"]
     assert before[2].ignored == ["EDGE_BEARING 1 A0 L3 0.5 0.1", "EDGE_BEARING x"]
     assert again(before, tmp_path, ignore_tags=["EDGE_BEARING"])[2].ignored == before[2].ignored
-    assert_refused(15, "may join variables: EDGE_BEARING (2)", load, path)
 
 
 def test_why_a_file_was_read_so(tmp_path: Path) -> None:
@@ -140,6 +135,8 @@ def test_why_a_file_was_read_so(tmp_path: Path) -> None:
     assert load(write(tmp_path, PLANE, "f.txt"))[2].reason == "'A0' after a time is the name of a pose"
     assert load(tmp_path / "f.txt", dialect="pyfg")[2].reason == "as asked for"
     assert load(write(tmp_path, BAL, "f.txt"))[2].reason == "three counts on its first line"
+    damaged = write(tmp_path, "VERTEX_SE2 0 nan 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")  # no name of pyfg
+    assert_refused(1, "'nan' is not a number", load, damaged)
 
 
 MISTAKES = cases("""
@@ -157,7 +154,6 @@ VERTEX_SE2 0.5 Ä1 1 2 3 | name 'Ä1'
 VERTEX_SE2 0.5 A1234567890123456789 1 2 3 | at most 18 digits
 VERTEX_SE2 0.5 AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA1 1 2 3 | expected letters
 VERTEX_SE2 t A2 1 2 3 | 't' is not a number
-VERTEX_SE2 0 A2 1 nan 3 | 'nan' is not a number
 EDGE_RANGE 0.5 A0 L4 5.1 0.1 | L4 is measured, but no vertex line gives it
 EDGE_RANGE 0.5 C0 L3 5.1 0.1 | C0 is measured, but no vertex line gives it
 EDGE_RANGE 0.5 A0 A0 5.1 0.1 | joins A0 to itself
@@ -183,13 +179,10 @@ def test_every_mistake_has_its_line() -> None:
 
 
 def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
-    out = tmp_path / "out.pyfg"
     values = Values({A: (SE2, SE2.identity(2)), L: (R(2), [[1.0, 2.0]])})
 
-    def refused(factor: object, message: str, values: Values = values) -> None:
-        with pytest.raises(GraphError, match=message):
-            save(out, FactorGraph([factor]), values)  # type: ignore[list-item]
-        assert not out.exists()
+    def refused(factor: Factor, message: str, values: Values = values) -> None:
+        assert_unwritable(tmp_path / "out.pyfg", message, FactorGraph([factor]), values)
 
     zero = [0.0, 0.0, 0.0]
     refused(Prior(A[0], zero, Isotropic(1), components=["x"]), r"Prior\(A0\) cannot be written to a PyFactorGraph file")
@@ -204,8 +197,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
     refused(prior, "the number is negative", Values({A: (SE2, [zero, zero], [0, -1])}))
     graph = FactorGraph([prior])
     graph.fix(A[0])
-    with pytest.raises(GraphError, match="A0 is held fixed"):
-        save(out, graph, values)
+    assert_unwritable(tmp_path / "out.pyfg", "A0 is held fixed", graph, values)
 
 
 def test_the_public_file_comes_back_byte_for_byte(data: Path, tmp_path: Path) -> None:

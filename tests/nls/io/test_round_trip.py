@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors import Between, Isotropic, Landmark, Prior
+from factors import Between, Isotropic, Landmark
 from models import SE2, SE3, LieGroup, R
-from nls import FactorGraph, GraphError, GraphWarning, OptionError, Values, kinds, load, save
+from nls import FactorGraph, GraphWarning, OptionError, Values, kinds, load, save
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import CONVENTIONS, again, read, same, same_factors
+from tests.nls.io.g2o_files import CONVENTIONS, again, assert_unwritable, read, same, same_factors
 from tests.nls.io.io_files import FILES, SENSORS_2, SENSORS_3, TORO_3
 
 x, l, o = kinds("x", "l", "o")
@@ -31,16 +31,13 @@ def numbers(text: str) -> Counter[tuple[str | float, ...]]:
 def test_every_tag_goes_round(name: str, convention: str, tmp_path: Path) -> None:
     dialect, text = FILES[name]
     loaded = read(text, convention, dialect)
-    back = again(loaded, tmp_path, convention, dialect)
-    same(loaded, back)
+    same(loaded, again(loaded, tmp_path, convention, dialect))
     found, expected = numbers((tmp_path / "again.g2o").read_text()), numbers(text)
     if dialect == "g2o" and convention != "log":
         assert {k: n for k, n in found.items() if not str(k[0]).startswith("VERTEX")} == {
             k: n for k, n in expected.items() if not str(k[0]).startswith("VERTEX")
         }
     assert expected - found == Counter()  # vertices may be more: a file without any is written with them
-    third = again(back, tmp_path, convention, dialect)
-    same(back, third)
 
 
 def test_poses_of_toro_in_space_go_round_to_rounding(tmp_path: Path) -> None:
@@ -166,15 +163,6 @@ def test_ids_of_offsets_of_two_files_and_of_none(tmp_path: Path) -> None:
     assert again(loaded, tmp_path)[2].ignored == [unused]
 
 
-def test_in_space_a_factor_without_offset_is_written_with_one_of_nothing(tmp_path: Path) -> None:
-    graph = FactorGraph([Prior(x[0], SE3.identity()[0], Isotropic(0.1)), Landmark(x[0], l[9], [1, 2, 3], Isotropic(1))])
-    values = Values({x: (SE3, SE3.identity()), l: (R(3), [[1.0, 2.0, 3.5]], [9])})
-    save(tmp_path / "out.g2o", graph, values)
-    assert (tmp_path / "out.g2o").read_text().splitlines()[0] == "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
-    back, found, _ = load(tmp_path / "out.g2o", "log")
-    assert back.chi2(found) == pytest.approx(graph.chi2(values), rel=1e-12)
-
-
 def test_the_largest_id_of_a_parameter_leaves_others_free(tmp_path: Path) -> None:
     """A new offset gets the first id that is left."""
     most = 2**63 - 1
@@ -191,9 +179,7 @@ def test_the_largest_id_of_a_parameter_leaves_others_free(tmp_path: Path) -> Non
 
 def test_what_a_dialect_has_no_line_for(tmp_path: Path) -> None:
     def refused(graph: FactorGraph, values: Values, dialect: str, message: str) -> None:
-        with pytest.raises(GraphError, match=message):
-            save(tmp_path / "out.g2o", graph, values, dialect=dialect)
-        assert list(tmp_path.iterdir()) == []
+        assert_unwritable(tmp_path / "out.g2o", message, graph, values, dialect)
 
     poses = (SE2, SE2.identity(2))
     refused(FactorGraph(), Values({x: poses, l: (R(2), [[1, 1]], [1])}), "g2o", "x1 and l1 have one number")

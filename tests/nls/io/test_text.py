@@ -29,15 +29,10 @@ exponent = st.one_of(
 )
 
 
-def parse(words: list[str]) -> np.ndarray:
-    """The words on one line, as numbers."""
-    text = Text(("T " + " ".join(words) + "\n").encode())
-    return text.table(np.array([0]), len(words), "numbers")[0]
-
-
 def same_bits(words: list[str]) -> None:
+    """The words on one line are the numbers of Python."""
     expected = np.array([float(word) for word in words])
-    found = parse(words)
+    found = Text(f"T {' '.join(words)}\n".encode()).table(np.array([0]), len(words), "numbers")[0]
     wrong = found.view(np.int64) != expected.view(np.int64)
     assert not wrong.any(), [(w, f, e) for w, f, e, bad in zip(words, found, expected, wrong, strict=True) if bad]
 
@@ -102,14 +97,6 @@ def test_ids_are_exact(numbers: list[int]) -> None:
     found = text.whole(np.arange(len(numbers)), 1)
     assert found.dtype == np.int64
     assert found.tolist() == numbers
-
-
-def test_several_columns_of_ids() -> None:
-    text = Text(b"V 1 20 9\nV %d 30 9\nV 3 40\nV 4 4.5\n" % (2**63 - 1))
-    columns = np.array([[1], [2]])
-    assert text.whole(np.arange(3), columns).tolist() == [[1, 2**63 - 1, 3], [20, 30, 40]]
-    assert text.whole(np.arange(3), np.array([2, 1, 2])).tolist() == [20, 2**63 - 1, 40]
-    assert_refused(4, "id '4.5' is not a whole number", text.whole, np.arange(4), columns)
 
 
 def test_ids_in_unusual_dress_and_words_that_are_none() -> None:
@@ -285,15 +272,6 @@ def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
         for tag, columns in ((b"VERTEX", 3), (b"E", 4)):
             lines = text.tags[tag]
             assert text.table(lines, columns, "").tolist() == whole.table(lines, columns, "").tolist()
-
-
-def test_lines_in_one_piece_and_apart_are_the_same() -> None:
-    rows = [b"T %d %.3f 1e-300 0.12345678901234567 %d" % (k, k / 7, 2**53 + k) for k in range(9)]
-    together, apart = Text(b"\n".join(rows)), Text(b"\nother x y\n".join(rows))
-    expected = [[float(word) for word in row.split()[1:]] for row in rows]
-    for text in (together, apart):
-        assert text.table(text.tags[b"T"], 5, "").tolist() == expected
-        assert text.whole(text.tags[b"T"], 5).tolist() == [2**53 + k for k in range(9)]
 
 
 def test_among() -> None:

@@ -66,13 +66,10 @@ LINE = "1 2 3 0 0 0 1"
 def test_every_mistake_has_its_line(tmp_path: Path) -> None:
     for text, line, words in (
         ("", 1, "has no pose"),
-        ("# nothing\n", 1, "has no pose"),
         (f"0 {LINE}\n1 2 3 0 0 0 1\n", 2, "7 numbers, expected 8: timestamp"),
         (f"0 {LINE}\n1 1 2 3 0 0 0 1.1\n", 2, "length 1.1"),
-        (f"0 {LINE}\n1 1 2 3 0 0 0 0\n", 2, "length 0"),
         (f"0 {LINE}\n1 1 2 3 0 1e300 0 1\n", 2, "length inf"),
         (f"0 {LINE}\n\n1 1 2 x 0 0 0 1\n", 3, "'x'"),
-        (f"0 {LINE}\n1 1 2 nan 0 0 0 1\n", 2, "'nan'"),
         (f"0 {LINE}\n1.5 {LINE}\n# c\n1.5 {LINE}\n2 {LINE}\n", 4, "time 1.5 does not rise over 1.5"),
         (f"2 {LINE}\n1 {LINE}\n", 2, "time 1.0 does not rise over 2.0"),
     ):
@@ -81,7 +78,6 @@ def test_every_mistake_has_its_line(tmp_path: Path) -> None:
         ("1 0 0 0 0 1 0 0 0 0 1", "11 numbers, expected 12"),
         ("1 0 0 0 0 1 0 0 0 0 1.01 0", "off the identity by 0.02"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "determinant is -1"),
-        ("0 0 0 0 0 0 0 0 0 0 0 0", "no rotation matrix"),
         ("1e200 0 0 0 0 1 0 0 0 0 1 0", "no rotation matrix"),
         ("0 -1 0 1.5 1e-308 0 0 0.25 0 0 1 2", "no rotation matrix"),
     ):
@@ -95,7 +91,6 @@ def test_arrays_that_are_no_trajectory_are_not_written(tmp_path: Path) -> None:
         ([0.0, np.nan], poses(2), "finite"),
         ([0.0, 1.0], poses(2)[:, :4], r"shape \(2, 4\)"),
         ([0.0, 1.0], 2 * poses(2), "expected 1"),
-        (["a", "b"], poses(2), "times .*'a'"),
         ([0.0, [1.0]], poses(2), "times"),
         ([0.0], [["a", 0, 0]], "poses .*'a'"),
         ([], np.zeros((0, 7)), "no poses"),

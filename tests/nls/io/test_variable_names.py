@@ -15,7 +15,6 @@ from nls.io.variable_names import renumbered
 from tests.nls.graphs import pose_graph
 from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same
 from tests.nls.io.robots import LABEL, ROBOTS, STEP, A, B, L, X, numbers, renamed, without
-from tests.nls.missions.charts.charted import charted
 
 
 def test_a_file_of_two_robots_has_their_names_and_comes_back_byte_for_byte(tmp_path: Path) -> None:
@@ -151,16 +150,6 @@ def test_the_tracks_of_two_robots_are_told_apart_in_a_picture() -> None:
 x, l, o = kinds("x", "l", "o")
 
 
-def test_in_python_a_warning_says_which_variable_was_which(tmp_path: Path) -> None:
-    scene = charted()
-    with pytest.warns(nls.GraphWarning, match=r"a\.g2o: \d+ variables have new numbers: l\d+ to l\d+ were l0 to l\d"):
-        nls.save(tmp_path / "a.g2o", scene.graph, scene.start, renumber=True)
-    again, values, _ = nls.load(tmp_path / "a.g2o", "log")
-    assert again.chi2(values) == pytest.approx(scene.graph.chi2(scene.start), rel=1e-12)
-    graph, same, notes = renumbered(again, values)  # nothing clashes any more
-    assert (graph, same, notes) == (again, values, [])
-
-
 def sensors() -> tuple[FactorGraph, Values]:
     """Poses, points and the place of a sensor, all of them numbered from 0; one of every kind held."""
     step = BetweenSensors(x[0], x[1], [1.0, 0.2, 0.1], Isotropic(0.1), o[0])
@@ -190,6 +179,7 @@ def test_places_of_sensors_get_numbers_of_their_own_and_stay_offsets(tmp_path: P
         nls.save(tmp_path / "a.g2o", graph, values, renumber=True)
     read, its, _ = nls.load(tmp_path / "a.g2o", "log")
     assert read.chi2(its) == pytest.approx(graph.chi2(values), rel=1e-12)
+    assert renumbered(read, its) == (read, its, [])  # nothing clashes any more
 
 
 def test_numbers_beyond_the_largest_are_the_first_that_are_free() -> None:

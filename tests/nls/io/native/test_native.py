@@ -223,16 +223,11 @@ def _values(**changes: Any) -> Change:
             _factor(i={"kind": "x", "numbers": [0]}, j={"kind": "x", "numbers": []}),
             "its measurements z are of no variables",
         ),
-        (_factor(z="1"), "z is not an array of numbers|expected"),
         (_factor(z=[[1, 2]]), "expected"),
         (_factor(z=[[float("nan"), 0, 0]] * 2), "NaN is no finite number"),
-        (_factor(noise=3), "expected a noise model"),
         (_factor(noise={"type": "Diagonal", "x": [-0.1], "y": [0.1], "yaw": [0.1]}), "sigma of x"),
         (_factor(i={"kind": "x"}), "expected a thing with a type, or a kind and its numbers"),
-        (_factor(i={"kind": "x", "numbers": [0.5, 1.5]}), "whole numbers"),
-        (_factor(i={"kind": 3, "numbers": [0, 1]}), "expected the name of a kind"),
         (_factor(limit=3), "Between cannot be made of .*limit"),
-        (_factor(convention="nobody"), "convention"),
         (_factor(z={"array": "values.x.X"}), "the array 'values.x.X' is missing"),
         (_factor(z={"shape": [0, 10**15]}), "expected the shape of an array without numbers"),
         (_values(space="SE5"), "'SE5' is no space of this library"),
@@ -241,12 +236,9 @@ def _values(**changes: Any) -> Change:
         (_values(X=[[0, 0]]), "values of 'x'"),
         (_values(times=[1, 2, 3]), "expected a time for each"),
         (_values(X="abc"), "expected arrays of numbers"),
-        (_values(X={}), "expected arrays of numbers"),
-        (_values(times={"tuple": [[1], [1, 2]]}), "expected arrays of numbers"),
         (lambda plain: plain.update(version=[1, 2]), "has version array"),
         (lambda plain: plain.update(format=[1, 2]), "does not say that its format"),
         (lambda plain: plain["fixed"].update(x=[77]), "fixed: x77"),
-        (lambda plain: plain["values"].update({"../x": plain["values"]["x"]}), "kind '../x'"),
     ],
 )
 def test_what_cannot_be_right_is_named(change: Change, sentence: str, tmp_path: Path) -> None:
@@ -258,43 +250,32 @@ def test_what_cannot_be_right_is_named(change: Change, sentence: str, tmp_path: 
     assert "\n" not in str(caught.value)
 
 
-def _archive(**arrays: npt.NDArray[Any]) -> bytes:
-    return archived(arrays)
+def zipped(content: bytes, packing: int = zipfile.ZIP_STORED) -> bytes:
+    """An archive with this content of its structure."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", packing) as archive:
+        archive.writestr("structure.npy", content)
+    return out.getvalue()
 
 
 def test_archives_that_are_something_else(tmp_path: Path) -> None:
-    good = nls.io.rendered("small.npz", *small())[0]
-    with zipfile.ZipFile(io.BytesIO(good)) as archive:
-        names = archive.namelist()
-    objects, huge, bomb = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    good, objects = nls.io.rendered("small.npz", *small())[0], io.BytesIO()
     np.savez(objects, structure=np.array([print], dtype=object))
-    header = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(
-        117
-    )
-    with zipfile.ZipFile(huge, "w") as archive:
-        archive.writestr("structure.npy", header + b"\n")
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("structure.npy", bytes(1 << 28))
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_BZIP2) as archive:
-        archive.writestr("structure.npy", bytes(1 << 20))
-    cases = [
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117)
+    for data, sentence in (
         (good[: len(good) // 2], "is a damaged npz file"),
         (objects.getvalue(), "holds object, expected numbers or text"),
-        (huge.getvalue(), "says 1000000000000 numbers of float64, and has 0 bytes"),
-        (bomb.getvalue(), "claims to unpack to 268,435,456 bytes"),
-        (packed.getvalue(), "is packed in a way that NumPy does not write"),
+        (zipped(b"\x93NUMPY\x01\x00v\x00" + header + b"\n"), "says 1000000000000 numbers of float64, and has 0 bytes"),
+        (zipped(bytes(1 << 24), zipfile.ZIP_DEFLATED), "claims to unpack to 16,777,216 bytes"),
+        (zipped(bytes(1 << 20), zipfile.ZIP_BZIP2), "is packed in a way that NumPy does not write"),
         (good.replace(b"'shape': ()", b"'shape': [ ", 1), "is a damaged npz file"),
-        (_archive(z=np.zeros(3)), "has no text 'structure'"),
-        (_archive(structure=np.array("{")), "is no JSON"),
-        (_archive(structure=np.array("[" * 5000)), "is no JSON|recursion|brackets"),
-    ]
-    assert names[0] == "structure.npy"
-    for data, sentence in cases:
-        path = tmp_path / "wrong.npz"
-        path.write_bytes(data)
+        (archived({"z": np.zeros(3)}), "has no text 'structure'"),
+        (archived({"structure": np.array("{")}), "is no JSON"),
+        (archived({"structure": np.array("[" * 5000)}), "is no JSON|recursion|brackets"),
+    ):
+        (tmp_path / "wrong.npz").write_bytes(data)
         with pytest.raises(LeadlineError, match=sentence):
-            nls.load(path)
+            nls.load(tmp_path / "wrong.npz")
 
 
 def test_a_sonar_on_a_pose_in_space_by_hand(tmp_path: Path) -> None:

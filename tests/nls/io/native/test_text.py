@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import nls
 from factors import Isotropic, Prior
 from models import R
 from nls import FactorGraph, GraphFileError, Values, kinds
-from nls.io.native.archive import archived, arrays_of
 
 x, l = kinds("x", "l")
 HEAD = '{"format": "leadline graph",\n'
@@ -37,16 +35,6 @@ def test_a_key_that_is_given_twice_is_named_with_its_line(repeated: str, tmp_pat
     line = before.count("\n") + 3
     with pytest.raises(GraphFileError, match=rf"^\S+twice.json:{line}: the key '{repeated}' is given twice"):
         nls.load(tmp_path / "twice.json")
-
-
-def test_a_key_that_is_given_twice_in_the_structure_of_an_archive(tmp_path: Path) -> None:
-    text_of(tmp_path)
-    nls.save(tmp_path / "a.npz", *nls.load(tmp_path / "good.json")[:2])
-    arrays = arrays_of((tmp_path / "a.npz").read_bytes(), "a.npz")
-    structure = str(arrays["structure"]).replace('"version": 1', '"version": 1,\n "\\u0076ersion": 1')
-    (tmp_path / "b.npz").write_bytes(archived({**arrays, "structure": np.array(structure)}))
-    with pytest.raises(GraphFileError, match="the key 'version' is given twice"):
-        nls.load(tmp_path / "b.npz")
 
 
 @pytest.mark.parametrize(
