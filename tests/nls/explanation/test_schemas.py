@@ -19,9 +19,10 @@ from tests.combinations import for_all
 from tests.nls.explanation.sentences import FINDINGS
 from tests.nls.io.g2o_files import PLANE, write
 
-SCHEMA = json.loads(Path(nls.explanation.__file__).with_name("schema.json").read_text(encoding="utf-8"))
-SOLVE = json.loads(Path(nls.cli.__file__).with_name("schema.json").read_text(encoding="utf-8"))
-EVALUATE = json.loads(Path(nls.cli.__file__).with_name("evaluate.json").read_text(encoding="utf-8"))
+SCHEMA, SOLVE, EVALUATE = (
+    json.loads(Path(nls.__path__[0], file).read_text(encoding="utf-8"))
+    for file in ("explanation/schema.json", "cli/schema.json", "cli/evaluate.json")
+)
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "json.md"
 FREE = "VERTEX_XY 9 1 1\nEDGE_BEARING_SE2_XY 1 9 0.3 100\n"
 APART = "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n"
@@ -31,8 +32,7 @@ WRONG = "EDGE_SE2 0 2 2 1 1.55 500 0 0 400 0 300\nEDGE_SE2 1 3 4 -3 1 500 0 0 40
 def objects(schema: Any) -> Iterator[dict[str, Any]]:
     """All objects that a schema describes."""
     if isinstance(schema, dict):
-        if "properties" in schema:
-            yield schema
+        yield from [schema] * ("properties" in schema)
         for value in schema.values():
             yield from objects(value)
 
