@@ -202,11 +202,8 @@ def _rounds(
     Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
-        poses, open_, cuts = (
-            estimate.values,
-            np.flatnonzero(expelled < MOST_EXPELLED),
-            Cuts(pings, graph, estimate, pieces),
-        )
+        poses, cuts = estimate.values, Cuts(pings, graph, estimate, pieces)
+        open_ = np.flatnonzero(expelled < MOST_EXPELLED)
         alone = open_[partition.sizes(tracks)[open_] == 1]
         near = gates.near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
         pairs = gates.near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
