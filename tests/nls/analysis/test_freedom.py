@@ -10,7 +10,6 @@ import pytest
 import nls
 from factors import Between, Diagonal, Factor, Information, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
 from tests.combinations import for_all
@@ -92,46 +91,19 @@ def test_two_components(group: LieGroup, n: int) -> None:
     assert np.abs(N[: n * group.dim]).max() < 1e-7
 
 
-def scene(extra: int = 0) -> tuple[FactorGraph, Values]:
-    """Two anchored poses (and a chain of more); both see the point l0, and l1 is seen in one component alone."""
-    n = 2 + extra
-    X = walk(SE2, n, np.random.default_rng(4))
-    L = np.array([[3.0, 1.0], [4.0, -2.0]])
-    graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1))])
-    i = np.arange(n - 1)
-    graph.add(Between(x[i], x[i + 1], SE2.between(X[i], X[i + 1]), Isotropic(0.1)))
-    graph.add(Seen(x[[0, 1]], l[[0, 0]], in_frame(X[:2], L[[0, 0]]), Isotropic(0.1)))
-    graph.add(Prior(l[1], [4.0, 0.0], Isotropic(0.2), components=["x"]))
-    return graph, Values({x: (SE2, X), l: (R(2), L)})
-
-
-def distance(a: Array, b: Array) -> Array:
-    return np.linalg.norm(b - a[:, :2], axis=1, keepdims=True) - 2.0
-
-
-@for_all(extra=[0, 120])
-def test_a_landmark_with_one_free_direction(extra: int) -> None:
-    """A component that nothing measures, a direction across the axes, and the one across a range."""
-    graph, values = scene(extra)
-    error = refused(graph, values)
-    assert (error.nullity, names(error), error.components) == (1, ["l1"], ("l1: y",))
-    assert error.message.startswith("1 unknown is not measured: l1: y; causes: ")
-    graph.factors[-1] = Prior(l[1], [4.0, 0.0], Information(np.array([[4.0, 4.0], [4.0, 4.0]])))
-    error = refused(graph, values)
-    assert (error.nullity, names(error), error.components) == (1, ["l1"], ("l1: x, y",))
-    assert "leave 1 direction free: " in str(error)
-    graph.remove(graph.factors[-1])
-    graph.add(Prior(l[0], [3.0, 1.0], Isotropic(0.1)))
-    pose = values[x[0]]
-    values[l[1]] = SE2.act(pose, np.array([2.0, 0.0]))
-    graph.add(Factor.from_function(distance, [x[0], l[1]], 1))
-    error = refused(graph, values)
-    assert error.nullity == 1
-    assert "l1" in names(error)
-    assert actions(error) == ["view", "prior"]
-    direction = null_space(graph.linearize(values))[-2:, 0]
-    across = np.array([-np.sin(pose[2]), np.cos(pose[2])])
-    assert abs(direction @ across) == pytest.approx(np.linalg.norm(direction), rel=1e-6)
+@for_all(n=[2, 122])
+def test_a_landmark_with_one_free_direction(n: int) -> None:
+    """A component that nothing measures, and a direction across the axes, of one of two points beside some poses."""
+    X, L = walk(SE2, n, np.random.default_rng(4)), np.array([[3.0, 1.0], [4.0, -2.0]])
+    steps = Between(x[0 : n - 1], x[1:n], SE2.between(X[:-1], X[1:]), Isotropic(0.1))
+    seen = Seen(x[[0, 1]], l[[0, 0]], in_frame(X[:2], L[[0, 0]]), Isotropic(0.1))
+    for prior, component in (
+        (Prior(l[1], [4.0, 0.0], Isotropic(0.2), components=["x"]), "l1: y"),
+        (Prior(l[1], [4.0, 0.0], Information(np.array([[4.0, 4.0], [4.0, 4.0]]))), "l1: x, y"),
+    ):
+        graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1)), steps, seen, prior])
+        error = refused(graph, Values({x: (SE2, X), l: (R(2), L)}))
+        assert (error.nullity, names(error), error.components) == (1, ["l1"], (component,))
 
 
 @for_all(n=[20, 120])
@@ -170,9 +142,6 @@ def test_a_weak_prior_is_named_as_such(solver: str, case: tuple[int, float]) -> 
     assert {"qr", "tighten", "units"} <= set(actions(error))
     if "qr" in INSTALLED:
         assert graph.optimize(values, linear_solver=SOLVERS["qr"]()).converged
-    weaker = refused(FactorGraph([chain, Prior(x[0], X[0], Isotropic(1000.0))]), values)
-    assert "of Prior(x0), sigma 1e+03 (information 1e-06); its row of A is 1e-07 times the median" in str(weaker)
-    assert actions(weaker)[0] == "smaller sigma"
 
 
 def test_a_long_chain_that_bends_easily_is_not_free() -> None:
