@@ -88,6 +88,15 @@ def freedom(pattern: Pattern, values: Values) -> Freedom:
     return outcome(None, more=True)
 
 
+@dataclass(frozen=True)
+class Motion:
+    """A velocity v (3,), rate of rotation omega (3,) and rate of growth s of the world."""
+
+    v: Array
+    omega: Array
+    s: float
+
+
 def generators(manifold: Manifold, X: Array) -> Array:
     """Effect of the seven motions of the world on variables at X, (n, dim, 7); zeros where that is not known."""
     n, out = len(X), np.zeros((len(X), manifold.dim, len(AXES)))
@@ -120,10 +129,8 @@ def places(manifold: Manifold, X: Array) -> Array:
     return np.pad(p, ((0, 0), (0, 3 - p.shape[1]))) if p.shape[1] else np.zeros((0, 3))
 
 
-def motions(N: Array, G: Array) -> tuple[Array, Array]:
-    """Motions (k, 7) of the world in the span of some free directions, and an orthonormal basis of the rest of these.
-
-    A motion is a velocity v, a rate of rotation omega and a rate of growth s.
+def motions(N: Array, G: Array) -> tuple[list[Motion], Array]:
+    """The motions of the world in the span of some free directions, and an orthonormal basis of the rest of these.
 
     Parameters
     ----------
@@ -134,7 +141,7 @@ def motions(N: Array, G: Array) -> tuple[Array, Array]:
     length = np.linalg.norm(G, axis=0)
     active = np.flatnonzero(length > 0)
     if not len(active):
-        return np.zeros((0, len(AXES))), Q
+        return [], Q
     scaled = G[:, active] / length[active]
     _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
     V = Vt[s > NEAR * s[0]].T  # motions that differ in what they do
@@ -149,7 +156,7 @@ def motions(N: Array, G: Array) -> tuple[Array, Array]:
     coefficients = np.vstack([np.eye(len(active))[pure], decomposition[0].T[: K.shape[1] - len(pure)]])
     out = np.zeros((len(coefficients), len(AXES)))
     out[:, active] = coefficients / length[active]
-    return out, U[:, s > 0.5]
+    return [Motion(k[:3], k[3:6], float(k[6])) for k in out], U[:, s > 0.5]
 
 
 def _onto(B: Array, Q: Array) -> Array:

@@ -16,7 +16,7 @@ from models import LieGroup
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
 from models.sensors import point_in_frame
-from nls.analysis.freedom import AXES, NEAR, SAME_MOTION, Freedom, generators, motions, places
+from nls.analysis.freedom import AXES, NEAR, SAME_MOTION, Freedom, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
 from nls.sparse.pattern import Pattern
@@ -94,7 +94,7 @@ def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, .
     points = [places(values.stack(k.kind).manifold, values[k][None]) for k in neighbors]
     names = [repr(k) for k, place in zip(neighbors, points, strict=True) if len(place)]
     positions = np.concatenate([*points, places(stack.manifold, X)])
-    return (_motion_name(np.append(motion, 0.0), positions, [*names, repr(key)]),)
+    return (_motion_name(Motion(motion[:3], motion[3:], 0.0), positions, [*names, repr(key)]),)
 
 
 def _beside(v: int, pattern: Pattern) -> Index:
@@ -185,17 +185,16 @@ def _loose(directions: Array, columns: Index, pattern: Pattern) -> list[Finding]
     return findings
 
 
-def _motion_name(motion: Array, positions: Array, names: list[str]) -> str:
+def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
     """A motion in words: ``x``, ``yaw``, ``yaw about x0``, ``scale about (1.2, 0.3, 0)``.
 
     Parameters
     ----------
-    motion : (7,) v, omega and s of the world.
     positions : (n, 3) of the variables that have one.
     names : of these.
     """
     extent = max(float(np.ptp(positions, axis=0).max()), 1e-300) if len(positions) else 1.0
-    v, omega, s = motion[:3], motion[3:6], float(motion[6])
+    v, omega, s = motion.v, motion.omega, motion.s
     speed, turning, growing = float(np.linalg.norm(v)), float(np.linalg.norm(omega)) * extent, abs(s) * extent
     if max(turning, growing) < NEAR * speed:
         axis = np.abs(v) / speed

@@ -54,7 +54,7 @@ def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
         (PLANE + FREE, []),
         (PLANE, ["--gauge", "none"]),
         (PLANE, ["--init", "file", "--max-iterations", "1"]),
-    ],
+    ]
 )
 def test_reports_of_solve_are_as_their_schema(
     case: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -42,7 +42,7 @@ VALUES = nls.Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
         ([STEPS[:2], STEPS[3:], CLOSURES], True, False),
         ([STEPS, CLOSURES.robust(Cauchy(1))], False, True),
         ([SEEN], False, False),
-    ],
+    ]
 )
 def test_what_is_offered_works(case: tuple[list[Factor], bool, bool]) -> None:
     factors, certified, graduated = case
