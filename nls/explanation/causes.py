@@ -42,7 +42,7 @@ def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
     findings = []
     for outlier in outsized(pattern):
         factor, index = outlier.place
-        numbers = {"factor": graph.factors[factor].describe(index)}
+        numbers: dict[str, Any] = {"factor": graph.factors[factor].describe(index)}
         numbers |= {name: getattr(outlier, name) for name in ("quantity", "component", "value")}
         numbers["others"] = outlier.reference
         advice = (Advice("inspect", ("it",)), Advice("units"))
