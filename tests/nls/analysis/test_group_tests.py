@@ -106,7 +106,7 @@ def test_a_group_without_which_something_is_free_is_not_taken_out() -> None:
 
 @for_all(dof=[1, 15, 300])
 def test_the_logarithm_of_the_tail_goes_on_where_the_tail_is_zero(dof: int) -> None:
-    """Its slope, the hazard rate of chi-squared, has no step at the change to the expansion; log(0) is never taken."""
+    """The slope, the hazard rate of chi-squared, has no step at the change to the expansion; log(0) is never taken."""
     t = np.append(np.linspace(1.0, 2500.0, 5000), [1e4, 2e4])
     log_tail = np.array([chi2_log_tail(float(bound), dof) for bound in t])
     assert np.isfinite(log_tail).all()

@@ -155,7 +155,7 @@ def test_sigmas_of_the_wrong_size(factor: float) -> None:
 
 @for_all(case=[([1, 1, -1], "misread"), ([3.28, 3.28, 1], "calibration"), ([1, 1, 57.3], "systematic")])
 def test_a_kind_that_is_wrong_as_a_whole(case: tuple[list[float], str]) -> None:
-    """Its sign, feet for meters, degrees for radians."""
+    """A wrong sign, feet for meters, degrees for radians."""
     wrong, first = case
     world = sim.manhattan(np.random.default_rng(0), 100)
     steps = world.graph.factors[0]

@@ -49,7 +49,7 @@ def test_the_information_of_a_motion_is_neither_more_nor_less_than_its_error(nam
 @pytest.mark.parametrize("name", GROUPS)
 @pytest.mark.parametrize("wrong", [False, True])
 def test_a_far_match_is_compared_with_what_the_others_predict(name: str, wrong: bool) -> None:
-    """It tells most of the turn, and bends the motion its own way."""
+    """A far match tells most of the turn, and bends the motion its own way."""
     group, rng, k, left_out = GROUPS[name], np.random.default_rng(2), np.arange(12), 0
     few = np.append(np.arange(11), 39)
     gate = chi2_gate(group.point_dim, 0.995)

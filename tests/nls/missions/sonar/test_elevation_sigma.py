@@ -109,7 +109,7 @@ def test_other_motions_and_a_view_that_sees_nothing(tmp_path: Path) -> None:
 
 
 def test_the_old_name_warns_and_is_the_same_function() -> None:
-    """It returned a standard deviation under the name of an information."""
+    """The old name said information of what is a standard deviation."""
     with pytest.warns(DeprecationWarning, match="elevation_sigma") as warned:
         old = nls.sonar.elevation_information
     assert old is elevation_sigma
