@@ -73,19 +73,18 @@ def clock_offsets(checked: Checked, values: Values, count: int) -> tuple[ClockOf
     """
     stacks = {n: s for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MEASUREMENTS}
     speeds = {name: velocities(stack) for name, stack in stacks.items()}
+    pattern = checked.linear.pattern
+    slots = [[slot for slot, kind in enumerate(batch.kinds) if kind in speeds] for batch in pattern.batches]
     kinds = {
-        name: [k for k, _ in kind]
-        for name, kind in kinds_of(checked.linear.pattern, count).items()
-        if sum(len(indices) for _, indices in kind) >= MEASUREMENTS
-        and all(len(_moving(checked, k, speeds)) == 1 for k, _ in kind)
+        name: [(k, slots[k][0]) for k, _ in kind]  # number of the factor, slot of its pose
+        for name, kind in kinds_of(pattern, count).items()
+        if sum(len(indices) for _, indices in kind) >= MEASUREMENTS and all(len(slots[k]) == 1 for k, _ in kind)
     }
     names = list(kinds)
     if not names:
         return ()
     score, M, determined = _test(checked, list(kinds.values()), speeds)
-    duration = [
-        max(len(speeds[kind]) - 1 for k in kinds[name] for kind in _moving(checked, k, speeds)) for name in names
-    ]
+    duration = [max(len(speeds[pattern.batches[k].kinds[slot]]) for k, slot in kinds[name]) - 1 for name in names]
     chi2 = sum(float((w * np.square(e).sum(axis=1)).sum()) for w, e in zip(checked.w[:count], checked.e, strict=False))
     dof = sum(float(test.dof.sum()) for test in checks(checked, count))
     chosen: list[int] = []
@@ -142,20 +141,16 @@ def central_differences(group: LieGroup, X: Array, t: Array | Index) -> Array:
     return np.asarray(group.log(group.between(X[before], X[after])) / (t[after] - t[before])[:, None])
 
 
-def _moving(checked: Checked, k: int, speeds: Mapping[str, object]) -> list[str]:
-    """Kinds of poses with a velocity among the variables of a factor."""
-    return [kind for kind in checked.linear.pattern.batches[k].kinds if kind in speeds]
-
-
-def _test(checked: Checked, kinds: list[list[int]], speeds: Mapping[str, Array]) -> tuple[Array, Array, Mask]:
+def _test(
+    checked: Checked, kinds: list[list[tuple[int, int]]], speeds: Mapping[str, Array]
+) -> tuple[Array, Array, Mask]:
     """Scores a'e (q,), M (q, q), and which offsets the motion determines (q,)."""
     pattern = checked.linear.pattern
     score, size, columns = np.zeros(len(kinds)), np.zeros(len(kinds)), np.zeros((pattern.n, len(kinds)))
     for j, factors in enumerate(kinds):
         products = [[np.zeros((len(b), m.dim)) for m in b.model.manifolds] for b in pattern.batches]
-        for k in factors:
+        for k, slot in factors:
             batch, w = pattern.batches[k], checked.w[k][:, None]
-            (slot,) = (s for s, kind in enumerate(batch.kinds) if kind in speeds)
             a = apply(checked.linear.A[k][slot], speeds[batch.kinds[slot]][batch.index[slot]])
             products[k] = [w * np.vecmat(a, A) for A in checked.linear.A[k]]
             score[j] += float((w * a * checked.e[k]).sum())

@@ -149,21 +149,11 @@ def motions(N: Array, G: Array) -> tuple[list[Motion], Array]:
     _, s, Wt = np.linalg.svd(np.linalg.qr(outside, mode="r"))
     size = np.linalg.norm(scaled @ V @ Wt.T, axis=0)
     K = np.linalg.qr(V @ Wt[np.pad(s, (0, len(Wt) - len(s))) <= SAME_MOTION * size].T)[0]
-    remainder = Q - _onto(scaled @ K, Q)
-    U, s, _ = np.linalg.svd(remainder, full_matrices=False)
+    B = np.linalg.qr(scaled @ K)[0]
+    U, s, _ = np.linalg.svd(Q - B @ (B.T @ Q), full_matrices=False)  # what is left of Q
     pure = [k for k in range(len(active)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME_MOTION]
     decomposition = np.linalg.svd(K - np.eye(len(active))[:, pure] @ K[pure], full_matrices=False)
-    coefficients = [np.eye(len(active))[k] for k in pure]
-    coefficients += list(decomposition[0].T[: K.shape[1] - len(pure)])
-    out = []
-    for k in coefficients:
-        of_all = np.zeros(len(AXES))
-        of_all[active] = k / length[active]
-        out.append(Motion(of_all[:3], of_all[3:6], float(of_all[6])))
-    return out, U[:, s > 0.5]
-
-
-def _onto(B: Array, Q: Array) -> Array:
-    """Projection of columns Q onto the span of B."""
-    U = np.linalg.qr(B)[0]
-    return np.asarray(U @ (U.T @ Q))
+    coefficients = np.vstack([np.eye(len(active))[pure], decomposition[0].T[: K.shape[1] - len(pure)]])
+    out = np.zeros((len(coefficients), len(AXES)))
+    out[:, active] = coefficients / length[active]
+    return [Motion(k[:3], k[3:6], float(k[6])) for k in out], U[:, s > 0.5]

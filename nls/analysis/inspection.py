@@ -27,14 +27,10 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     pattern = graph.pattern(values)
     labels = component_labels(pattern)
     touched = touched_variables(pattern)
-    semi_definite = 0
-    lengths = [np.zeros(0)]
-    for batch in pattern.batches:
-        W = batch.model.W
-        rows = np.abs(W) if W.ndim == 2 else np.linalg.norm(W, axis=2)
-        semi_definite += int((rows == 0).any(axis=1).sum()) * (len(batch) if len(W) == 1 else 1)
-        lengths.append(rows[rows > 0])
-    weights = np.concatenate(lengths)
+    whiteners = [batch.model.W for batch in pattern.batches]
+    rows = [np.abs(W) if W.ndim == 2 else np.linalg.norm(W, axis=2) for W in whiteners]
+    zero = [np.broadcast_to((r == 0).any(axis=1), len(b)) for r, b in zip(rows, pattern.batches, strict=True)]
+    weights = np.concatenate([np.zeros(0), *(r[r > 0] for r in rows)])
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     fill = fill_in(pattern, gauge.held, best_decomposition().order)
     sizes = np.sort(np.bincount(labels[moving_variables(pattern)]))[::-1]
@@ -55,6 +51,6 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
         "linear_solver": default_solver().name,
         "sigma_smallest": float(1 / weights.max()) if len(weights) else None,
         "sigma_largest": float(1 / weights.min()) if len(weights) else None,
-        "semi_definite_measurements": semi_definite,
+        "semi_definite_measurements": sum(int(mask.sum()) for mask in zero),
         "chi2": pattern.chi2(values),
     }

@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from factors import Factor, Wheels
 from factors.base import Model
 from factors.noise import square
 from factors.replaced import replaced
-from models import SE2, SE3, SO2, SO3, LieGroup
+from models import SE2, SE3, SO2, SO3
 from models.algebra import Array, Index, wrap
 from models.manifolds.units import unit
 from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, solved, supported
@@ -70,10 +71,8 @@ def transposed(model: Model) -> Factor | None:
     factor, space, z = model.factor, model.space, np.array(model.z)
     if not factor.frame or "yaw" not in space.components:
         return None
-    if space in (SO2, SO3, SE2, SE3):
-        assert isinstance(space, LieGroup)
-        rotation = slice(space.point_dim if space in (SE2, SE3) else 0, None)
-        z[:, rotation] = space.inverse(z)[:, rotation]
+    if space in (SO3, SE3):
+        z[:, -4:-1] *= -1.0
     else:
         yaw = space.components.index("yaw")
         z[:, yaw] = wrap(-z[:, yaw])
@@ -91,14 +90,10 @@ def mirrored(model: Model) -> Factor | None:
     return replaced(model.factor, z=z)
 
 
-def flipped(axis: str) -> Reading:
+def flipped(model: Model, axis: str) -> Factor | None:
     """An axis of all frames points the other way."""
-
-    def read(model: Model) -> Factor | None:
-        z = _reflected(model, axis)
-        return None if z is None else replaced(model.factor, z=z)
-
-    return read
+    z = _reflected(model, axis)
+    return None if z is None else replaced(model.factor, z=z)
 
 
 def _reflected(model: Model, axis: str) -> Array | None:
@@ -137,8 +132,8 @@ READINGS: dict[str, Reading] = {
     "exchanged": exchanged,
     "transposed": transposed,
     "mirrored": mirrored,
-    "y flipped": flipped("y"),
-    "z flipped": flipped("z"),
+    "y flipped": partial(flipped, axis="y"),
+    "z flipped": partial(flipped, axis="z"),
     "x, y exchanged": swapped_axes,
 }
 
@@ -199,9 +194,7 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
     standing = solved(graph, values, start=False)
     if standing is None or expected(standing):
         return ()
-    again = solved(graph, values)
-    if again is not None and again.chi2 < standing.chi2:
-        standing = again
+    standing = min(standing, solved(graph, values) or standing, key=lambda fit: fit.chi2)
     if expected(standing):
         return ()
     alternatives = [
@@ -260,11 +253,9 @@ def _reread(
         meant = read(values.gather(factor)[0])
         if meant is None:
             return None
-        outside = np.ones(len(factor), dtype=bool)
-        outside[chosen[k]] = False
         reread.append(meant[chosen[k]])
-        if outside.any():
-            other_factors.append(factor[outside])
+        if len(rest := np.setdiff1d(np.arange(len(factor)), chosen[k])):
+            other_factors.append(factor[rest])
     return reread, other_factors
 
 
@@ -335,12 +326,12 @@ def misread_measurements(
     doubtful: dict[int, list[int]] = {}
     for k, i in places:
         doubtful.setdefault(k, []).append(i)
-    meant = []  # (number of the factor, reading, factor)
-    for k, indices in doubtful.items():
-        for reading, read in READINGS.items():
-            factor = read(pattern.batches[k].model)
-            if factor is not None:
-                meant.append((k, reading, factor[indices]))
+    meant = [
+        (k, reading, factor[indices])
+        for k, indices in doubtful.items()
+        for reading, read in READINGS.items()
+        if (factor := read(pattern.batches[k].model)) is not None
+    ]
     whole = Pattern([*factors, *(factor for *_, factor in meant)], values).holding(pattern.held)
     nothing = [np.zeros(len(factor)) for *_, factor in meant]
     checked = Checked(Linearization(whole, values, [*weights_without(pattern, places, len(factors)), *nothing]))

@@ -63,9 +63,7 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 GROUP_WINDOW = 20  # steps at either end between closures of one group
-MOVED_SIGMAS = (
-    3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
-)
+MOVED_SIGMAS = 3.0  # of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
 PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
 GROUPS_TOGETHER = 8  # solved for: city10000 in half of the time
 
@@ -219,9 +217,8 @@ def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]
     for begin in range(0, len(groups), GROUPS_TOGETHER):
         models = [_model(values, system, group) for group in groups[begin : begin + GROUPS_TOGETHER]]
         Us = [system.A[rows].T @ C for rows, C in models]
-        PUs = np.split(
-            factorization.solve(np.concatenate(Us, axis=1)), np.cumsum([U.shape[1] for U in Us])[:-1], axis=1
-        )
+        ends = np.cumsum([U.shape[1] for U in Us])
+        PUs = np.split(factorization.solve(np.concatenate(Us, axis=1)), ends[:-1], axis=1)
         for (rows, C), U, PU in zip(models, Us, PUs, strict=True):
             N = C.T @ C
             M, v = N - U.T @ PU, C.T @ system.b[rows]

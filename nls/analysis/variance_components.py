@@ -90,9 +90,8 @@ class VarianceComponent:
         redundancy = f"{round(self.redundancy, 6) + 0.0:.3g}" if self.redundancy < 100 else f"{self.redundancy:.0f}"
         share = f"redundancy {redundancy} of {self.numbers} numbers"
         if not self.known:
-            reason = (
-                "no other measurement checks them" if self.redundancy < LEAST_REDUNDANCY else "their errors do not show"
-            )
+            unchecked = self.redundancy < LEAST_REDUNDANCY
+            reason = "no other measurement checks them" if unchecked else "their errors do not show"
             return f"{self.name}: stated sigmas kept, {reason} ({share})"
         return f"{self.name}: stated sigmas times {self.scale:.3g} +- {self.sigma:.2g} ({share})"
 
@@ -123,9 +122,8 @@ class VarianceComponents:
     def rescaled(self, graph: FactorGraph) -> FactorGraph:
         """Another graph of the same factors, such as one without kernels, with rescaled noise."""
         pattern = Pattern(graph.factors, self.result.values)
-        return FactorGraph(
-            [rescaled(b.model, s) for b, s in zip(pattern.batches, self.scales, strict=True)], graph.fixed
-        )
+        factors = [rescaled(batch.model, s) for batch, s in zip(pattern.batches, self.scales, strict=True)]
+        return FactorGraph(factors, graph.fixed)
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.components))
@@ -235,18 +233,10 @@ def variance_components(
             last = step / sd
     covariance = residuals.covariance(free)
     sd = np.sqrt(np.diagonal(covariance))
-    components = tuple(
-        VarianceComponent(
-            group.name,
-            sum(len(index) for _, index, _ in group.parts),
-            int(residuals.numbers[k]),
-            float(r[k]),
-            float(np.exp(log_variance[k] / 2)),
-            float(np.exp(log_variance[k] / 2) * sd[k] / 2),
-            bool(free[k]),
-        )
-        for k, group in enumerate(every)
-    )
+    names, sizes = zip(*((group.name, sum(len(index) for _, index, _ in group.parts)) for group in every), strict=True)
+    scale, numbers = np.exp(log_variance / 2), residuals.numbers.astype(int)
+    columns = (column.tolist() for column in (numbers, r, scale, scale * sd / 2, free))
+    components = tuple(map(VarianceComponent, names, sizes, *columns))
     correlation = covariance / (sd[:, None] * sd)
     return VarianceComponents(components, correlation, scaled_graph, result, tuple(scales), rounds, settled)
 

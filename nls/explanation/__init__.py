@@ -1,19 +1,14 @@
 """Contents of a graph, free directions, doubted measurements and cures, in plain words."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
+from nls.lazy import importer
 
 if TYPE_CHECKING:
     from nls.explanation.explanation import explain
 
 __all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "explain"]
 
-
-def __getattr__(name: str) -> Any:
-    """`explain`, which needs every analysis, when it is first asked for: findings of other rooms need none."""
-    if name != "explain":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from nls.explanation.explanation import explain
-
-    return explain
+# `explain` needs every analysis, and findings of other rooms need none
+__getattr__, __dir__ = importer(__name__, {"explain": "nls.explanation.explanation"})

@@ -41,13 +41,10 @@ def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
     """Lengths and informations a million times those of all others of their kind."""
     findings = []
     for outlier in outsized(pattern):
-        numbers = {
-            "factor": graph.factors[outlier.place[0]].describe(outlier.place[1]),
-            "quantity": outlier.quantity,
-            "component": outlier.component,
-            "value": outlier.value,
-            "others": outlier.reference,
-        }
+        factor, index = outlier.place
+        numbers: dict[str, Any] = {"factor": graph.factors[factor].describe(index)}
+        numbers |= {name: getattr(outlier, name) for name in ("quantity", "component", "value")}
+        numbers["others"] = outlier.reference
         advice = (Advice("inspect", ("it",)), Advice("units"))
         findings.append(Finding(FindingKind.OUTSIZED, outlier.keys, numbers, advice, (outlier.place,)))
     return findings
@@ -58,9 +55,8 @@ def misread(graph: FactorGraph, values: Values) -> list[Finding]:
     kinds = misread_kinds(graph, values)
     if not kinds:
         return []
-    numbers = {"readings": tuple((alternative.kind, alternative.reading) for alternative in kinds)} | _fall(
-        kinds[0], kinds[0].dof
-    )
+    readings = tuple((alternative.kind, alternative.reading) for alternative in kinds)
+    numbers = {"readings": readings} | _fall(kinds[0], kinds[0].dof)
     places = tuple((k, int(i)) for k, indices in kinds[0].places for i in indices[:SOME])[:SOME]
     return [Finding(FindingKind.MISREAD, (), numbers, (Advice("frames"),), places)]
 

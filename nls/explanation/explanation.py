@@ -9,7 +9,7 @@ import numpy as np
 
 from factors.keys import Keys
 from models.advice import Advice
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from nls.analysis.alternatives import expected
 from nls.analysis.calibrations import calibrations
@@ -30,6 +30,7 @@ from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
 WORST = 10  # measurements that are named
+Kinds = dict[str, list[tuple[int, Index]]]  # by name: number of the batch, indices of its measurements
 
 
 @single_thread()
@@ -112,8 +113,9 @@ def explain(
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
-        parts = _parts(pattern, squares, tests)
-        grouped = parts if groups is None else _parts(pattern, squares, tests, groups=groups)
+        kinds = kinds_of(pattern, len(tests))
+        parts = _parts(kinds, squares, tests)
+        grouped = parts if groups is None else _parts(_by_group(kinds, groups), squares, tests)
         worst = _worst(pattern, values, tests)
         weakest = _weakest(free, pattern, values, idle)
         fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > little else 0.0
@@ -178,7 +180,8 @@ def _disagreement(
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
     outliers = suspects(graph, free.checked.linear.pattern, values, free.checked)
-    kinds = doubts.of_parts(_parts(pattern, outliers.s, outliers.tests, outliers.accepted), outliers, graph)
+    without = _parts(kinds_of(pattern, len(tests)), outliers.s, outliers.tests, outliers.accepted)
+    kinds = doubts.of_parts(without, outliers, graph)
     if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
         outliers = replace(outliers, places=[])  # where most are off, it is not these
         kinds = doubts.of_parts(parts, outliers, graph)
@@ -233,28 +236,20 @@ def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
     return [Finding(FindingKind.SEPARATE_PARTS, keys, numbers, (Advice("join"), Advice("split")))]
 
 
-def _parts(
-    pattern: Pattern,
-    s: list[Array],
-    tests: list[Tested],
-    accepted: list[Array] | None = None,
-    groups: Sequence[str] | None = None,
-) -> tuple[Part, ...]:
-    """chi2 by kind of measurement, and by group where there are names of them, from squared residuals s by batch.
+def _by_group(kinds: Kinds, groups: Sequence[str]) -> Kinds:
+    """Kinds of measurements, each by the groups of its factors, in the order of the groups."""
+    out: Kinds = {}
+    for kind, batches in kinds.items():
+        for name in dict.fromkeys(groups):
+            if chosen := [batch for batch in batches if groups[batch[0]] == name]:
+                out[f"{kind}, {name}"] = chosen
+    return out
 
-    Of those accepted, 1 and not 0, where given.
-    """
+
+def _parts(kinds: Kinds, s: list[Array], tests: list[Tested], accepted: list[Array] | None = None) -> tuple[Part, ...]:
+    """chi2 by kind of measurement from squared residuals s by batch; of those accepted, 1 and not 0, where given."""
     out = []
-    sorts = kinds_of(pattern, len(tests))
-    if groups is not None:
-        names = list(dict.fromkeys(groups))
-        split = {
-            (kind, name): [b for b in batches if groups[b[0]] == name]
-            for kind, batches in sorts.items()
-            for name in names
-        }
-        sorts = {f"{kind}, {name}": batches for (kind, name), batches in split.items() if batches}
-    for name, kind in sorts.items():
+    for name, kind in kinds.items():
         if accepted is not None:
             kind = [(k, indices[accepted[k][indices] > 0]) for k, indices in kind]
         dof = round(float(sum(tests[k].dof[indices].sum() for k, indices in kind)), 6) + 0.0

@@ -216,7 +216,7 @@ class Explanation:
         return summary(self)
 
     def placed(self, place: Callable[[int, int], str]) -> Explanation:
-        """The same with the lines of all measurements, from the function that gives the line of one."""
+        """The explanation with the lines of all measurements, from the function that gives the line of one."""
         findings = tuple(replace(f, places=tuple(place(*pair) for pair in f.measurements)) for f in self.findings)
         return replace(self, findings=findings)
 

@@ -5,7 +5,8 @@ Those of single points are named in the frame of the sensor that sees them: rang
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,15 +32,6 @@ CURES: dict[str, tuple[Advice, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Single:
-    """Free directions of one variable alone."""
-
-    variable: int
-    names: tuple[str, ...]
-    sight: Sight | None
-
-
 def named_directions(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     """Findings, one for all directions against which the same helps.
 
@@ -48,18 +40,17 @@ def named_directions(free: Freedom, pattern: Pattern, values: Values) -> list[Fi
     free : the directions, over the free columns of the pattern.
     pattern : the graph with the gauge held.
     """
-    groups: dict[tuple[object, ...], list[Single]] = {}
-    for single in _singles(free, pattern, values):
-        sightings = 0 if single.sight is None else min(single.sight.count, 2)
-        groups.setdefault((sightings, *single.names), []).append(single)
-    return _whole(free, pattern, values) + [_group(members, pattern) for members in groups.values()]
+    groups: dict[tuple[int, tuple[str, ...]], list[tuple[Keys, Sight | None]]] = {}
+    for variable, names, sight in _singles(free, pattern, values):
+        sightings = 0 if sight is None else min(sight.count, 2)
+        groups.setdefault((sightings, names), []).append((pattern.key(variable), sight))
+    alone = [_group(names, sightings == 1, *zip(*of, strict=True)) for (sightings, names), of in groups.items()]
+    return _whole(free, pattern, values) + alone
 
 
-def _group(members: list[Single], pattern: Pattern) -> Finding:
+def _group(names: tuple[str, ...], once: bool, keys: tuple[Keys, ...], sights: tuple[Sight | None, ...]) -> Finding:
     """One finding for variables of which the same is free."""
-    names, keys = members[0].names, tuple(pattern.key(single.variable) for single in members)
-    poses = tuple(repr(single.sight.pose) for single in members if single.sight is not None)
-    once = members[0].sight is not None and members[0].sight.count == 1
+    poses = tuple(repr(sight.pose) for sight in sights if sight is not None)
     numbers = {"moved": "alone", "directions": names, "seen_from": poses, "seen_once": once}
     pronoun = "it" if len(keys) == 1 else "them"
     prior = Advice("prior", (pronoun,))
@@ -72,15 +63,12 @@ def _group(members: list[Single], pattern: Pattern) -> Finding:
     return Finding(FindingKind.FREE, keys, numbers, advice)
 
 
-def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
-    """Directions of single variables, variable by variable."""
-    if not free.singles.shape[1]:
-        return []
+def _singles(free: Freedom, pattern: Pattern, values: Values) -> Iterator[tuple[int, tuple[str, ...], Sight | None]]:
+    """Single variables, the names of their free directions, and where they are seen from."""
     owner, _ = pattern.column_owner()
     first = free.singles.indices[free.singles.indptr[:-1]]
     variables, inverse = np.unique(owner[first], return_inverse=True)
     sight_of = sights(pattern, values, variables)
-    out = []
     for k, v in enumerate(variables.tolist()):
         rows = pattern.starts[v] + np.arange(pattern.dims[v])
         U = np.linalg.qr(free.singles[:, np.flatnonzero(inverse == k)][rows].toarray())[0]
@@ -91,8 +79,7 @@ def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
             names = named(U, np.eye(len(components)), components) or _turning(U, v, pattern, values)
             taking = [name for name, u in zip(components, np.abs(U).max(axis=1), strict=True) if u >= SHARE]
             names = names or (f"a direction of {', '.join(taking)}",) * U.shape[1]
-        out.append(Single(v, names, sight))
-    return out
+        yield v, names, sight
 
 
 def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, ...]:
@@ -112,11 +99,8 @@ def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, .
 
 def _beside(v: int, pattern: Pattern) -> Index:
     """The other variables of the factors of one."""
-    neighbors = [np.zeros(0, dtype=np.intp)]
-    for batch in pattern.batches:
-        at = np.logical_or.reduce([variables == v for variables in batch.variables])
-        neighbors += [variables[at] for variables in batch.variables]
-    return np.setdiff1d(np.concatenate(neighbors), [v])
+    rows = [np.stack(batch.variables) for batch in pattern.batches]
+    return np.setdiff1d(np.concatenate([row[:, (row == v).any(axis=0)].reshape(-1) for row in rows]), [v])
 
 
 def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
@@ -209,10 +193,9 @@ def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
     positions : (n, 3) of the variables that have one.
     names : of these.
     """
-    extent = max(float((positions.max(axis=0) - positions.min(axis=0)).max()), 1e-300) if len(positions) else 1.0
+    extent = max(float(np.ptp(positions, axis=0).max()), 1e-300) if len(positions) else 1.0
     v, omega, s = motion.v, motion.omega, motion.s
-    turning, growing = float(np.linalg.norm(omega)) * extent, abs(s) * extent
-    speed = float(np.linalg.norm(v))
+    speed, turning, growing = float(np.linalg.norm(v)), float(np.linalg.norm(omega)) * extent, abs(s) * extent
     if max(turning, growing) < NEAR * speed:
         axis = np.abs(v) / speed
         return AXES[int(axis.argmax())] if axis.max() > 1 - SAME_MOTION else f"a shift along {_numbers(v / speed)}"
@@ -279,7 +262,7 @@ def sights(pattern: Pattern, values: Values, points: Index) -> dict[int, Sight]:
         for v, k in zip(variables.tolist(), first.tolist(), strict=True):
             if v not in out:
                 out[v] = Sight(factor.keys[0][[rows[k]]], 0, E[k], names)
-    return {v: Sight(s.pose, int(count[v]), s.axes, s.names) for v, s in out.items()}
+    return {v: replace(sight, count=int(count[v])) for v, sight in out.items()}
 
 
 def _spherical(p: Array) -> tuple[tuple[str, ...], Array]:

@@ -124,9 +124,8 @@ class _Maps:
     @cached_property
     def cell(self) -> float:
         """Two sigmas of the distance of two landmarks, along one axis, m."""
-        return 2 * sqrt(
-            sum(float(np.median(np.trace(C, axis1=1, axis2=2))) for _, C in (self.a, self.b)) / len(self.J[0])
-        )
+        variance = sum(float(np.median(np.trace(C, axis1=1, axis2=2))) for _, C in (self.a, self.b))
+        return 2 * sqrt(variance / len(self.J[0]))
 
     def matches(self, delta: Array, bound: float) -> tuple[Index, Index, Index, Array, Array, Array]:
         """What matches after motions (q, m): which of these (n,), landmarks i (n,) of a and j (n,) of b.

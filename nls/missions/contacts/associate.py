@@ -40,6 +40,7 @@ from nls.graph import FactorGraph
 from nls.missions.contacts import gates, partition
 from nls.missions.contacts.compatibility import resolved
 from nls.missions.contacts.estimate import FIRST_KERNEL, KERNEL, Estimate, estimated
+from nls.missions.contacts.gates import Anchored, Pairs
 from nls.missions.contacts.loops import closed, local_maps
 from nls.missions.contacts.pings import Pings, bounds, stretch_of_ping, stretches, without
 from nls.missions.contacts.splitting import Cuts
@@ -49,6 +50,7 @@ from nls.values import Values
 STRETCH_PINGS = 150  # of a stretch, at most
 MOST_EXPELLED = 2  # a sighting that its landmark did not explain so often is joined with no other any more
 l = kinds("l")[0]
+Asked = tuple[int, float, int]  # least, probability and rounds of `associate`
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,18 +182,11 @@ def associate(
 
 
 def _rounds(
-    pings: Pings,
-    graph: FactorGraph,
-    values: Values,
-    tracks: Index,
-    pieces: Index,
-    asked: tuple[int, float, int],
-    part: bool = False,
+    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, pieces: Index, asked: Asked, part: bool = False
 ) -> tuple[list[Index], Values, bool]:
     """Tracks (n,) after every round, poses by them, and whether the last round joined next to nothing.
 
-    Sightings that are still open in the end are decided in the whole alone, not in a `part` of it. Asked for are least,
-    probability and rounds of `associate`.
+    Sightings that are still open in the end are decided in the whole alone, not in a `part` of it.
     """
     least, probability, rounds = asked
     gate = chi2_gate(pings.dim, probability)
@@ -202,15 +197,12 @@ def _rounds(
     Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
-        poses, open_, cuts = (
-            estimate.values,
-            np.flatnonzero(expelled < MOST_EXPELLED),
-            Cuts(pings, graph, estimate, pieces),
-        )
+        poses, cuts = estimate.values, Cuts(pings, graph, estimate, pieces)
+        open_ = np.flatnonzero(expelled < MOST_EXPELLED)
         alone = open_[partition.sizes(tracks)[open_] == 1]
         near = gates.near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
         pairs = gates.near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
-        anchored = gates.Anchored(pings, cuts.tied, near[::-1], pairs)
+        anchored = Anchored(pings, cuts.tied, near[::-1], pairs)
         Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
             joined = resolved(pings, estimate, anchored, *near, least, probability)
@@ -245,13 +237,7 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
 
 
 def _joined(
-    pings: Pings,
-    estimate: Estimate,
-    anchored: gates.Anchored,
-    near: tuple[Index, Index],
-    pairs: tuple[Index, Index],
-    gate: float,
-    widest: float,
+    pings: Pings, estimate: Estimate, anchored: Anchored, near: Pairs, pairs: Pairs, gate: float, widest: float
 ) -> tuple[Index, bool]:
     """The tracks (n,) of an estimate, joined by what fits, and whether no pair that fits was too wide.
 
@@ -268,13 +254,7 @@ def _joined(
 
 
 def _associated(
-    pings: Pings,
-    graph: FactorGraph,
-    poses: Values,
-    history: list[Index],
-    least: int,
-    gate: float,
-    settled: bool,
+    pings: Pings, graph: FactorGraph, poses: Values, history: list[Index], least: int, gate: float, settled: bool
 ) -> Associated:
     """The last tracks that are landmarks, numbered, and their estimate."""
     tracks = history[-1]

@@ -29,13 +29,7 @@ from nls.missions.contacts.pings import Pings
 
 
 def resolved(
-    pings: Pings,
-    estimate: Estimate,
-    anchored: Anchored,
-    d: Index,
-    landmarks: Index,
-    least: int,
-    probability: float,
+    pings: Pings, estimate: Estimate, anchored: Anchored, d: Index, landmarks: Index, least: int, probability: float
 ) -> Index:
     """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping.
 

@@ -44,6 +44,8 @@ from nls.missions.contacts.estimate import Estimate
 from nls.missions.contacts.pings import Pings, bounds, middles, stretch_of_ping
 from nls.values import Values
 
+Pairs = tuple[Index, Index]  # first and second (k,) of each
+
 
 class Motions(NamedTuple):
     """Covariances Sigma (q, d, d) of motions, in the axes of the later pose, and which (k,) is that of each pair."""
@@ -65,7 +67,7 @@ class Anchored:
     marginals : of the estimate, with what the motions need.
     """
 
-    def __init__(self, pings: Pings, estimate: Estimate, *pairs: tuple[Index, Index]) -> None:
+    def __init__(self, pings: Pings, estimate: Estimate, *pairs: Pairs) -> None:
         self._pings, begin = pings, bounds(len(pings.poses), 10)
         self._anchor = middles(begin)[stretch_of_ping(begin)]  # (m,) place of that of every ping
         poses, anchors = pings.poses, pings.poses[self._anchor]
@@ -110,7 +112,7 @@ class Anchored:
         return congruence(group.rotation(X), C)
 
 
-def _once(count: int, i: Index, j: Index) -> tuple[tuple[Index, Index], Index]:
+def _once(count: int, i: Index, j: Index) -> tuple[Pairs, Index]:
     """Pairs of pings i and j (k,), of so many, each pair once, and the place (k,) of each among these."""
     pairs, which = np.unique(i * count + j, return_inverse=True)
     return np.divmod(pairs, count), which
@@ -147,7 +149,7 @@ def near_pings(
 
 def near_sightings(
     pings: Pings, estimate: Estimate, Sigma: Array, which: Index, gate: float, widest: float = np.inf
-) -> tuple[Index, Index]:
+) -> Pairs:
     """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
     P = pings.group.act(pings.sensors(estimate.values), pings.middle)[which]
     c, d = _within(P, P, _radius(pings, Sigma[pings.ping], gate, slice(None), widest)[which]).T
@@ -159,7 +161,7 @@ def near_sightings(
 
 def near_landmarks(
     pings: Pings, estimate: Estimate, Sigma: Array, which: Index, gate: float, widest: float = np.inf
-) -> tuple[Index, Index]:
+) -> Pairs:
     """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping.
 
     Pairs of innovations that are wider than `widest` sigmas of the sensor may be left out.

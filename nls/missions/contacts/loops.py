@@ -68,7 +68,7 @@ class LocalMap(NamedTuple):
 
     @property
     def covariances(self) -> Array:
-        """Those (k, d, d) of single landmarks."""
+        """Covariances (k, d, d) of single landmarks."""
         k = np.arange(len(self.p))
         return np.asarray(self.C[k, k])
 

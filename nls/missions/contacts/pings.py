@@ -75,18 +75,14 @@ class Pings:
         if not isinstance(sightings, Sighting) or not len(sightings):
             raise GraphError(f"associate: expected sightings such as RangeAzimuth(...), got {sightings!r:.80}")
         if isinstance(sightings.offset, Keys):
-            message = (
-                f"associate: {sightings!r:.80} has an offset that is a variable; the place of the sensor must be known"
-            )
-            raise GraphError(message, sightings.keys, sightings.name)
+            message = f"{sightings!r:.80} has an offset that is a variable; the place of the sensor must be known"
+            raise GraphError(f"associate: {message}", sightings.keys, sightings.name)
         if kind.name in values.stacks:
             raise GraphError(f"associate: kind {kind.name!r} has values already; landmarks need a kind of their own")
-        pose = sightings.keys[0]
-        stack = values.stack(pose.kind)
+        stack = values.stack(sightings.keys[0].kind)
         if sightings.contact:
-            limit = (
-                check_between("aperture", aperture, 0, np.pi, "the height of the view, an angle in (0, pi), rad") / 2
-            )
+            height = "the height of the view, an angle in (0, pi), rad"
+            limit = check_between("aperture", aperture, 0, np.pi, height) / 2
         elif sightings.locates:
             limit = 0.0
         else:
@@ -96,8 +92,8 @@ class Pings:
             )
             raise GraphError(message, sightings.keys, sightings.name)
         group = pose_group(sightings, stack.manifold)
-        numbers, ping = np.unique(pose.numbers, return_inverse=True)
-        poses = Keys(pose.kind, numbers)
+        numbers, ping = np.unique(sightings.keys[0].numbers, return_inverse=True)
+        poses = Keys(stack.kind, numbers)
         return cls(sightings, kind, limit, group, poses, stack.index(poses), ping)
 
     def __len__(self) -> int:

@@ -148,6 +148,5 @@ def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, ti
     values = without(estimate.values, pings.kind)
     values.add(pings.kind, R(dim), estimate.values[pings.kind[numbers % len(tracks)]], numbers)
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
-    return replace(
-        estimate, graph=FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), values=values
-    )
+    whole = FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed)
+    return replace(estimate, graph=whole, values=values)

@@ -76,7 +76,7 @@ class Closing:
 
     @property
     def matches(self) -> Matches:
-        """Those of the last round."""
+        """Matches of the last round."""
         return self.rounds[-1].matches
 
     def __repr__(self) -> str:

@@ -73,9 +73,6 @@ class Reckoning:
         self._poses: Array = np.zeros((0, 3))  # the last one
         self._count, self._stretch = 0, -1  # keyframes; in lengths of a stretch, the way before the last step
 
-    def __len__(self) -> int:
-        return self._count
-
     def add(self, poses: npt.ArrayLike) -> list[Factor]:
         """The factors of the next keyframes.
 

@@ -91,11 +91,11 @@ class Scans:
         return np.diff(self.starts) > 0
 
     def at(self, mount: npt.ArrayLike) -> Scans:
-        """The same points of a sensor that is mounted elsewhere, (3,)."""
+        """The points of a sensor that is mounted elsewhere, (3,)."""
         return Scans(self._in_sensor, self.keyframe, len(self), mount)
 
     def mirrored(self) -> Scans:
-        """The same points with azimuths of the other sign."""
+        """The points with azimuths of the other sign."""
         return Scans(self._in_sensor * [1.0, -1.0], self.keyframe, len(self), self.mount)
 
     @property
@@ -177,9 +177,8 @@ def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
 
 def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:
     """(submaps, cells) 1 where a submap has a point in a cell of the world."""
-    cell = np.unique(np.floor(in_world(poses, scans) / FOOTPRINT_CELL).astype(np.int64), axis=0, return_inverse=True)[
-        1
-    ].ravel()
+    square = np.floor(in_world(poses, scans) / FOOTPRINT_CELL).astype(np.int64)
+    cell = np.unique(square, axis=0, return_inverse=True)[1].ravel()
     by_scan = sp.csr_array((np.ones(len(cell)), (scans.keyframe, cell)), shape=(len(scans), int(cell.max()) + 1))
     around = middle[:, None] + np.arange(-SUBMAP_HALF, SUBMAP_HALF + 1)
     rows = np.repeat(np.arange(len(middle)), around.shape[1])

@@ -43,10 +43,7 @@ __all__ = ["elevation_sigma"]
 
 
 def elevation_sigma(
-    motion: npt.ArrayLike,
-    points: npt.ArrayLike,
-    sigmas: npt.ArrayLike,
-    motion_covariance: npt.ArrayLike | None = None,
+    motion: npt.ArrayLike, points: npt.ArrayLike, sigmas: npt.ArrayLike, motion_covariance: npt.ArrayLike | None = None
 ) -> Array:
     """Standard deviation of the elevation of points after two views.
 

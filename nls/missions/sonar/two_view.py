@@ -249,15 +249,13 @@ class Arcs:
     chi2 : (2, m) of the four measurements of a point.
     two : (m,) whether both count: ambiguous or weak. Elsewhere the second is only what the other side had to offer.
     ambiguous, weak : (m,) why.
-    lowest : (m,) chi2 at the best elevation there is.
-    at_limit : (m,) whether that is at the end of the aperture.
+    at_limit : (m,) whether the best elevation there is lies at the end of the aperture.
     """
 
     h: Array
     chi2: Array
     ambiguous: Mask
     weak: Mask
-    lowest: Array
     at_limit: Mask
 
     @property
@@ -285,7 +283,7 @@ def search(contacts: Contacts, G: Array, like: Arcs | None = None) -> Arcs:
     better = chi2.argmin(axis=0)
     order, points = np.stack([better, 1 - better]), np.arange(m)
     h, chi2 = h[order, points], chi2[order, points]
-    size, lowest = np.abs(h[:, :, 2]), chi2[0].copy()
+    size = np.abs(h[:, :, 2])
     if like is None:
         _, A_l, _ = contacts.linearize(G, h[0])
         weak = np.linalg.eigvalsh(gram(A_l))[:, 0] <= least_information(contacts)
@@ -298,7 +296,7 @@ def search(contacts: Contacts, G: Array, like: Arcs | None = None) -> Arcs:
         few = contacts.rows(np.tile(np.flatnonzero(weak), 2))
         moved, spread_chi2, _ = few.fit(G, few.fit(G, spread.reshape(-1, 3))[0])
         h[:, weak], chi2[:, weak] = moved.reshape(spread.shape), spread_chi2.reshape(2, -1)
-    return Arcs(h, chi2, ambiguous, weak, lowest, (size[0] > (1 - 1e-4) * limit) & ~(ambiguous | weak))
+    return Arcs(h, chi2, ambiguous, weak, (size[0] > (1 - 1e-4) * limit) & ~(ambiguous | weak))
 
 
 @dataclass(frozen=True)

@@ -17,32 +17,24 @@ from nls.analysis.calibrations import Calibration, calibrations
 from tests.combinations import for_all
 from tests.nls.misreadings import clean, misread, optimum, wrong_closure
 
-OFF = {  # x, y, z, roll, pitch, yaw of the mounting
-    "x": [0.5, 0, 0, 0, 0, 0],
-    "pitch": [0, 0, 0, 0, 0.1, 0],
-}
 x, l = kinds("x", "l")
 PLAIN = sim.hauv_floor(np.random.default_rng(4), legs=2, per_leg=12)
 
 
 def moved(step: Array) -> FactorGraph:
     """The mission with its sonar a step (6,) along the axes of the vehicle from where it was."""
-    (offset,) = {f.offset.tobytes() for f in PLAIN.graph.factors if isinstance(f, Sighting)}  # type: ignore[union-attr]
-    at = np.frombuffer(offset)
-    wrong = SE3.compose(
-        np.append(step[:3], euler.to_se3(np.append(step[3:], [0, 0, 0]))[3:]), np.append([0, 0, 0], at[3:])
-    )
-    wrong[:3] += at[:3]
+    turn = euler.to_se3(np.append(step[3:], [0, 0, 0]))
+    wrong = np.append(PLAIN.offset[:3] + step[:3], SE3.compose(turn, PLAIN.offset)[3:])
     return FactorGraph([f.mounted(wrong) if isinstance(f, Sighting) else f for f in PLAIN.graph.factors])
 
 
-@for_all(name=OFF)
-def test_the_mounting_of_a_sonar(name: str) -> None:
-    step = np.array(OFF[name], dtype=float)
-    graph = moved(step)
+@for_all(case=[("x", 0.5), ("pitch", 0.1)])
+def test_the_mounting_of_a_sonar(case: tuple[str, float]) -> None:
+    name, off = case
+    graph = moved(off * (np.array(SE3.components) == name))
     (wrong,) = calibrations(graph, optimum(graph, PLAIN.start))
     assert (wrong.kind, wrong.quantity, wrong.components) == ("RangeAzimuth", "mounting", (name,))
-    assert wrong.correction[0] == pytest.approx(-step.sum(), abs=4 * wrong.sigma[0])
+    assert wrong.correction[0] == pytest.approx(-off, abs=4 * wrong.sigma[0])
     assert wrong.sigma[0] < 0.2 * abs(wrong.correction[0])
 
 
@@ -62,25 +54,28 @@ def test_the_scale_of_odometry() -> None:
         assert wrong[0].correction[0] == pytest.approx(1.2, abs=0.02)
 
 
-def test_a_turned_sensor_and_turned_odometry_are_named_together() -> None:
+def turned() -> tuple[FactorGraph, Values]:
+    """A vehicle whose sensor is turned by 0.1 rad, and the optimum."""
     graph, start, _ = clean("subsea", 0)
     first, odometry, sightings = graph.factors
     other = FactorGraph([first, odometry, replaced(sightings, z=sightings.z + np.array([0.1, 0]))])
-    mounting, steps = sorted(calibrations(other, optimum(other, start)), key=lambda wrong: wrong.quantity)
+    return other, optimum(other, start)
+
+
+def test_a_turned_sensor_and_turned_odometry_are_named_together() -> None:
+    mounting, steps = sorted(calibrations(*turned()), key=lambda wrong: wrong.quantity)
     assert (mounting.components, steps.components) == (("yaw",), ("yaw",))
     np.testing.assert_allclose([mounting.correction[0], steps.correction[0]], [-0.1, -0.1], atol=0.02)
 
 
 def test_a_function_of_a_free_landmark_is_left_out_as_a_whole() -> None:
-    """It has the ranges of two landmarks; one of them has no other measurement."""
-    graph, start, _ = clean("subsea", 0)
-    first, odometry, sightings = graph.factors
-    factors = [first, odometry, replaced(sightings, z=sightings.z + np.array([0.1, 0]))]
-    values = optimum(FactorGraph(factors), start).extended(l[[99]], np.array([[30.0, 4.0]]))
+    """A function of the ranges of two landmarks, one of which has no other measurement."""
+    graph, values = turned()
+    values = values.extended(l[[99]], np.array([[30.0, 4.0]]))
     ranges = Factor.from_function(
         lambda X, L: np.linalg.norm(L - X[:, :2], axis=1)[:, None] - 30, [x[[0, 1]], l[[0, 99]]], 1, Isotropic(10.0)
     )
-    assert len(calibrations(FactorGraph([*factors, ranges]), values)) == 2
+    assert len(calibrations(FactorGraph([*graph.factors, ranges]), values)) == 2
 
 
 def test_steps_no_longer_than_their_noise_are_not_too_long() -> None:

@@ -16,32 +16,21 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.calibrations import calibrations
 from nls.analysis.clock import ClockOffset, clock_offsets
 from nls.analysis.leave_one_out import checks
-from nls.analysis.linearization import Checked, Linearization
 from nls.analysis.misread import misread_kinds, misread_measurements
 from nls.analysis.scales import outsized
-from nls.analysis.suspects import suspects
 from nls.analysis.swapped_landmarks import swapped_landmarks
 from tests.combinations import for_all
 from tests.nls.graphs import walk
-from tests.nls.misreadings import PUBLIC, WORLDS, checked, clean, held, misread, optimum, public
+from tests.nls.misreadings import PUBLIC, WORLDS, checked, clean, doubted, misread, optimum, public
 
 
 def alarms(graph: FactorGraph, values: Values) -> tuple[object, ...]:
     """All that the analyses say of a graph at its optimum."""
-    pattern, count = held(graph, values), len(graph.factors)
-    checked = Checked(Linearization(pattern, values))
-    landmarks = swapped_landmarks(graph, values, checks(checked, count))
-    offsets = clock_offsets(checked, values, count)
-    doubts = suspects(graph, pattern, values, checked)  # takes out the measurements it doubts
-    measurements = misread_measurements(pattern, doubts.values, doubts.places)
-    return (
-        *landmarks,
-        *offsets,
-        *measurements,
-        *misread_kinds(graph, values),
-        *calibrations(graph, values),
-        *outsized(pattern),
-    )
+    pattern, doubts = doubted(graph, values)
+    found, count = checked(graph, values), len(graph.factors)
+    out = [*swapped_landmarks(graph, values, checks(found, count)), *clock_offsets(found, values, count)]
+    out += [*misread_kinds(graph, values), *misread_measurements(pattern, doubts.values, doubts.places)]
+    return *out, *calibrations(graph, values), *outsized(pattern)
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -103,9 +92,7 @@ def test_an_offset_is_estimated(sensor: str, dt: float) -> None:
     order = np.random.default_rng(0).permutation(POSES)
     shuffled = Values({x: (SE2, values[x][order], order), l: (R(2), values[l])})
     (again,) = offsets(graph, shuffled)
-    assert again.dt == pytest.approx(first.dt, rel=1e-4)
-    assert again.sigma == pytest.approx(first.sigma, rel=1e-4)
-    assert again.fall == pytest.approx(first.fall, rel=1e-4)
+    assert (again.dt, again.sigma, again.fall) == pytest.approx((first.dt, first.sigma, first.fall), rel=1e-4)
 
 
 def test_other_mistakes_and_none_are_no_offset() -> None:
@@ -154,13 +141,10 @@ def test_one_information_is_too_large(seed: int) -> None:
         wrong = np.sort(rng.permutation(N - 1)[:count])
         Omega[wrong, 2, 2] *= times
         steps = Between(x[k], x[k + 1], z, Information(Omega))
-        alone = [steps[k != i], steps[[i]]]
-        for factors in ([steps], alone):
-            found = outsized(FactorGraph(factors).pattern(values))
-            assert len(found) == expected
-            assert {one.component for one in found} == ({"yaw"} if expected else set())
-        found = outsized(FactorGraph([steps]).pattern(values))
-        assert sorted(one.place[1] for one in found) == (wrong.tolist() if expected else [])
+        apart, whole = (outsized(FactorGraph(f).pattern(values)) for f in ([steps[k != i], steps[[i]]], [steps]))
+        assert len(apart) == expected
+        assert {one.component for one in (*apart, *whole)} == ({"yaw"} if expected else set())
+        assert sorted(one.place[1] for one in whole) == (wrong.tolist() if expected else [])
 
 
 def test_components_are_compared_with_their_like() -> None:

@@ -10,7 +10,6 @@ import pytest
 import nls
 from factors import Between, Diagonal, Factor, Information, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
 from tests.combinations import for_all
@@ -43,7 +42,7 @@ def test_an_untouched_variable(solver: str) -> None:
     assert names(error) == ["x30", "x40"]
     assert error.nullity == 6
     assert error.components == ("x30: x, y, yaw", "x40: x, y, yaw")
-    assert "6 unknowns are without any measurement: x30: x, y, yaw; x40: x, y, yaw" in str(error)
+    assert "6 unknowns are without any measurement" in str(error)
     assert actions(error) == ["factors", "drop", "fix"]
 
 
@@ -76,8 +75,6 @@ def test_two_components(group: LieGroup, n: int) -> None:
     """Both float, then the second alone. n = 70 in space and 160 in the plane are past 300 columns: the sparse path."""
     error = refused(*two(group, n, anchored=False))
     assert error.nullity == min(12, 2 * group.dim)
-    assert "joined to x0; " in str(error)
-    assert f"all {n} variables joined to x{n}" in str(error)
     for text in error.components:
         assert len({int(k) < n for k in re.findall(r"x(\d+):", text)}) == 1  # no mixture of both
     graph, values = two(group, n, anchored=True)
@@ -88,53 +85,25 @@ def test_two_components(group: LieGroup, n: int) -> None:
     assert "joined to x0" not in str(error)
     system = graph.linearize(values)
     N = null_space(system)
-    assert N.shape == (2 * n * group.dim, group.dim)
-    assert np.linalg.matrix_rank(N) == group.dim
+    assert (N.shape, np.linalg.matrix_rank(N)) == ((2 * n * group.dim, group.dim), group.dim)
     np.testing.assert_allclose(np.linalg.norm(N, axis=0), 1.0, rtol=1e-12)
     assert np.abs(system.A @ N).max() < 1e-7
     assert np.abs(N[: n * group.dim]).max() < 1e-7
 
 
-def scene(extra: int = 0) -> tuple[FactorGraph, Values]:
-    """Two anchored poses (and a chain of more); both see the point l0, and l1 is seen in one component alone."""
-    n = 2 + extra
-    X = walk(SE2, n, np.random.default_rng(4))
-    L = np.array([[3.0, 1.0], [4.0, -2.0]])
-    graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1))])
-    i = np.arange(n - 1)
-    graph.add(Between(x[i], x[i + 1], SE2.between(X[i], X[i + 1]), Isotropic(0.1)))
-    graph.add(Seen(x[[0, 1]], l[[0, 0]], in_frame(X[:2], L[[0, 0]]), Isotropic(0.1)))
-    graph.add(Prior(l[1], [4.0, 0.0], Isotropic(0.2), components=["x"]))
-    return graph, Values({x: (SE2, X), l: (R(2), L)})
-
-
-def distance(a: Array, b: Array) -> Array:
-    return np.linalg.norm(b - a[:, :2], axis=1, keepdims=True) - 2.0
-
-
-@for_all(extra=[0, 120])
-def test_a_landmark_with_one_free_direction(extra: int) -> None:
-    """A component that nothing measures, a direction across the axes, and the one across a range."""
-    graph, values = scene(extra)
-    error = refused(graph, values)
-    assert (error.nullity, names(error), error.components) == (1, ["l1"], ("l1: y",))
-    assert error.message.startswith("1 unknown is not measured: l1: y; causes: ")
-    graph.factors[-1] = Prior(l[1], [4.0, 0.0], Information(np.array([[4.0, 4.0], [4.0, 4.0]])))
-    error = refused(graph, values)
-    assert (error.nullity, names(error), error.components) == (1, ["l1"], ("l1: x, y",))
-    assert "leave 1 direction free: " in str(error)
-    graph.remove(graph.factors[-1])
-    graph.add(Prior(l[0], [3.0, 1.0], Isotropic(0.1)))
-    pose = values[x[0]]
-    values[l[1]] = SE2.act(pose, np.array([2.0, 0.0]))
-    graph.add(Factor.from_function(distance, [x[0], l[1]], 1))
-    error = refused(graph, values)
-    assert error.nullity == 1
-    assert "l1" in names(error)
-    assert actions(error) == ["view", "prior"]
-    direction = null_space(graph.linearize(values))[-2:, 0]
-    across = np.array([-np.sin(pose[2]), np.cos(pose[2])])
-    assert abs(direction @ across) == pytest.approx(np.linalg.norm(direction), rel=1e-6)
+@for_all(n=[2, 122])
+def test_a_landmark_with_one_free_direction(n: int) -> None:
+    """A component that nothing measures, and a direction across the axes, of one of two points beside some poses."""
+    X, L = walk(SE2, n, np.random.default_rng(4)), np.array([[3.0, 1.0], [4.0, -2.0]])
+    steps = Between(x[0 : n - 1], x[1:n], SE2.between(X[:-1], X[1:]), Isotropic(0.1))
+    seen = Seen(x[[0, 1]], l[[0, 0]], in_frame(X[:2], L[[0, 0]]), Isotropic(0.1))
+    for prior, component in (
+        (Prior(l[1], [4.0, 0.0], Isotropic(0.2), components=["x"]), "l1: y"),
+        (Prior(l[1], [4.0, 0.0], Information(np.array([[4.0, 4.0], [4.0, 4.0]]))), "l1: x, y"),
+    ):
+        graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1)), steps, seen, prior])
+        error = refused(graph, Values({x: (SE2, X), l: (R(2), L)}))
+        assert (error.nullity, names(error), error.components) == (1, ["l1"], (component,))
 
 
 @for_all(n=[20, 120])
@@ -173,9 +142,6 @@ def test_a_weak_prior_is_named_as_such(solver: str, case: tuple[int, float]) -> 
     assert {"qr", "tighten", "units"} <= set(actions(error))
     if "qr" in INSTALLED:
         assert graph.optimize(values, linear_solver=SOLVERS["qr"]()).converged
-    weaker = refused(FactorGraph([chain, Prior(x[0], X[0], Isotropic(1000.0))]), values)
-    assert "of Prior(x0), sigma 1e+03 (information 1e-06); its row of A is 1e-07 times the median" in str(weaker)
-    assert actions(weaker)[0] == "smaller sigma"
 
 
 def test_a_long_chain_that_bends_easily_is_not_free() -> None:
@@ -206,7 +172,7 @@ def test_a_linear_system_says_what_is_free_when_it_is_solved() -> None:
     sample = pose_graph(SE2, anchored=False)
     system = sample.graph.linearize(sample.values)
     for solver in REFUSING:
-        with pytest.raises(UnderconstrainedError, match="all 8 variables joined to x0") as caught:
+        with pytest.raises(UnderconstrainedError) as caught:
             nls.gauss_newton_step(system, SOLVERS[solver]())
         assert (caught.value.nullity, caught.value.values) == (3, None), solver
     assert np.isfinite(nls.gauss_newton_step(system, SOLVERS["pinv"]())).all()
@@ -234,31 +200,19 @@ def test_the_cure_is_a_gauge_only_where_it_can_be_held() -> None:
     assert error.advice[-1].about == (difference.describe(0),)
 
 
-def along(numbers: list[int], seed: int = 0) -> tuple[Factor, Array]:
-    """Points l held across one direction each, and these directions."""
-    u = np.random.default_rng(seed).normal(size=(len(numbers), 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    W = 10 * np.linalg.svd(u[:, None, :])[2]  # rows: along u, and two across
-    W[:, 0] = 0.0
-    return Prior(l[numbers], np.zeros((len(numbers), 3)), SqrtInformation(W)), u
-
-
 @for_all(n=[8, 40, 120])
 def test_every_variable_with_a_free_direction_is_said_by_itself(n: int) -> None:
-    """However many: more than 12, and (n = 120) past 300 columns; also beside a floating chain of poses."""
-    prior, _ = along(list(range(n)))
-    points = np.zeros((n, 3))
-    error = refused(FactorGraph([prior]), Values({l: (R(3), points)}))
-    assert error.nullity == len(error.components) == n
-    assert [text.split(":")[0] for text in error.components] == [f"l{k}" for k in range(n)]
-    assert not any(";" in text for text in error.components)
-    assert f"{n} directions free" in str(error)
+    """However many: more than 12, and (n = 120) past 300 columns; beside a floating chain of poses."""
+    W = 10 * np.linalg.svd(np.random.default_rng(0).normal(size=(n, 1, 3)))[2]
+    W[:, 0] = 0.0  # of every point one direction is held by nothing
     X = walk(SE2, 5, np.random.default_rng(1))
+    prior = Prior(l[0:n], np.zeros((n, 3)), SqrtInformation(W))
     graph = FactorGraph([prior, Between(x[0:4], x[1:5], SE2.between(X[:-1], X[1:]), Isotropic(0.1))])
-    error = refused(graph, Values({x: (SE2, X), l: (R(3), points)}))
+    error = refused(graph, Values({x: (SE2, X), l: (R(3), np.zeros((n, 3)))}))
     assert error.nullity == n + 3
     *single, _, _, _ = error.components
     assert [text.split(":")[0] for text in single] == [f"l{k}" for k in range(n)]
+    assert not any(";" in text for text in single)
     for text in error.components[-3:]:
         assert text.startswith(("x0: ", "x1: "))
         assert "l" not in text

@@ -48,8 +48,7 @@ def test_the_numbers_are_those_of_the_dense_problem_with_a_common_error(space: L
     root = 5 * np.eye(d) + rng.normal(size=(3, d, d))
     z = space.compose(space.between(X[i], X[j]), space.exp(1e-5 * rng.normal(size=(3, d))))
     loops = Between(x[i], x[j], z, Information(root.mT @ root))
-    graph = FactorGraph([Between(x[k], x[k + 1], space.between(X[:-1], X[1:]), Isotropic(0.3)), loops])
-    graph.fix(x[0])
+    graph = FactorGraph([Between(x[k], x[k + 1], space.between(X[:-1], X[1:]), Isotropic(0.3)), loops], [x[0]])
     values = graph.optimize(Values({x: (space, X)})).values
     late = values[x][np.maximum(i, j)]
     turn = space.adjoint(space.between(late, late[[0, 0, 0]]))
@@ -113,20 +112,19 @@ def test_two_sessions_that_one_group_joins_fall_apart_without_it() -> None:
 
 def test_measurements_that_close_no_track_are_not_judged(laps: sim.World) -> None:
     """Objects with a pose, positions by a prior, rotations alone."""
-    graph = FactorGraph([laps.graph.factors[0], Prior(x[0], laps.truth[x][0], SIGMAS)])
-    graph.add(Between(x[[3, 40]], p[[0, 1]], [[1.0, 2.0, 0.0]] * 2, SIGMAS))
+    seen = Between(x[[3, 40]], p[[0, 1]], [[1.0, 2.0, 0.0]] * 2, SIGMAS)
+    graph = FactorGraph([laps.graph.factors[0], Prior(x[0], laps.truth[x][0], SIGMAS), seen])
     values = Values({x: (SE2, laps.truth[x]), p: (SE2, np.zeros((2, 3)))})
     assert unverified_groups(graph, graph.optimize(values).values) == ()
     k = np.arange(59)
-    turns = FactorGraph([Between(x[k], x[k + 1], np.zeros((59, 1)), Isotropic(0.01))])
-    turns.add(Between(x[0], x[59], [1.0], Isotropic(0.01)))
+    noise = Isotropic(0.01)
+    turns = FactorGraph([Between(x[k], x[k + 1], np.zeros((59, 1)), noise), Between(x[0], x[59], [1.0], noise)])
     assert unverified_groups(turns, turns.optimize(Values({x: (SO2, np.zeros((60, 1)))})).values) == ()
 
 
 def test_a_group_that_a_kernel_has_let_go_says_nothing(laps: sim.World) -> None:
     odometry, closures = laps.graph.factors
-    graph = FactorGraph([odometry, closures[20:], early(3).robust(Tukey(1.0))])
-    graph.fix(x[0])
+    graph = FactorGraph([odometry, closures[20:], early(3).robust(Tukey(1.0))], [x[0]])
     values = graph.optimize(laps.truth).values
     assert [error.redundancy for error in common(graph, values)][-1] == 1.0
     assert unverified_groups(graph, values) == ()

@@ -9,13 +9,13 @@ import numpy.typing as npt
 import pytest
 
 import sim
-from factors import Factor, Sighting
+from factors import Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
 from models.algebra import Mask
 from nls import FactorGraph, Values
 from nls.analysis.leave_one_out import checks
-from nls.analysis.swapped_landmarks import SwappedLandmarks, exchanged_contacts, swapped_landmarks
+from nls.analysis.swapped_landmarks import Exchanged, SwappedLandmarks, exchanged_contacts, swapped_landmarks
 from tests.nls.misreadings import clean, judged, optimum
 
 When = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
@@ -23,14 +23,13 @@ When = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
 
 def swapped(graph: FactorGraph, a: int, b: int, when: When) -> FactorGraph:
     """The graph with landmarks a and b exchanged at some poses, by their number."""
-    factors: list[Factor] = []
-    for factor in graph.factors:
+    factors = list(graph.factors)
+    for k, factor in enumerate(factors):
         if isinstance(factor, Sighting):
             pose, target, *others = factor.keys
             other = np.where(target.numbers == a, b, np.where(target.numbers == b, a, target.numbers))
             numbers = np.where(when(pose.numbers), other, target.numbers)
-            factor = replaced(factor, [pose, Keys(target.kind, numbers), *others])
-        factors.append(factor)
+            factors[k] = replaced(factor, [pose, Keys(target.kind, numbers), *others])
     return FactorGraph(factors, graph.fixed)
 
 
@@ -99,15 +98,16 @@ def test_a_false_sighting_is_no_exchange() -> None:
 RNG = np.random.default_rng
 
 
-def rejected(mission: sim.Mission, mask: Mask) -> list[Mask]:
-    """Per factor what was rejected, of the contacts this."""
-    return [mask if f is mission.contacts else np.zeros(len(f), dtype=bool) for f in mission.graph.factors]
+def exchanged(mission: sim.Mission, rejected: Mask, values: Values | None = None) -> tuple[Exchanged, ...]:
+    """Pairs whose contacts were exchanged, of those that were rejected; at the truth unless there are values."""
+    masks = [rejected if f is mission.contacts else np.zeros(len(f), dtype=bool) for f in mission.graph.factors]
+    return exchanged_contacts(mission.graph, values or mission.truth, masks)
 
 
 def test_exchanged_pairs_are_named_with_their_contacts() -> None:
     right = sim.hauv_floor(RNG(1), legs=2, per_leg=12)
     mission = sim.exchange_contacts(right, 0.05, RNG(2))
-    pairs = exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong))
+    pairs = exchanged(mission, mission.wrong)
     rows = [index for pair in pairs for _, index in pair.places]
     assert mission.wrong[rows].all()
     assert len(set(rows)) > 0.9 * mission.wrong.sum()
@@ -123,23 +123,15 @@ def test_exchanged_pairs_are_named_with_their_contacts() -> None:
 
 def test_false_contacts_are_no_exchange() -> None:
     mission = sim.hauv_floor(RNG(1), legs=2, per_leg=12, outliers=0.1)
-    assert exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong)) == ()
-    none = np.zeros(len(mission.contacts), dtype=bool)
-    assert exchanged_contacts(mission.graph, mission.truth, rejected(mission, none)) == ()
+    assert exchanged(mission, mission.wrong) == exchanged(mission, mission.wrong & False) == ()
 
 
 def test_landmarks_that_left_are_passed_over() -> None:
     mission = sim.hauv_floor(RNG(1), legs=2, per_leg=12, wrong_associations=0.05)
-    pairs = exchanged_contacts(mission.graph, mission.truth, rejected(mission, mission.wrong))
+    pairs = exchanged(mission, mission.wrong)
     gone = int(pairs[0].first.numbers[0])
     stack = mission.truth.stack("l")
-    kept = stack.numbers != gone
-    values = type(mission.truth)(
-        {
-            "x": (mission.truth.stack("x").manifold, mission.truth.stack("x").X),
-            "l": (stack.manifold, stack.X[kept], stack.numbers[kept]),
-        }
-    )
-    fewer = exchanged_contacts(mission.graph, values, rejected(mission, mission.wrong))
+    values = Values.of([mission.truth.stack("x"), stack.only(stack.numbers != gone)])
+    fewer = exchanged(mission, mission.wrong, values)
     assert 0 < len(fewer) < len(pairs)
     assert all(gone not in (pair.first.numbers[0], pair.second.numbers[0]) for pair in fewer)

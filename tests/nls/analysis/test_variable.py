@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from factors import Covariance, Diagonal, Factor, Isotropic, Prior, Projection, RangeAzimuth, SqrtInformation
-from factors.replaced import predicted
+from factors import Covariance, Diagonal, Factor, Isotropic, Prior
+from factors.rescaled import rescaled
 from models import SE3, R
 from models.algebra import Array
 from nls import FactorGraph, GraphError, Marginals, OptionError, UnderconstrainedError, Values, kinds
@@ -107,27 +107,19 @@ def test_correlations_are_named() -> None:
 def test_known_is_all_else_held() -> None:
     graph, values = rig("camera + sonar")
     found = observability(graph, values, s[0])
-    graph.fix(x[0:6])
-    graph.fix(l[0:40])
-    alone = observability(graph, values, s[0])
+    alone = observability(FactorGraph(graph.factors, [x[0:6], l[0:40]]), values, s[0])
     np.testing.assert_allclose(found.sigma_known, alone.sigma_known, rtol=1e-12)
     np.testing.assert_allclose(alone.sigma_known, np.diagonal(np.linalg.inv(alone.covariance)) ** -0.5, rtol=1e-9)
     assert (alone.sigma <= found.sigma).all()
-    assert np.isinf(observability(*rig("camera + range"), s[0]).sigma_known).tolist() == [False] * 3 + [True] * 3
+    unknown = observability(*rig("camera + range"), s[0]).sigma_known
+    assert np.isinf(unknown).tolist() == [False] * 3 + [True] * 3
 
 
 def test_rank_does_not_depend_on_units_nor_on_how_good_the_sensors_are() -> None:
     """All sigmas times 1e6: the same directions, a million times the standard deviations."""
     graph, values = rig("camera + azimuth")
-    worse = FactorGraph()
-    for factor in graph.factors:
-        W = factor.noise.sqrt_information(1, factor.names(factor.space((SE3, R(3), SE3)[: len(factor.keys)])))
-        matrix = np.diag(W[0]) if W.ndim == 2 else W[0]
-        other = predicted(factor, factor.keys, values)
-        kind = Projection if isinstance(factor, Projection) else RangeAzimuth
-        offset = {} if kind is Projection else {"offset": s[0]}
-        worse.add(kind(*other.keys[:2], other.z, SqrtInformation(1e-6 * matrix), **offset))  # type: ignore[arg-type]
-    worse.fix(x[0])
+    models = [values.gather(factor)[0] for factor in graph.factors]
+    worse = FactorGraph([rescaled(model, np.full((1, model.dim), 1e6)) for model in models], graph.fixed)
     a, b = observability(graph, values, s[0]), observability(worse, values, s[0])
     assert a.rank == b.rank == 4
     np.testing.assert_allclose(b.sigma[3:], 1e6 * a.sigma[3:], rtol=1e-6)
@@ -171,10 +163,8 @@ def test_a_space_of_ones_own_states_its_units() -> None:
     values = Values({w: (WATER, [[280.0, 35.0]]), c: (R(1), [1.0])})
     graph = FactorGraph([Prior(w[0], [280.0, 35.0], Diagonal([0.5, 0.1])), Prior(c[0], [1.0], Isotropic(0.2))])
     of_water, alone = (observability(graph, values, key[0], gauge="none") for key in (w, c))
-    assert [line.split()[:3] for line in str(of_water).splitlines()[2:4]] == [
-        ["temperature", "0.5", "K"],
-        ["salinity", "0.1", "g/kg"],
-    ]
+    rows = [line.split()[:3] for line in str(of_water).splitlines()[2:4]]
+    assert rows == [["temperature", "0.5", "K"], ["salinity", "0.1", "g/kg"]]
     assert of_water.compared.tolist() == [1.0, 1.0]
     assert of_water.to_dict()["units"] == ["K", "g/kg"]
     assert str(alone).splitlines()[2].split() == ["x", "0.2", "0.2"]
@@ -182,19 +172,14 @@ def test_a_space_of_ones_own_states_its_units() -> None:
 
 def test_what_cannot_be_asked() -> None:
     graph, values = rig("camera + sonar")
-    more = Values({x: (SE3, values[x]), l: (R(3), values[l]), s: (SE3, np.vstack([SONAR, SONAR]))})
     with pytest.raises(UnderconstrainedError, match="s1: no factor touches it"):
-        observability(graph, more, s[1])
-    with pytest.raises(GraphError, match="x0 is fixed"):
-        observability(graph, values, x[0])
-    with pytest.raises(GraphError, match="one variable"):
-        observability(graph, values, x[0:2])
-    with pytest.raises(GraphError, match="s9 has no value"):
-        observability(graph, values, s[9])
-    with pytest.raises(OptionError, match="gauge"):
-        observability(graph, values, s[0], gauge="free")
-    with pytest.raises(OptionError, match="length"):
-        observability(graph, values, s[0], length=-1.0)
+        observability(graph, values.extended(s[[1]], SONAR[None]), s[1])
+    for key, match in ((x[0], "x0 is fixed"), (x[0:2], "one variable"), (s[9], "s9 has no value")):
+        with pytest.raises(GraphError, match=match):
+            observability(graph, values, key)
+    for name, value in (("gauge", "free"), ("length", -1.0)):
+        with pytest.raises(OptionError, match=name):
+            observability(graph, values, s[0], **{name: value})  # type: ignore[arg-type]
     graph.release(x[0])
     with pytest.raises(GraphError, match="x0 is what gauge 'first' holds"):
         observability(graph, values, x[0])

@@ -10,6 +10,7 @@ import pytest
 import nls
 import sim
 from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Tukey
+from factors.replaced import replaced
 from factors.robust import Kernel
 from models import SE2, SE3, R
 from models.algebra import Array
@@ -67,14 +68,12 @@ def test_three_wrong_closures_in_space() -> None:
     graph = FactorGraph([*world.graph.factors, wrong])
     explanation = explained(graph, world.truth)
     assert {suspect.factor for suspect in explanation.suspects} == {wrong.describe(k) for k in range(3)}
-    shuffled = FactorGraph(
-        [factor[np.random.default_rng(1).permutation(len(factor))] for factor in graph.factors[::-1]]
-    )
-    again = explained(shuffled, world.truth)
-    assert [suspect.factor for suspect in again.suspects] == [suspect.factor for suspect in explanation.suspects]
-    for one, other in zip(explanation.worst, again.worst, strict=True):
-        assert one.factor == other.factor
-        assert one.normalized == pytest.approx(other.normalized, rel=1e-5)
+    shuffled = [factor[np.random.default_rng(1).permutation(len(factor))] for factor in graph.factors[::-1]]
+    again = explained(FactorGraph(shuffled), world.truth)
+    for many in ("suspects", "worst"):
+        assert [m.factor for m in getattr(again, many)] == [m.factor for m in getattr(explanation, many)]
+    distances = [[measurement.normalized for measurement in found.worst] for found in (again, explanation)]
+    assert distances[0] == pytest.approx(distances[1], rel=1e-5)
 
 
 def test_one_landmark_under_two_numbers() -> None:
@@ -89,21 +88,15 @@ def test_one_landmark_under_two_numbers() -> None:
     for shift, expected in ((0.0, [(l[0], l[50])]), (1.0, [])):
         z = seen.z + shift * late[:, None] * [0, 1]
         numbered = BearingRange(pose, l[np.where(late, 50, point.numbers)], z, seen.noise)
-        graph = FactorGraph(
-            [*others, numbered, BearingRange(again.keys[0], l[[60] * len(again)], again.z, again.noise)]
-        )
+        graph = FactorGraph([*others, numbered, replaced(again, [again.keys[0], l[[60] * len(again)]])])
         values = graph.optimize(start).values
         found = [finding for finding in nls.explain(graph, values).findings if finding.kind == "twins"]
         assert [finding.keys for finding in found] == expected
-        if expected:
-            joint = nls.Marginals(graph, values).joint(l[[0, 50]]).matrix
-            D = np.hstack([np.eye(2), -np.eye(2)])
-            apart = values[l[0]] - values[l[50]]
-            sigmas = np.sqrt(apart @ np.linalg.solve(D @ joint @ D.T, apart))
-            assert found[0].numbers == {
-                "distance": pytest.approx(np.linalg.norm(apart)),
-                "sigmas": pytest.approx(sigmas),
-            }
+        for finding in found:
+            D, apart = np.hstack([np.eye(2), -np.eye(2)]), values[l[0]] - values[l[50]]
+            Sigma = D @ nls.Marginals(graph, values).joint(l[[0, 50]]).matrix @ D.T
+            sigmas = np.sqrt(apart @ np.linalg.solve(Sigma, apart))
+            assert finding.numbers == pytest.approx({"distance": np.linalg.norm(apart), "sigmas": sigmas})
 
 
 def test_in_a_single_loop_nothing_tells_the_wrong_one() -> None:
@@ -112,13 +105,9 @@ def test_in_a_single_loop_nothing_tells_the_wrong_one() -> None:
     order = np.array([1, 0, 3, 2])  # the closure, from x3 to x0, neither first nor last
     graph = FactorGraph([Between(x[k[order]], x[(k[order] + 1) % 4], z[order], Isotropic(0.1))])
     start = Values({x: (SE2, [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, np.pi], [0, 2, -np.pi / 2]])})
-    explanation = explained(graph, start)
-    assert kinds(explanation)[0] == "wrong_closure"
-    assert explanation.findings[0].keys == (x[3], x[0])
-    assert (explanation.findings[0].numbers["rivals"], explanation.findings[0].numbers["rival"]) == (
-        3,
-        "Between(x1, x2)",
-    )
+    found = explained(graph, start).findings[0]
+    assert (found.kind, found.keys) == ("wrong_closure", (x[3], x[0]))
+    assert (found.numbers["rivals"], found.numbers["rival"]) == (3, "Between(x1, x2)")
 
 
 def test_two_that_are_wrong_by_themselves_are_no_rivals() -> None:
@@ -166,7 +155,7 @@ def test_sigmas_of_the_wrong_size(factor: float) -> None:
 
 @for_all(case=[([1, 1, -1], "misread"), ([3.28, 3.28, 1], "calibration"), ([1, 1, 57.3], "systematic")])
 def test_a_kind_that_is_wrong_as_a_whole(case: tuple[list[float], str]) -> None:
-    """Its sign, feet for meters, degrees for radians."""
+    """A wrong sign, feet for meters, degrees for radians."""
     wrong, first = case
     world = sim.manhattan(np.random.default_rng(0), 100)
     steps = world.graph.factors[0]
@@ -204,8 +193,7 @@ def test_values_that_are_no_optimum() -> None:
 def test_repetitions_across_batches() -> None:
     graph, start = ring()
     closures = graph.factors[1]
-    graph.add(closures[[2]])
-    graph.add(closures[[2, 4]])
+    graph = FactorGraph([*graph.factors, closures[[2]], closures[[2, 4]]])
     (finding,) = (found for found in explained(graph, start).findings if found.kind == "repeated")
     assert finding.numbers["count"] == 3
     assert set(finding.keys) == {keys[[k]] for keys in closures.keys for k in (2, 4)}
@@ -216,7 +204,6 @@ def test_parts_and_variables_that_nothing_joins() -> None:
     values = Values({x: (SE2, np.zeros((6, 3)), [0, 1, 2, 10, 11, 20])})
     explanation = nls.explain(graph, values)
     assert explanation.components == (3, 2)
-    assert {"unmeasured", "separate_parts"} <= set(kinds(explanation))
     found = {finding.kind: finding for finding in explanation.findings}
     assert found["unmeasured"].keys == (x[20],)
     assert found["separate_parts"].keys == (x[0], x[10])
@@ -227,9 +214,7 @@ def test_parts_and_variables_that_nothing_joins() -> None:
 def test_weights_too_different_for_the_normal_equations() -> None:
     graph = FactorGraph([Prior(x[0], [0.0, 0.0], Isotropic(1e3)), Between(x[0], x[1], [1.0, 0.0], Isotropic(1e-4))])
     explanation = nls.explain(graph, Values({x: (R(2), np.zeros((2, 2)))}))
-    assert kinds(explanation) == ["ill_conditioned"]
-    assert (explanation.nullity, explanation.parts) == (0, ())
-    assert "which keeps 13 digits" in explanation.report()
+    assert (kinds(explanation), explanation.nullity, explanation.parts) == (["ill_conditioned"], 0, ())
 
 
 def test_nothing_to_estimate_and_nothing_measured() -> None:
@@ -245,8 +230,6 @@ def test_nothing_to_estimate_and_nothing_measured() -> None:
 def test_what_cannot_be_explained() -> None:
     with pytest.raises(GraphError, match="no factors: nothing to explain"):
         nls.explain(FactorGraph(), Values())
-    with pytest.raises(GraphError, match="expected a graph and its values"):
-        nls.explain(Values(), FactorGraph())  # type: ignore[arg-type]
     graph, start = ring()
     factors, numbers = list(graph.factors), start[x].copy()
     nls.explain(graph, start)

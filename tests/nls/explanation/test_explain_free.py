@@ -21,7 +21,7 @@ def seen_from(graph: FactorGraph, values: Values) -> list[str]:
 
 
 def test_a_pose_that_sees_points_on_one_line() -> None:
-    """It turns about that line, wherever it stands."""
+    """The pose turns about that line, wherever it stands."""
     line = np.array([[3, 0, 1.0], [4, 0, 1], [5, 0, 1], [6, 0, 1]])
     pose = np.array([[0, 2.0, 0, 0, 0, 0, 1]])
     points = Prior(l[[0, 1, 2, 3]], line, Isotropic(0.1))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
+from jsonschema import Draft202012Validator, ValidationError
 
 import nls
 import sim
@@ -19,9 +19,10 @@ from tests.combinations import for_all
 from tests.nls.explanation.sentences import FINDINGS
 from tests.nls.io.g2o_files import PLANE, write
 
-SCHEMA = json.loads(Path(nls.explanation.__file__).with_name("schema.json").read_text(encoding="utf-8"))
-SOLVE = json.loads(Path(nls.cli.__file__).with_name("schema.json").read_text(encoding="utf-8"))
-EVALUATE = json.loads(Path(nls.cli.__file__).with_name("evaluate.json").read_text(encoding="utf-8"))
+SCHEMA, SOLVE, EVALUATE = (
+    json.loads(Path(nls.__path__[0], file).read_text(encoding="utf-8"))
+    for file in ("explanation/schema.json", "cli/schema.json", "cli/evaluate.json")
+)
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "json.md"
 FREE = "VERTEX_XY 9 1 1\nEDGE_BEARING_SE2_XY 1 9 0.3 100\n"
 APART = "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n"
@@ -31,55 +32,40 @@ WRONG = "EDGE_SE2 0 2 2 1 1.55 500 0 0 400 0 300\nEDGE_SE2 1 3 4 -3 1 500 0 0 40
 def objects(schema: Any) -> Iterator[dict[str, Any]]:
     """All objects that a schema describes."""
     if isinstance(schema, dict):
-        if "properties" in schema:
-            yield schema
+        yield from [schema] * ("properties" in schema)
         for value in schema.values():
             yield from objects(value)
 
 
-@for_all(text=[PLANE, PLANE + FREE, PLANE + WRONG, PLANE + APART])
-def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
-    where = tmp_path / "r.json"
-    assert main(["explain", str(write(tmp_path, text)), "--json", str(where)]) == 0
-    report = json.loads(where.read_text())
-    Draft202012Validator(SCHEMA).validate(report)
-    assert report["schema"] == SCHEMA["properties"]["schema"]["const"]
-
-
 @for_all(
     case=[
-        (PLANE, ["--certify", "--covariance", "c.csv"]),
-        (PLANE + WRONG, ["--robust", "gnc-tls"]),
-        (PLANE + WRONG, ["--sigmas", "estimate"]),
-        (PLANE + FREE, []),
-        (PLANE, ["--gauge", "none"]),
-        (PLANE, ["--init", "file", "--max-iterations", "1"]),
-    ],
+        *((SCHEMA, "explain", text, []) for text in (PLANE, PLANE + FREE, PLANE + WRONG, PLANE + APART)),
+        *((EVALUATE, "evaluate", PLANE, words) for words in ([], ["--align", "similarity"], ["--distances", "1,1e9"])),
+        (SOLVE, "solve", PLANE, ["--certify", "--covariance", "c.csv"]),
+        (SOLVE, "solve", PLANE + WRONG, ["--robust", "gnc-tls"]),
+        (SOLVE, "solve", PLANE + WRONG, ["--sigmas", "estimate"]),
+        (SOLVE, "solve", PLANE + FREE, []),
+        (SOLVE, "solve", PLANE, ["--gauge", "none"]),
+        (SOLVE, "solve", PLANE, ["--init", "file", "--max-iterations", "1"]),
+    ]
 )
-def test_reports_of_solve_are_as_their_schema(
-    case: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_reports_are_as_their_schema(
+    case: tuple[dict[str, Any], str, str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    schema, command, text, words = case
     monkeypatch.chdir(tmp_path)
-    main(["solve", str(write(tmp_path, case[0])), "--json", "r.json", *case[1]])
-    Draft202012Validator(SOLVE).validate(json.loads(Path("r.json").read_text()))
+    main([command, *[str(write(tmp_path, text))] * (1 + (command == "evaluate")), "--json", "r.json", *words])
+    report = json.loads(Path("r.json").read_text())
     Path("r.json").unlink()
-
-
-@for_all(words=[[], ["--align", "similarity"], ["--distances", "1,1e9"]])
-def test_reports_of_evaluate_are_as_their_schema(words: list[str], tmp_path: Path) -> None:
-    graph, where = str(write(tmp_path, PLANE)), tmp_path / "r.json"
-    assert main(["evaluate", graph, graph, *words, "--json", str(where)]) == 0
-    Draft202012Validator(EVALUATE).validate(json.loads(where.read_text()))
-    with pytest.raises(Exception, match="is a required property"):
-        Draft202012Validator(EVALUATE).validate({"schema": "evaluate 1"})
+    Draft202012Validator(schema).validate(report)
+    assert report["schema"] == schema["properties"]["schema"]["const"]
 
 
 def test_the_report_of_a_mission_is_as_its_schema(tmp_path: Path) -> None:
     mission, where = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6), tmp_path / "r.json"
     write_mission(tmp_path / "m", mission.graph, mission.sonar, mission.offset, mission.truth)
     assert main(["solve", str(tmp_path / "m"), "--json", str(where), "-o", str(tmp_path / "out")]) == 0
-    report = json.loads(where.read_text())
-    Draft202012Validator(SOLVE).validate(report)
+    Draft202012Validator(SOLVE).validate(report := json.loads(where.read_text()))
     assert report["mission"]["poses"] > 10
 
 
@@ -91,8 +77,12 @@ def test_every_kind_of_finding_is_as_the_schema_and_its_page_say() -> None:
         (line,) = [line for line in lines if f"`{example.kind}`" in line.split("|")[1]]
         assert not {name for name in example.numbers if f"`{name}`" not in line}, example.kind
     assert finding["properties"]["kind"]["enum"] == [kind.value for kind in nls.FindingKind]
-    with pytest.raises(Exception, match="is not one of"):
-        Draft202012Validator(finding).validate(FINDINGS[0].record() | {"kind": "magic"})
+    for schema, wrong, why in (
+        (finding, FINDINGS[0].record() | {"kind": "magic"}, "is not one of"),
+        (EVALUATE, {"schema": "evaluate 1"}, "is a required property"),
+    ):
+        with pytest.raises(ValidationError, match=why):
+            Draft202012Validator(schema).validate(wrong)
 
 
 def test_every_field_is_described_and_none_is_left_over() -> None:

@@ -42,7 +42,7 @@ VALUES = nls.Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
         ([STEPS[:2], STEPS[3:], CLOSURES], True, False),
         ([STEPS, CLOSURES.robust(Cauchy(1))], False, True),
         ([SEEN], False, False),
-    ],
+    ]
 )
 def test_what_is_offered_works(case: tuple[list[Factor], bool, bool]) -> None:
     factors, certified, graduated = case
@@ -50,17 +50,10 @@ def test_what_is_offered_works(case: tuple[list[Factor], bool, bool]) -> None:
     values = VALUES if SEEN in factors else nls.Values.of([VALUES.stacks["x"]])
     assert certifies(graph, values) == certified
     assert graduates(graph, values) == graduated
-    if not certified:
-        with pytest.raises(nls.GraphError):
-            nls.certify(graph, values)
-    if not graduated:
-        with pytest.raises(nls.GraphError):
-            nls.gnc(graph, values)
-
-
-def suspected(graph: nls.FactorGraph, places: list[tuple[int, int]], many: bool = False) -> Suspects:
-    rivals = dict.fromkeys(places, (0, None))
-    return Suspects(places, rivals, [], [], [], VALUES, 100.0, 30.0, many)  # type: ignore[arg-type]
+    for offered, solve in ((certified, nls.certify), (graduated, nls.gnc)):
+        if not offered:
+            with pytest.raises(nls.GraphError):
+                solve(graph, values)  # type: ignore[operator]
 
 
 def test_many_outliers_are_offered_what_works() -> None:
@@ -70,7 +63,8 @@ def test_many_outliers_are_offered_what_works() -> None:
         ([STEPS, CLOSURES.robust(Cauchy(1))], ["gnc", "inspect", "remove"]),
     ):
         graph = nls.FactorGraph(factors)  # type: ignore[arg-type]
-        (many,) = of_suspects(suspected(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES), {})
+        suspects = Suspects([(0, 0)], {}, [], [], [], VALUES, 100.0, 30.0, many=True)
+        (many,) = of_suspects(suspects, graph, graph.pattern(VALUES), {})
         assert [advice.action for advice in many.advice] == actions
 
 
@@ -121,9 +115,8 @@ def test_no_sentence_is_made_outside_the_words() -> None:
 
 
 def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
-    finding = Finding(
-        FindingKind.TWINS, (l[1], l[2]), {"distance": 0.1, "sigmas": np.inf}, (Advice("merge"),), ((0, 3),)
-    )
+    numbers = {"distance": 0.1, "sigmas": np.inf}
+    finding = Finding(FindingKind.TWINS, (l[1], l[2]), numbers, (Advice("merge"),), ((0, 3),))
     explanation = nls.explain(nls.FactorGraph([STEPS, CLOSURES]), nls.Values.of([VALUES.stacks["x"]]))
     placed = replace(explanation, findings=(finding,)).placed(lambda factor, index: f"a.g2o:{10 * factor + index}")
     (record,) = placed.record()["findings"]

@@ -13,7 +13,6 @@ from factors.sighting import Sighting
 from models import SE2
 from models.algebra import Index
 from nls import FactorGraph, Values, kinds
-from nls.missions.contacts.pings import Pings
 from sim.mission import Mission
 
 __all__ = ["Scene", "drifted", "floor", "in_plane", "poor_ranges"]
@@ -41,11 +40,6 @@ class Scene:
     true: Index
     truth: Values
 
-    @property
-    def pings(self) -> Pings:
-        """The sightings, ping by ping."""
-        return Pings.of(self.sightings, self.values, l, self.aperture)
-
 
 def poses_of(values: Values) -> Values:
     """The poses without the landmarks."""
@@ -53,7 +47,7 @@ def poses_of(values: Values) -> Values:
 
 
 def unnamed(sightings: Sighting) -> Sighting:
-    """The same sightings, all of landmark 0."""
+    """The sightings, all of landmark 0."""
     pose, nothing = sightings.keys[0], np.zeros(len(sightings), dtype=int)
     return type(sightings)(pose, l[nothing], sightings.z, sightings.noise, sightings.offset)
 

@@ -12,13 +12,13 @@ import pytest
 
 from factors import Bearing, Between, Diagonal, Isotropic, Prior
 from models import SE2, R
-from models.algebra import Index
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, UnderconstrainedError
-from nls import FactorGraph, Values, kinds
+from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.metrics import ate
 from nls.missions.contacts import Associated, associate
-from nls.missions.contacts.loops import Loop, _held
+from nls.missions.contacts.loops import Loop, Loops, _held
 from tests.nls.missions.contacts.scenes import Scene, drifted, floor, in_plane, poor_ranges
 
 x, l, m = kinds("x", "l", "m")
@@ -29,14 +29,14 @@ def answer(
     make: Callable[..., Scene], seed: int = 1, outliers: float = 0.0, pings: int = 150, noise_scale: float = 1.0
 ) -> Associated:
     """The association of a scene, with so many pings in a stretch."""
-    rounds = sys.modules["nls.missions.contacts.associate"]
+    scene = made(make, seed, outliers, pings, noise_scale)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rounds, "STRETCH_PINGS", pings)
-        return associated(make(seed, outliers, noise_scale) if make is floor else make())
+        patch.setattr(sys.modules["nls.missions.contacts.associate"], "STRETCH_PINGS", pings)
+        return associate(scene.graph, scene.values, scene.sightings, scene.aperture)
 
 
-def associated(scene: Scene) -> Associated:
-    return associate(scene.graph, scene.values, scene.sightings, scene.aperture)
+def made(make: Callable[..., Scene], seed: int = 1, outliers: float = 0.0, pings: int = 0, noise: float = 1.0) -> Scene:
+    return make(seed, outliers, noise) if make is floor else make()
 
 
 def error(scene: Scene, values: Values) -> float:
@@ -70,24 +70,31 @@ def test_any_step_that_changes_shows_in_rounds_and_cost(
     assert result.cost == pytest.approx(cost, rel=1e-6)
 
 
-def test_loops_bring_the_poses_back_and_join_the_tracks() -> None:
-    scene, result = drifted(), answer(drifted, 1, 0.0, 17)
-    assert error(scene, result.values) < error(scene, scene.values) / 2
-    score = pair_precision_recall(result.numbers, scene.true)
-    assert score.precision > 0.95
-    assert score.recall > 0.9
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_pairs_over_the_floor(seed: int) -> None:
-    scene, result = floor(seed), answer(floor, seed)
-    score = pair_precision_recall(result.numbers, scene.true)
-    assert score.precision >= 0.97
-    assert score.recall >= 0.9
+@pytest.mark.parametrize(
+    ("scene", "precision", "recall", "gain"),
+    [
+        ((floor, 1), 0.97, 0.9, 1),
+        ((floor, 2), 0.97, 0.9, 1),
+        ((floor, 2, 0.1), 0.9, 0.9, 0),
+        ((floor, 4, 0.1), 0.9, 0.9, 0),
+        ((in_plane,), 1.0, 0.98, 3),
+        ((poor_ranges,), 1.0, 0.98, 0),
+        ((drifted, 1, 0.0, 17), 0.95, 0.9, 2),
+    ],
+)
+def test_pairs_are_found_again(scene: tuple[Any, ...], precision: float, recall: float, gain: float) -> None:
+    """Where odometry drifts and where it is better than the sensor; what is false stays out, and loops join tracks."""
+    known, result = made(*scene), answer(*scene)
+    score = pair_precision_recall(result.numbers, known.true)
+    assert score.precision >= precision
+    assert score.recall >= recall
     assert result.settled
-    assert result.share > 0.95
-    assert error(scene, result.values) < error(scene, scene.values)
-    assert abs(result.landmarks - len(np.unique(scene.true))) <= 2
+    assert gain * error(known, result.values) <= error(known, known.values)
+    false, true = known.true < 0, len(np.unique(known.true))
+    if false.any():
+        assert np.mean(result.numbers[false] < 0) > 0.7
+    else:
+        assert abs(result.landmarks - true) <= 0.06 * true
 
 
 def test_what_is_returned_fits_together() -> None:
@@ -136,26 +143,6 @@ def test_names_have_no_influence_nothing_is_changed_and_it_comes_out_the_same_ag
     assert again.rounds == result.rounds
 
 
-@pytest.mark.parametrize("seed", [2, 4])
-def test_false_contacts_stay_out(seed: int) -> None:
-    scene, result = floor(seed, 0.1), answer(floor, seed, 0.1)
-    score = pair_precision_recall(result.numbers, scene.true)
-    assert score.precision >= 0.9
-    assert score.recall >= 0.9
-    assert np.mean(result.numbers[scene.true < 0] < 0) > 0.7
-
-
-def test_bearings_and_ranges_in_the_plane() -> None:
-    """One scene whose odometry drifts by meters, one where it is better than the sensor."""
-    for make in (in_plane, poor_ranges):
-        scene, result = make(), answer(make)
-        score = pair_precision_recall(result.numbers, scene.true)
-        assert (score.precision, result.settled) == (1.0, True)
-        assert score.recall > 0.98
-        assert result.values.stack("l").manifold is R(2)
-    assert error(in_plane(), answer(in_plane).values) < error(in_plane(), in_plane().values) / 3
-
-
 def test_least_kind_rounds_and_history() -> None:
     """A landmark that is seen less often than `least` is none."""
     scene = in_plane()
@@ -193,16 +180,10 @@ def test_where_nothing_belongs_together_nothing_is_decided() -> None:
 def test_refusals() -> None:
     scene = floor()
     graph, values, sightings = scene.graph, scene.values, scene.sightings
-    for options in (
-        {"least": 1},
-        {"rounds": 0},
-        {"probability": 1.0},
-        {"probability": 0.0},
-        {"aperture": -1.0},
-        {"aperture": None},
-    ):
-        with pytest.raises(OptionError, match=next(iter(options))):
-            associate(graph, values, sightings, **{"aperture": 0.2, **options})  # type: ignore[arg-type]
+    wrong = {"least": [1], "rounds": [0], "probability": [1.0, 0.0], "aperture": [-1.0, None]}
+    for name, value in ((name, value) for name, several in wrong.items() for value in several):  # type: ignore[attr-defined]
+        with pytest.raises(OptionError, match=name):
+            associate(graph, values, sightings, **{"aperture": 0.2, name: value})
     with pytest.raises(GraphError, match="kind 'x' has values already"):
         associate(graph, values, sightings, 0.2, kind=x)
     plane = in_plane()
@@ -213,30 +194,30 @@ def test_refusals() -> None:
         associate(FactorGraph(graph.factors[1:2]), values, sightings, scene.aperture)
 
 
+def held(truth: Array, sigmas: list[float], pairs: list[tuple[int, int]], wrong: int = -1) -> tuple[Loops, Marginals]:
+    """Loops of some pairs among poses (n, 3) of a track, one of which is a meter wrong; what is held of them."""
+    n, none = len(truth), np.zeros(0, dtype=np.intp)
+    steps = Between(x[0 : n - 1], x[1:n], SE2.between(truth[:-1], truth[1:]), Diagonal(sigmas))
+    graph, loops = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), {}
+    for k, (a, b) in enumerate(pairs):
+        motion = SE2.between(truth[[a]], truth[[b]])[0] + np.array([1.0, 0, 0]) * (k == wrong)
+        loops[a, b] = Loop(motion, np.eye(3) / 0.02**2, none, none, np.zeros(0))
+    return _held(graph, Values({x: (SE2, truth)}), x[0:n], loops, 0.995)
+
+
 def test_a_wrong_loop_is_taken_back_and_right_ones_stay() -> None:
-    """It draws the poses after it, so that its own residual is small and those of others are not."""
-    n = 12
-    truth = np.column_stack([[*range(6), *range(5, -1, -1)], [0.0] * 6 + [0.5] * 6, np.zeros(n)])
-    i, none = np.arange(n - 1), np.zeros(0, dtype=np.intp)
-    steps = Between(x[i], x[i + 1], SE2.between(truth[:-1], truth[1:]), Diagonal([0.1, 0.1, 0.01]))
-    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
-    loops = {}
-    for a in range(6):
-        motion = SE2.between(truth[[a]], truth[[n - 1 - a]])[0] + np.array([1.0, 0, 0]) * (a == 2)
-        loops[a, n - 1 - a] = Loop(motion, np.eye(3) / 0.02**2, none, none, np.zeros(0))
-    held, marginals = _held(graph, values, x[np.arange(n)], loops, 0.995)
-    assert [*held] == [pair for pair in loops if pair[0] != 2]
+    """The wrong one draws the poses after it, so that its own residual is small and those of others are not."""
+    truth = np.column_stack([[*range(6), *range(5, -1, -1)], [0.0] * 6 + [0.5] * 6, np.zeros(12)])
+    pairs = [(a, 11 - a) for a in range(6)]
+    loops, marginals = held(truth, [0.1, 0.1, 0.01], pairs, wrong=2)
+    assert [*loops] == pairs[:2] + pairs[3:]
     np.testing.assert_allclose(marginals.values[x], truth, atol=1e-6)
 
 
 def test_loops_of_one_map_share_its_errors() -> None:
     """Three of them: the motion is known a third as well as each one says."""
-    truth, k, none = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]]), np.arange(3), np.zeros(0, dtype=np.intp)
-    steps = Between(x[k], x[k + 1], SE2.between(truth[:-1], truth[1:]), Isotropic(10.0))
-    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
-    motions = {(0, b): SE2.between(truth[[0]], truth[[b]])[0] for b in (1, 2, 3)}
-    loops = {pair: Loop(motion, np.eye(3) / 0.02**2, none, none, np.zeros(0)) for pair, motion in motions.items()}
-    held, marginals = _held(graph, values, x[np.arange(4)], loops, 0.995)
-    assert [*held] == [*loops]
+    truth = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]])
+    loops, marginals = held(truth, [10.0] * 3, [(0, 1), (0, 2), (0, 3)])
+    assert len(loops) == 3
     C = marginals.relative(x[[0, 0, 0]], x[[1, 2, 3]])
     np.testing.assert_allclose(C, np.broadcast_to(3 * 0.02**2 * np.eye(3), C.shape), rtol=1e-3, atol=1e-6)

@@ -49,7 +49,7 @@ def test_the_information_of_a_motion_is_neither_more_nor_less_than_its_error(nam
 @pytest.mark.parametrize("name", GROUPS)
 @pytest.mark.parametrize("wrong", [False, True])
 def test_a_far_match_is_compared_with_what_the_others_predict(name: str, wrong: bool) -> None:
-    """It tells most of the turn, and bends the motion its own way."""
+    """A far match tells most of the turn, and bends the motion its own way."""
     group, rng, k, left_out = GROUPS[name], np.random.default_rng(2), np.arange(12), 0
     few = np.append(np.arange(11), 39)
     gate = chi2_gate(group.point_dim, 0.995)
@@ -59,27 +59,3 @@ def test_a_far_match_is_compared_with_what_the_others_predict(name: str, wrong: 
         a.p[-1] += 0.5 * wrong * rng.permuted(np.eye(group.point_dim)[0])
         left_out += not measured_motion(group, a, b, k, k, G[0], gate)[2][-1]
     assert left_out >= 34 if wrong else left_out <= 2
-
-
-@pytest.mark.parametrize("name", GROUPS)
-def test_nothing_agrees_where_most_matches_are_wrong(name: str) -> None:
-    group, k = GROUPS[name], np.arange(40)
-    a, b, G = two_maps(group, np.random.default_rng(1))
-    motion, Omega, agree = measured_motion(group, a, b, k, k[::-1], G[0], chi2_gate(group.point_dim, 0.999))
-    assert not agree.any()
-    assert np.isfinite([*motion, *Omega.reshape(-1)]).all()
-    one = a._replace(p=0 * a.p), b._replace(p=0 * b.p)  # all at one point: no turn is told, and nothing fails
-    assert np.isfinite(measured_motion(group, *one, k, k, G[0], 1e9)[1]).all()
-
-
-@pytest.mark.parametrize("name", GROUPS)
-def test_a_match_that_the_others_contradict_is_left_out(name: str) -> None:
-    group, k = GROUPS[name], np.arange(40)
-    gate = chi2_gate(group.point_dim, 0.999)
-    a, b, G = two_maps(group, np.random.default_rng(1))
-    others = np.where(k < 3, (k + 1) % 3, k)  # three landmarks are taken for one another
-    motion, _, agree = measured_motion(group, a, b, k, others, G[0], gate)
-    assert not agree[:3].any()
-    assert np.count_nonzero(agree) >= 35
-    same = np.flatnonzero(agree)
-    np.testing.assert_allclose(motion, measured_motion(group, a, b, same, same, G[0], gate)[0], atol=1e-6)

@@ -18,10 +18,8 @@ CURRENT = np.array([0.04, 0.02])  # drift of dead reckoning in the world, m for 
 def walls() -> Array:
     """Points (n, 2) on the walls, 0.25 m apart."""
     sides = [np.stack([shape, np.roll(shape, -1, axis=0)], axis=1) for shape in (CORNERS, PILLAR)]
-    out = []
-    for a, b in np.concatenate(sides):
-        out.append(a + np.arange(0, 1, 0.25 / np.linalg.norm(b - a))[:, None] * (b - a))
-    return np.concatenate(out)
+    ends = [(a, b - a) for a, b in np.concatenate(sides)]
+    return np.concatenate([a + np.arange(0, 1, 0.25 / np.linalg.norm(d))[:, None] * d for a, d in ends])
 
 
 def track(laps: int) -> Array:
@@ -46,23 +44,17 @@ def room(laps: int = 2, side: float = 1.0, mount: Array | None = None) -> dict[s
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1)))
     reckoned[:, :2] += way[:, None] * CURRENT
     numbers, times = 100 + 3 * np.arange(len(true)), 5.0 + 2.0 * np.arange(len(true))
-    rows: list[list[Array]] = [[], [], []]
-    points = walls()
-    for k, pose in enumerate(true):
-        sonar = SE2.compose(pose[None], np.zeros((1, 3)) if mount is None else mount[None])
-        q = SE2.act(np.repeat(SE2.inverse(sonar), len(points), axis=0), points)
-        q += rng.normal(scale=0.03, size=q.shape)
-        r, azimuth = np.hypot(*q.T), np.arctan2(q[:, 1], q[:, 0])
-        visible = (np.abs(azimuth) < np.radians(65)) & (r < 15) & (k % 10 != 9)
-        for column, values in zip(
-            rows, (np.full(visible.sum(), numbers[k]), r[visible], azimuth[visible]), strict=True
-        ):
-            column.append(values)
-    i, r, azimuth = (np.concatenate(column) for column in rows)
+    points, k = walls(), np.arange(len(true))[:, None]
+    sonar = SE2.compose(true, np.zeros_like(true) if mount is None else np.tile(mount, (len(true), 1)))
+    q = SE2.act(SE2.inverse(np.repeat(sonar, len(points), axis=0)), np.tile(points, (len(true), 1)))
+    q = (q + rng.normal(scale=0.03, size=q.shape)).reshape(len(true), -1, 2)
+    r, azimuth = np.hypot(*q.T).T, np.arctan2(q[:, :, 1], q[:, :, 0])
+    visible = (np.abs(azimuth) < np.radians(65)) & (r < 15) & (k % 10 != 9)
+    i = numbers[np.nonzero(visible)[0]]
     known = np.column_stack([times, true])
     return {
         "keyframes": csv_text(("keyframe", "time", "x", "y", "yaw"), numbers, times, reckoned),
-        "scans": csv_text(("keyframe", "range", "azimuth"), i, r, side * azimuth),
+        "scans": csv_text(("keyframe", "range", "azimuth"), i, r[visible], side * azimuth[visible]),
         "truth": csv_text(("time", "x", "y", "yaw"), known),
     }
 

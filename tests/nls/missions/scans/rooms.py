@@ -25,9 +25,9 @@ class Drive:
     scans: Scans
 
 
-def drive(truth: Array, scene: Scene = ROOM, seed: int = 0, drift: tuple[float, float] = (0.2, 0.15)) -> Drive:
+def drive(truth: Array, scene: Scene = ROOM) -> Drive:
     """Points within 20 m with a sigma of 5 cm, and a track with a drift, one of every 10 m besides, and a compass."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     r = scene.first_hits(truth, FAN, (0.5, 20.0))
     keyframe, ray = np.nonzero(np.isfinite(r))
     z = r[keyframe, ray] + rng.normal(0, 0.05, len(ray))
@@ -37,9 +37,8 @@ def drive(truth: Array, scene: Scene = ROOM, seed: int = 0, drift: tuple[float, 
     step = SE2.between(truth[:-1], truth[1:])[:, :2]
     length = np.linalg.norm(step, axis=1)
     stretch = (np.cumsum(length) // 10).astype(int)
-    step = step + length[:, None] * (np.array(drift) + rng.normal(0, 0.1, (stretch.max() + 1, 2))[stretch])
-    turned = np.column_stack([step, np.zeros(len(step))])
-    turned = SE2.act(np.column_stack([np.zeros((len(step), 2)), yaw[:-1]]), turned[:, :2])
+    step = step + length[:, None] * ([0.2, 0.15] + rng.normal(0, 0.1, (stretch.max() + 1, 2))[stretch])
+    turned = SE2.act(np.column_stack([np.zeros((len(step), 2)), yaw[:-1]]), step)
     place = truth[0, :2] + np.vstack([np.zeros((1, 2)), np.cumsum(turned, axis=0)])
     return Drive(truth, np.column_stack([place, yaw]), Scans(points, keyframe, len(truth)))
 

@@ -66,11 +66,8 @@ def test_any_step_that_changes_shows_in_the_rounds(closing: Closing) -> None:
 
 
 def test_a_round_is_what_its_graph_says(closing: Closing) -> None:
-    assert 2 <= len(closing.rounds) <= 8
-    assert closing.rounds[-1].moved < 0.3 <= closing.rounds[-2].moved
     same(closing.rounds[-1].poses, closing.values[x])
     same(closing.rounds[-1].chi2_dof, closing.result.chi2_final / closing.result.dof)
-    assert closing.rounds[1].matches.window.mean() < closing.rounds[0].matches.window.mean(), "of the better estimate"
     *others, kept = closing.graph.factors
     assert len(others) == len(dead_reckoning(ROOM.reckoned)[0].factors) + 1, "sequential, no closures of earlier rounds"
     assert len(kept) == closing.matches.kept.sum()
@@ -112,31 +109,21 @@ def test_gnc_leaves_out_wrong_ones_that_the_others_swallow(once: dict[str, Closi
     assert rmse(chosen.values[x]) < rmse(everything.values[x])
 
 
-def test_a_straight_corridor_closes_no_loop() -> None:
+def test_where_no_loop_closes_dead_reckoning_is_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a straight corridor, without points, and where no match is accepted."""
     k = np.arange(80.0)
-    truth = np.column_stack([2 * k, 0 * k, 0 * k])
     corridor = Scene(walls=[[[-50.0, 5.0], [300.0, 5.0]], [[-50.0, -5.0], [300.0, -5.0]]])
-    way = drive(truth, corridor)
+    way = drive(np.column_stack([2 * k, 0 * k, 0 * k]), corridor)
     empty = Scans(np.empty((0, 2)), np.empty(0, dtype=int), 80)
-    for scans in (way.scans, empty):
-        graph, values = dead_reckoning(way.reckoned)
-        closing = close(graph, values, scans, sequential=False)
-        assert len(closing.matches) == 0
-        assert closing.settled
-        assert str(closing.rounds[0]).startswith("0 candidates")
-        same(closing.values[x], way.reckoned, atol=1e-9)
-
-
-def test_no_match_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dead reckoning is the answer, and nothing changes any more."""
     monkeypatch.setattr("nls.missions.scans.matches.verdicts", lambda score, *_: np.full(len(score), Verdict.NO_FIT))
-    graph, values = dead_reckoning(ROOM.reckoned)
-    closing = close(graph, values, ROOM.scans, sequential=False)
-    assert len(closing.rounds) == 1
-    assert closing.settled
-    assert closing.graph is graph
-    assert not closing.matches.kept.any()
-    same(closing.values[x], ROOM.reckoned, atol=1e-9)
+    for reckoned, scans in ((way.reckoned, way.scans), (way.reckoned, empty), (ROOM.reckoned, ROOM.scans)):
+        graph, values = dead_reckoning(reckoned)
+        closing = close(graph, values, scans, sequential=False)
+        assert (len(closing.matches) > 0) == (scans is ROOM.scans)
+        assert closing.settled
+        assert closing.graph is graph
+        assert not closing.matches.kept.any()
+        same(closing.values[x], reckoned, atol=1e-9)
 
 
 def test_what_does_not_fit() -> None:

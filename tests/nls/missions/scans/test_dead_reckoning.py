@@ -39,18 +39,6 @@ def test_the_sigma_of_a_position_grows_with_the_way(step: float) -> None:
     same(sigmas(DRIFT, straight(100, step)), np.column_stack([expected, expected]), rtol=1e-3)
 
 
-def test_at_the_ends_of_stretches_it_is_mean_stretch_and_step() -> None:
-    s = 10.0 * np.arange(1, 11)
-    last = sigmas(DRIFT, straight(100))[9::10, 0]
-    same(last, np.sqrt(0.2**2 * s**2 + 0.15**2 * 10 * s + 0.1**2 * s), rtol=1e-3)
-
-
-def test_independent_steps_are_too_sure_after_a_long_way() -> None:
-    """Of one sigma a step, sqrt(mean^2 + stretch^2 + step^2), they make its root times the root of the way."""
-    independent = np.sqrt(0.2**2 + 0.15**2 + 0.1**2) * np.sqrt(100)
-    assert 7 < sigmas(DRIFT, straight(100))[-1, 0] / independent < 8
-
-
 def test_a_wrong_compass_swings_the_way() -> None:
     """Yaws of a random walk: to the side yaw^2 s^3 / 3; a compass holds it at its own sigma and less."""
     drift = Drift(mean=1e-3, stretch=1e-3, step=1e-3, yaw=0.02, heading=None)

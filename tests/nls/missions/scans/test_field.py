@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
-from models import SE2
 from models.errors import GraphError, OptionError
 from nls.missions.scans import Field
 from tests.factors.evaluated import Array, refused, same
@@ -65,22 +62,6 @@ def test_zero_far_from_all_points_and_the_most_on_one() -> None:
     assert not slope.any()
     assert field.L.max() == np.float32(-np.log(0.05))
     assert max(field.L[0].max(), field.L[-1].max(), field.L[:, 0].max(), field.L[:, -1].max()) < 0.01
-
-
-@given(st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3)))
-def test_the_field_moves_with_its_points(pose: tuple[float, float, float]) -> None:
-    T = np.array([pose])
-    q = POINTS[:20] + RNG.normal(0, 0.4, (20, 2))
-    moved = Field(SE2.act(T, POINTS), 0.5, 0.05).at(SE2.act(T, q))[0]
-    same(moved, Field(POINTS, 0.5, 0.05).at(q)[0], atol=0.3)
-
-
-def test_coarse_cells_hold_the_same_points() -> None:
-    field = Field(POINTS, 0.5, 0.1)
-    assert field.coarse.resolution == 0.2
-    assert field.coarse is field.coarse
-    shape = (300, 300)
-    assert field.spectrum(shape) is field.spectrum(shape)
 
 
 def test_what_does_not_fit() -> None:

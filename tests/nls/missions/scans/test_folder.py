@@ -1,4 +1,4 @@
-"""Scan missions: points in the frame of the vehicle, keyframes, the truth; and tables that cannot be right."""
+"""Scan missions: points in the frame of the vehicle, keyframes, the truth; tables and settings that cannot be right."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import nls
 from factors.keys import kinds
 from models import SE2
 from models.errors import GraphFileError, GraphWarning, OptionError
-from nls.missions.scans.folder import ScanReport, is_scan_mission, read_scan_mission
+from nls.missions.scans import Drift
+from nls.missions.scans.folder import ScanReport, Settings, is_scan_mission, read_scan_mission, read_settings
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
 from tests.nls.missions.scans.room_files import room, track, walls, write
@@ -24,6 +25,8 @@ FILES = {
     "truth": b"time,x,y,yaw\n9,0,0,1.5\n13,0,4,1.5\n16,-3,4,3\n",
     "mission.toml": b'[sonar]\nazimuth = "left"\nx_m = 0.5\n\n[drift]\nmean = 0.1\n',
 }
+
+TEXT = '# dive 3\n[sonar]\nazimuth = "right"\nx_m = 1\nyaw_rad = 0.1\n[drift]\nmean = 0.05\nheading = false\n'
 
 
 def test_points_numbers_and_truth(tmp_path: Path) -> None:
@@ -80,6 +83,17 @@ def test_folders_that_are_scan_missions(tmp_path: Path) -> None:
         nls.load(write(tmp_path / "m", FILES), elevation="hinge")
 
 
+def test_what_the_settings_state_and_what_they_leave_out(tmp_path: Path) -> None:
+    file = tmp_path / "mission.toml"
+    for text, expected in (
+        (TEXT, Settings(-1.0, (1.0, 0.0, 0.1), Drift(mean=0.05, heading=None))),
+        ("", Settings()),
+        ("drift.yaw = 0.5", Settings(drift=Drift(yaw=0.5))),
+    ):
+        file.write_text(text)
+        assert read_settings(file) == expected
+
+
 # file, text, other text, line, words of the error
 EDITS = cases(r"""
 keyframes | keyframe,time,x,y,yaw | keyframe,time,x,y,heading | 1 | unknown column 'heading'; expected keyframe,time,x
@@ -105,14 +119,28 @@ scans | \n80,9,5,0.5\n90,4,8,-0.25\n70,9,6,0\n | \n | 1 | has no row below its n
 truth | 13,0,4 | 8,0,4 | 3 | time 8.0 does not rise over 9.0
 truth | \n9,0,0,1.5\n13 | \n13.5,0,0,1.5\n14 | 2 | keyframes of 10.0 to 15.0 s: 1 of these within, expected 2 or more
 truth | 13,0,4 | 13,0,4e9 | 3 | y is 4000000000.0; expected meters
+mission.toml | [sonar] | [sonnar] | 2 | unknown section 'sonnar'; expected [sonar] and [drift]; did you mean 'sonar'?
+mission.toml | [sonar]\n | sonar = 3\n[sonar]\n | 3 | is no TOML
+mission.toml | x_m | xm | 4 | [sonar] has no 'xm'; expected azimuth, x_m, y_m, yaw_rad; did you mean 'x_m'?
+mission.toml | mean | x_m | 7 | [drift] has no 'x_m'; expected mean, stretch, length, step, yaw, heading
+mission.toml | "right" | "rigth" | 3 | expected the positive side, 'left' or 'right'; did you mean 'right'?
+mission.toml | "right" | -1 | 3 | azimuth is -1; expected the positive side
+mission.toml | x_m = 1 | x_m = "1" | 4 | x_m is '1'; expected a number, m, within 1000
+mission.toml | x_m = 1 | x_m = nan | 4 | x_m is nan
+mission.toml | 0.1 | 30 | 5 | yaw_rad is 30; expected a number, rad
+mission.toml | 0.05 | -0.05 | 7 | mean is -0.05; expected a number from 1e-06 to 1000
+mission.toml | 0.05 | inf | 7 | mean is inf
+mission.toml | 0.05 | false | 7 | mean is False; expected a number from 1e-06 to 1000
+mission.toml | false | true | 8 | heading is True; expected a number from 1e-06 to 1000, or false: no compass
+mission.toml | 0.05 | = | 7 | is no TOML
 """)
 
 
 @for_all(case=EDITS)
 def test_a_damaged_table(case: list[str], tmp_path: Path) -> None:
     name, old, new, line, words = case
-    assert old.encode() in FILES[name]
-    files = FILES | {name: FILES[name].replace(old.encode(), new.encode(), 1)}
-    place = write(tmp_path / str(EDITS.index(case)), files)
+    files = FILES | {"mission.toml": TEXT.encode()}
+    assert old.encode() in files[name]
+    place = write(tmp_path / str(EDITS.index(case)), files | {name: files[name].replace(old.encode(), new.encode(), 1)})
     error = assert_refused(int(line), words, nls.load, place)
-    assert error.path == str(place / f"{name}.csv")
+    assert error.path == str(place / (name if "." in name else f"{name}.csv"))

@@ -22,10 +22,9 @@ def rooms(laps: int = 2, side: int = 12) -> tuple[Array, Array, list[Array]]:
     """True poses (n, 3) around a square in a hall with pillars, reckoned ones, and what a sonar ahead shows of it."""
     rng = np.random.default_rng(1)
     edge = np.arange(0, 28, 0.3) - 8.0
-    far = np.full(len(edge), 20.0)
     pillars = rng.uniform(-7, 19, (30, 1, 2)) + rng.uniform(-0.7, 0.7, (30, 8, 2))
-    walls = [np.column_stack(c) for c in ([edge, far], [edge, -8 + 0 * far], [far, edge], [-8 + 0 * far, edge])]
-    world = np.concatenate([*walls, pillars.reshape(-1, 2)])
+    walls = [np.column_stack([edge, np.full_like(edge, far)]) for far in (20.0, -8.0)]
+    world = np.concatenate([*walls, *(wall[:, ::-1] for wall in walls), pillars.reshape(-1, 2)])
     turn = np.arange(laps * 4 * side) // side * np.pi / 2
     step = np.column_stack([np.cos(turn), np.sin(turn)])
     truth = np.column_stack([np.cumsum(step, axis=0) - step, turn])
@@ -37,8 +36,8 @@ def rooms(laps: int = 2, side: int = 12) -> tuple[Array, Array, list[Array]]:
     scans = []
     for pose in SE2.compose(truth, np.tile(MOUNT, (len(truth), 1))):
         q = SE2.act(SE2.inverse(np.tile(pose, (len(world), 1))), world)
-        shown = (np.hypot(*q.T) < 15) & (np.abs(np.arctan2(q[:, 1], q[:, 0])) < 1.1)
-        scans.append(q[shown][::3] + rng.normal(0, 0.05, q[shown][::3].shape))
+        q = q[(np.hypot(*q.T) < 15) & (np.abs(np.arctan2(q[:, 1], q[:, 0])) < 1.1)][::3]
+        scans.append(q + rng.normal(0, 0.05, q.shape))
     return truth, np.array(reckoned), scans
 
 

@@ -45,18 +45,13 @@ def test_it_is_the_marginal_of_the_graph_of_two_views(motion: list[float], known
 def test_the_table_of_motions() -> None:
     """Yaw never; surge, sway and planar motion not at elevation 0; pitch not straight ahead; heave and roll do."""
     ahead, below, aside = np.array([[4.0, 0.0, 0.0], [4.0, 0.0, 0.1], [4.0, 0.2, 0.0]])
-    sigma = {
-        name.split()[0]: np.degrees(elevation_sigma(G, [ahead, below, aside], SIGMAS))
-        for name, G in motions(0.3, 0.2).items()
-    }
+    flown = {name.split()[0]: G for name, G in motions(0.3, 0.2).items()}
+    sigma = {name: np.degrees(elevation_sigma(G, [ahead, below, aside], SIGMAS)) for name, G in flown.items()}
     assert (sigma["yaw"] > 1e6).all()
     for name in ("surge", "sway"):
-        assert sigma[name][0] == np.inf
-        assert 1 < sigma[name][1] < np.inf
-    assert sigma["pitch"][0] == np.inf
-    assert sigma["pitch"][2] < 30
-    assert (sigma["heave"] < 3).all()
-    assert (sigma["roll"] < 3).all()
+        assert sigma[name][0] == np.inf > sigma[name][1] > 1
+    assert sigma["pitch"][0] == np.inf > 30 > sigma["pitch"][2]
+    assert max(*sigma["heave"], *sigma["roll"]) < 3
     planar = elevation_sigma(SE3.exp([0.3, 0.2, 0, 0, 0, 0.3]), [ahead, aside], SIGMAS)
     assert (planar > 1e6).all()
 
@@ -73,12 +68,13 @@ def test_half_the_sigmas_or_an_uncertain_motion() -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     G = SE3.identity()
-    with pytest.raises(GraphError, match="1 motions, points"):
-        elevation_sigma(G, POINTS[:, :2], SIGMAS)
-    with pytest.raises(GraphError, match="sigmas"):
-        elevation_sigma(G, POINTS, [0.01, 0.0])
-    with pytest.raises(GraphError, match=r"motion_covariance has shape \(3, 3\)"):
-        elevation_sigma(G, POINTS, SIGMAS, np.eye(3))
+    for match, arguments in (
+        ("1 motions, points", (POINTS[:, :2], SIGMAS)),
+        ("sigmas", (POINTS, [0.01, 0.0])),
+        (r"motion_covariance has shape \(3, 3\)", (POINTS, SIGMAS, np.eye(3))),
+    ):
+        with pytest.raises(GraphError, match=match):
+            elevation_sigma(G, *arguments)
     with pytest.raises(SingularGeometryError, match="z axis"):
         elevation_sigma(SE3.exp([4.0, 0, 1.0, 0, 0, 0]), [4.0, 0.0, 0.0], SIGMAS)
 
@@ -113,7 +109,7 @@ def test_other_motions_and_a_view_that_sees_nothing(tmp_path: Path) -> None:
 
 
 def test_the_old_name_warns_and_is_the_same_function() -> None:
-    """It returned a standard deviation under the name of an information."""
+    """The old name said information of what is a standard deviation."""
     with pytest.warns(DeprecationWarning, match="elevation_sigma") as warned:
         old = nls.sonar.elevation_information
     assert old is elevation_sigma
