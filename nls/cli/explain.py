@@ -9,13 +9,12 @@ import nls
 from models.advice import Advice
 from models.listing import several
 from nls.cli.choices import GNC, ROBUST
-from nls.cli.inputs import GraphFile, input_of
+from nls.cli.graph_file import GraphFile
+from nls.cli.inputs import input_of
 from nls.cli.outputs import refuse_unwritable, say, write_json
 from nls.cli.progress import Progress
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
-
-__all__ = ["explain"]
 
 
 def explain(options: argparse.Namespace) -> int:
