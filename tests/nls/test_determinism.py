@@ -1,4 +1,4 @@
-"""The same input gives the same bits (P8): run after run, whatever the hash seed and the threads of OpenMP and BLAS."""
+"""Equal input gives equal bits (P8): run after run, whatever the hash seed and the threads of OpenMP and BLAS."""
 
 from __future__ import annotations
 

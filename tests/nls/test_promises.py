@@ -11,12 +11,6 @@ from nls import EvaluationError, FactorGraph, GaussNewton, GraphError, Stop
 from tests.nls.graphs import circle, never_worse, p, pose_graph, scalar, x
 
 
-def test_the_start_must_be_finite() -> None:
-    graph, start = scalar(lambda X: X * np.nan, 1.0)
-    with pytest.raises(EvaluationError, match=r"\(p0\): its residual is not finite"):
-        graph.optimize(start)
-
-
 def test_an_exception_in_user_code_is_chained_and_named() -> None:
     def residual(X: Array) -> Array:
         raise ZeroDivisionError("my fault")

@@ -102,7 +102,7 @@ def test_of_a_wrong_closure(shell: Shell) -> None:
 def test_of_a_mission(shell: Shell) -> None:
     sonar = TINY["sonar"].replace("DIDSON", f"DIDSON{HOSTILE}")
     mission = folder(shell / f"m{HOSTILE}", sonar=sonar)
-    words = ["solve", mission.name, "-o", "solved", "--report", "r.html", "--plot", "p.svg", "--allow-doubtful"]
+    words = ["solve", mission.name, "--report", "r.html", "--plot", "p.svg", "--allow-doubtful"]
     assert SHOWN in checked(shell, words)
     assert SHOWN in (shell / "r.html").read_text()
     files = {**raw(), "origin": "lat_deg,lon_deg\n54.0,10.0\n"}

