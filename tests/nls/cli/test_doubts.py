@@ -11,6 +11,7 @@ import pytest
 import nls
 from nls.cli.graph_file import GraphFile
 from nls.cli.parser import parser
+from nls.cli.solve_report import doubtful
 from nls.io import read_tum
 from nls.missions.folder.table import csv_text
 from nls.plot import picture
@@ -47,6 +48,14 @@ def test_nothing_is_said_of_a_good_result(options: str, shell: Shell) -> None:
     out = shell(f"solve {shell.file()} {options}")
     assert rows(out, "note") == []
     assert "1 expected)" in out
+
+
+def test_more_than_noise_explains_is_a_note_without_a_doubt() -> None:
+    chi2, dof = 44_000.0, 40_000
+    result = nls.Result(nls.Values({}), nls.Status.CONVERGED, "", [], chi2, chi2, dof, "", "", {})
+    note = f"{result.misfit}; see: nls explain a.g2o"
+    assert doubtful(GraphFile(parser().parse_args(["solve", "a.g2o"])), result) == [note]
+    assert (note[:11], result.doubt) == ("chi2 is 1.1", "")
 
 
 @undrawn

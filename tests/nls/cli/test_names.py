@@ -138,7 +138,7 @@ WORLDS: dict[str, Callable[[], Any]] = {
 
 
 @pytest.mark.parametrize(("name", "form"), [*zip(WORLDS, ["npz", "json"] * 2, strict=True)])
-def test_every_command_takes_it(name: str, form: str, shell: Shell) -> None:
+def test_every_command_takes_it(name: str, form: str, shell: Shell, undrawn: None) -> None:
     world = WORLDS[name]()
     file = f"world.{form}"
     nls.save(file, world.graph, world.start)

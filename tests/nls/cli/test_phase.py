@@ -180,11 +180,8 @@ def test_standard_error_that_is_closed(closed: tuple[int, ...], shell: Shell) ->
         ("nls", ["solve", good, "-o", "out.g2o", "--json", "r.json"], 0),
         ("nls", ["solve", unknown, "-o", "other.toro"], 0),
         ("nls", ["solve", "lost.g2o"], 2),
-        ("nls", ["solve"], 2),
         ("nls", ["stream", good], 0),
-        ("nls", ["explain", good], 0),
         ("sim", ["ring", "--laps", "1", "--per-lap", "4"], 0),
-        ("sim", ["rung"], 2),
     ):
         done, out, err = run(program.format(closed, module, words))
         assert (done, err) == (status, ""), words
