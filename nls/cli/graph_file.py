@@ -222,17 +222,13 @@ class GraphFile:
         """With the solution of a mission at the last optimum."""
         return solved
 
-    def choice(
-        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
-    ) -> nls.Robustified | None:
+    def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
         """The measurements to believe where nothing was asked for and some do not fit; None: all."""
         return None
 
-    def with_findings(
-        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
-    ) -> nls.LoadReport:
+    def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with what an optimum says of the tables that were read."""
-        return report
+        return read[2]
 
     def explanation(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.Explanation:
         """The explanation of a graph, with the lines of the measurements where its file has them."""

@@ -161,11 +161,11 @@ class Mission(Folder):
     def solved(self, problem: Problem) -> Solved:
         """The optimum, without contacts that are wrong where that of all says so, and what explains its chi2."""
         solved = self.optimum(problem)
-        if (choice := self.choice(solved.graph, solved.values, solved.result, solved.report)) is not None:
+        if (choice := self.choice((solved.graph, solved.values, solved.report), solved.result)) is not None:
             solved = self.optimum(problem.without(choice, "gnc-tls"))
         problem.clock.lap("optimize")
         as_read = solved.choice is None and solved.sigmas is None
-        report = self.with_findings(solved.report, solved.graph, solved.result, as_read)
+        report = self.with_findings((solved.graph, solved.values, solved.report), solved.result, as_read)
         problem.clock.lap("report")
         return replace(solved, report=report)
 
@@ -176,23 +176,21 @@ class Mission(Folder):
         kind = SolvedDives if self.options.dives else SolvedMission
         return replace(solved, solution=kind(*solved.optimized))
 
-    def choice(
-        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
-    ) -> nls.Robustified | None:
+    def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
         """The contacts to believe where some do not fit; None where all are believed, or the user says which."""
         if self.options.robust is not None or getattr(self.options, "sigmas", "stated") != "stated":
             return None
+        graph, values, report = read
         return choice_of(graph, values, result, report)
 
-    def with_findings(
-        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
-    ) -> nls.LoadReport:
+    def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with errors of whole tables, and what explains an implausible chi2.
 
         Nothing is tried of several dives, or of a graph that is not as read. Special values and wrong units of its
         tables come first: beside them nothing is tried.
         """
-        mission, (chi2, dof) = self.mission(report), result.believed
+        (graph, _, report), (chi2, dof) = read, result.believed
+        mission = self.mission(report)
         errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged and dof > 0 else []
         if self.options.dives or not as_read:
             return replace(mission, errors=[replace(error, evident=False) for error in errors])

@@ -21,3 +21,9 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made, but not rendered: that is most of the time of a page or a picture."""
     monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
     html_page.undrawn(monkeypatch)
+
+
+@pytest.fixture
+def untried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mistake of a setup is tried as the cause of an implausible chi2: that is most of the time of a mission."""
+    monkeypatch.setattr("nls.missions.checks.trials.worth_trying", lambda findings: False)

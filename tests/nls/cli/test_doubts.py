@@ -193,7 +193,7 @@ def mistaken(path: Path) -> None:
 
 @undrawn
 @unwarned
-def test_a_kernel_that_silences_a_sensor_is_loud(shell: Shell) -> None:
+def test_a_kernel_that_silences_a_sensor_is_loud(shell: Shell, untried: None) -> None:
     """Every output names the table, and `--allow-doubtful` ends with 0."""
     mistaken(shell / "m")
     words = "solve m --robust cauchy:1 -o out --report p.html --json r.json"
@@ -215,7 +215,7 @@ def test_a_kernel_that_silences_a_sensor_is_loud(shell: Shell) -> None:
 
 @undrawn
 @unwarned
-def test_a_good_solution_is_not_marked_and_takes_the_mark_away(shell: Shell) -> None:
+def test_a_good_solution_is_not_marked_and_takes_the_mark_away(shell: Shell, untried: None) -> None:
     mistaken(shell / "m")
     shell.both("solve m --robust cauchy:1 -o out", 1)
     dive(shell / "n", fixes=fixes(ENDS))
@@ -230,7 +230,7 @@ def test_a_good_solution_is_not_marked_and_takes_the_mark_away(shell: Shell) -> 
 
 
 @unwarned
-def test_findings_of_the_tables_are_doubts_of_every_mission(shell: Shell) -> None:
+def test_findings_of_the_tables_are_doubts_of_every_mission(shell: Shell, untried: None) -> None:
     """Of one dive, and of several; outliers of a table that has a kernel are what that is for."""
     dive(shell / "m", fixes=fixes(np.arange(0.5, 20.0, 0.5)))
     dive(shell / "fast", dvl=raw()["dvl"].replace(",1.0,", ",1000.0,"), fixes=fixes(ENDS))

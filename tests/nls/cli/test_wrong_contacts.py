@@ -57,7 +57,7 @@ def test_a_clean_mission_is_solved_as_without_the_test(shell: Shell) -> None:
     assert plain["mission"] == judged["mission"]
 
 
-def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
+def test_all_contacts_are_believed_on_request(shell: Shell, untried: None) -> None:
     written(shell / "m", mission(outliers=0.1))
     out, report = shell.told("solve m --robust none --allow-doubtful")
     assert "rejected" not in report
@@ -78,6 +78,7 @@ def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
     assert "more" in out
 
 
+@pytest.mark.usefixtures("untried")
 def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     written(shell / "m", mission(outliers=0.1))
     monkeypatch.setattr("nls.robust.verdict.HALF", 1.0)  # whatever is rejected is too much
