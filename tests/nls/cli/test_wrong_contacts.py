@@ -106,7 +106,7 @@ def test_a_misplaced_sonar_is_no_wrong_contact(shell: Shell) -> None:
     assert f"all contacts are kept, though some do not fit: {words}" in solved["notes"]
 
 
-def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell) -> None:
+def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell, untried: None) -> None:
     given = mission(exchanged=0.05)
     written(shell / "m", given)
     record = shell.report("explain m")
