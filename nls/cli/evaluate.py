@@ -143,14 +143,12 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
         rows, P, Q, out["matched_by"] = pairs.rows, pairs.estimate, pairs.truth, "time"
         out |= {"outside": pairs.outside, "gaps": pairs.gaps, "tolerance_s": pairs.tolerance}
     else:
-        names = [
-            f"{poses.path} has {'rows' if kinds == [] else ' and '.join(kinds)} alone"
-            for poses in (estimate, truth)
-            for kinds in [[n for n, v in (("times", poses.times), ("numbers", poses.numbers)) if v is not None]]
-        ]
-        if any(v is not None for poses in (estimate, truth) for v in (poses.times, poses.numbers)):
+        both, ways = (estimate, truth), ("times", "numbers")
+        kinds = [" and ".join(way for way in ways if getattr(poses, way) is not None) for poses in both]
+        if any(kinds):
+            has = "; ".join(f"{poses.path} has {kind or 'rows'} alone" for poses, kind in zip(both, kinds, strict=True))
             raise nls.GraphError(
-                f"{'; '.join(names)}. Expected times in both, numbers in both, or rows alone in both: KITTI files; "
+                f"{has}. Expected times in both, numbers in both, or rows alone in both: KITTI files; "
                 "nls convert GRAPH OUT.tum takes the numbers of poses without times for times"
             )
         if len(estimate.X) != len(truth.X):

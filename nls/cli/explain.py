@@ -9,13 +9,12 @@ import nls
 from models.advice import Advice
 from models.listing import several
 from nls.cli.choices import GNC, ROBUST
-from nls.cli.inputs import GraphFile, input_of
+from nls.cli.graph_file import GraphFile, Read
+from nls.cli.inputs import input_of
 from nls.cli.outputs import refuse_unwritable, say, write_json
 from nls.cli.progress import Progress
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
-
-__all__ = ["explain"]
 
 
 def explain(options: argparse.Namespace) -> int:
@@ -30,7 +29,7 @@ def explain(options: argparse.Namespace) -> int:
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
     with Progress("solve") as progress:
-        explanation, how, report = _explained(kind, graph, start, values, progress, report)
+        explanation, how, report = _explained(kind, (graph, values, report), start, progress)
         explanation = kind.with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
@@ -59,17 +58,13 @@ def _without_wrong_contacts(
 
 
 def _explained(
-    kind: GraphFile,
-    graph: nls.FactorGraph,
-    start: nls.Values,
-    values: nls.Values,
-    progress: Progress,
-    report: nls.LoadReport,
+    kind: GraphFile, read: Read, start: nls.Values, progress: Progress
 ) -> tuple[nls.Explanation, str, nls.LoadReport]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; which of them; the report.
 
     That of a mission whose contacts do not fit is of its optimum without the wrong ones, but with ``--robust``.
     """
+    graph, values, report = read
     best, how, why = start, "at the start", ""
     first = default_optimizer(graph.factors, callback=progress.show)
     damped = nls.LevenbergMarquardt(callback=progress.show)
@@ -83,10 +78,10 @@ def _explained(
         except (nls.EvaluationError, nls.GraphError, nls.SingularGeometryError) as error:
             why = error.message
             continue
-        if (choice := kind.choice(graph, values, result, report)) is not None:
+        if (choice := kind.choice((graph, values, report), result)) is not None:
             progress.next("explain")
             return *_without_wrong_contacts(kind, graph, choice, report), report
-        report = kind.with_findings(report, graph, result)
+        report = kind.with_findings((graph, values, report), result)
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")

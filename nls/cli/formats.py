@@ -1,54 +1,19 @@
-"""Formats by suffix: what the commands read and write, graphs and trajectories alike."""
+"""Graphs in the formats of files: what a file does not hold, the names it has for variables, and lines in errors."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+import nls
+import nls.io
 from models.listing import some
-from nls.cli.outputs import input_name
-
-if TYPE_CHECKING:
-    from models.errors import LeadlineError
-    from nls.graph import FactorGraph
-    from nls.io import LoadReport
-    from nls.missions import MissionReport
-    from nls.values import Values
-
-    Read = tuple[FactorGraph, Values, LoadReport]
+from nls.io.formats import FORMATS
 
 
-def output_format(option: str, path: str, named: str | None) -> str:
-    """The format of an output, the value of an option: as named, else by the suffix; errors as for `nls.save`."""
-    from nls.io.formats import format_of
-
-    return format_of(path, named, "--to FORMAT", option)
-
-
-def read(
-    options: argparse.Namespace, stage: Callable[[Read], Read] = lambda read: read
-) -> tuple[FactorGraph, Values, LoadReport]:
-    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements.
-
-    Reading solves nothing. A command that solves may add a stage, which is shown as part of the reading.
-    """
-    from nls.cli.progress import Progress
-    from nls.stages import listened
-
-    options.phase.doing = f"while reading {options.file}"
-    with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
-        graph, values, report = stage(_read(options))
-    options.phase.as_read = graph, report
-    return graph, values, report
-
-
-def name_lines(error: LeadlineError, graph: FactorGraph, report: LoadReport) -> None:
+def name_lines(error: nls.LeadlineError, graph: nls.FactorGraph, report: nls.LoadReport) -> None:
     """Name in an error the lines of the measurements that it is about, if they were read from some."""
     keys, name = getattr(error, "keys", ()), getattr(error, "factor", "")
     places: list[str] = []
@@ -60,48 +25,16 @@ def name_lines(error: LeadlineError, graph: FactorGraph, report: LoadReport) -> 
         error.message = f"{some(places)}: {error.message}"
 
 
-def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
-    import nls
-    from nls.io.formats import Reading, refuse_needless, suffix_of, suffixes
-
-    lines = options.repair_information, getattr(options, "elevation", None), options.ignore_tags, options.drop_absent
-    how = Reading(options.convention, options.dialect, *lines)
-    if dives := getattr(options, "dives", []):
-        return nls.load([options.file, *dives], *how)
-    if options.file == "-":
-        if sys.stdin is None:
-            raise nls.GraphFileError("cannot be read: standard input is closed", input_name(options.file))
-        return nls.io.load_stream(sys.stdin.buffer, input_name(options.file), *how)
-    row = suffixes().get(suffix_of(options.file))
-    if row is None or not row.poses_alone or options.dialect != "auto" or os.path.isdir(options.file):
-        return nls.load(options.file, *how)
-    refuse_needless(options.file, row.name, how)
-    return row.read(how, options.file)
-
-
-def mission_of(report: LoadReport) -> MissionReport | None:
-    """The report of a mission, or of several dives; None of other inputs."""
-    if report.format != "mission":
-        return None
-    from nls.missions import MissionReport
-
-    assert isinstance(report, MissionReport)
-    return report
-
-
 def rendered(
-    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
+    path: str, form: str, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport, renumber: bool = False
 ) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
-    from nls.io import rendered as rendered_graph
-    from nls.io.formats import FORMATS
-
     if report.format == "mission":
         refuse_lines(path, form)
     if not FORMATS[form].tagged:
-        return rendered_graph(path, graph, values, report, form)
+        return nls.io.rendered(path, graph, values, report, form)
     with _renamed(graph, values, report, renumber) as (graph, values, changes):
-        data, notes = rendered_graph(path, graph, values, report, form)
+        data, notes = nls.io.rendered(path, graph, values, report, form)
     return data, changes + notes
 
 
@@ -112,25 +45,17 @@ def refuse_lines(path: str, form: str) -> None:
     ------
     GraphError
     """
-    from models.errors import GraphError
-    from nls.io.formats import FORMATS
-
     if FORMATS[form].measurements and not FORMATS[form].whole:
-        raise GraphError(
+        whole = " and ".join(name for name, row in FORMATS.items() if row.whole)
+        poses = " or ".join(name for name, row in FORMATS.items() if row.poses_alone)
+        raise nls.GraphError(
             f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
-            f"{_names('whole', 'and')} hold it, and {_names('poses_alone', 'or')} its poses"
+            f"{whole} hold it, and {poses} its poses"
         )
 
 
-def _names(trait: str, word: str) -> str:
-    """The names of the formats with a trait."""
-    from nls.io.formats import FORMATS
-
-    return f" {word} ".join(row.name for row in FORMATS.values() if getattr(row, trait))
-
-
 def refuse_unwritable_graph(
-    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
+    path: str, form: str, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport, renumber: bool = False
 ) -> None:
     """Refuse what `rendered` refuses; for graph text files without their text.
 
@@ -138,7 +63,6 @@ def refuse_unwritable_graph(
     ------
     GraphError
     """
-    from nls.io.formats import FORMATS
     from nls.io.write import refuse_unwritable_graph
 
     if not FORMATS[form].tagged:
@@ -150,10 +74,9 @@ def refuse_unwritable_graph(
 
 @contextmanager
 def _renamed(
-    graph: FactorGraph, values: Values, report: LoadReport, renumber: bool
-) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+    graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport, renumber: bool
+) -> Iterator[tuple[nls.FactorGraph, nls.Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
-    from models.errors import GraphError
     from nls.io.variable_names import renumbered, with_known_kinds
 
     before = values.stacks
@@ -166,6 +89,6 @@ def _renamed(
         changes = changes + numbers
     try:
         yield graph, values, changes
-    except GraphError as error:
+    except nls.GraphError as error:
         message = "; ".join([error.message, *changes])
-        raise GraphError(message, error.keys, error.factor, error.index, error.advice) from error
+        raise nls.GraphError(message, error.keys, error.factor, error.index, error.advice) from error

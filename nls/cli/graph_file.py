@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -20,13 +21,12 @@ from nls.cli.outputs import input_name, refuse_loss
 from nls.cli.progress import Progress
 from nls.cli.run import Problem, Solved
 from nls.io.files import title_of, write_bytes
-from nls.io.formats import FORMATS, check_renumber
+from nls.io.formats import FORMATS, Reading, check_renumber, format_of, refuse_needless, suffix_of, suffixes
 from nls.optimizers import OPTIMIZERS, default_optimizer
+from nls.stages import listened
 
 if TYPE_CHECKING:
     from nls.missions.charts import Projection
-
-__all__ = ["NO_FOLDER", "GraphFile", "Meaningless", "Read", "Writer", "named"]
 
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
@@ -47,6 +47,7 @@ class GraphFile:
     robust : the kernel of ``--robust``, or the way to reject measurements; None where all are believed.
     init : the name of the start.
     output_file : of the output; None where there is none, or a folder.
+    room : the place of the output, where it is to be made.
     """
 
     MEANINGLESS: Meaningless = (
@@ -63,6 +64,7 @@ class GraphFile:
         self.robust: str | None = given.get("robust")
         self.init: str = given.get("init", "auto")
         self.output_file: str | None = given.get("output")
+        self.room: AbstractContextManager[None] = nullcontext()
 
     @property
     def rejects(self) -> bool:
@@ -96,7 +98,7 @@ class GraphFile:
         options = self.options
         if not options.output:
             return ""
-        form = formats.output_format("-o", options.output, options.to)
+        form = format_of(options.output, options.to, "--to FORMAT", "-o")
         if form and not FORMATS[form].values:
             allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
             raise nls.OptionError("-o", options.output, allowed)
@@ -113,9 +115,33 @@ class GraphFile:
 
     # --- reading
 
-    def read(self) -> Read:
-        """Graph, start values and report."""
-        return formats.read(self.options)
+    def read(self, stage: Callable[[Read], Read] = lambda read: read) -> Read:
+        """The graph, start and report of the file, folder or stream; a trajectory has no measurements.
+
+        Reading solves nothing. A command that solves may add a stage, which is shown as part of the reading.
+        """
+        options = self.options
+        options.phase.doing = f"while reading {options.file}"
+        with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
+            graph, values, report = stage(self._read())
+        options.phase.as_read = graph, report
+        return graph, values, report
+
+    def _read(self) -> Read:
+        options, file = self.options, self.options.file
+        given: Any = vars(options)
+        how = Reading(*map(given.get, Reading._fields))  # not all commands have --elevation
+        if len(self.files) > 1:
+            return nls.load(self.files, *how)
+        if file == "-":
+            if sys.stdin is None:
+                raise nls.GraphFileError("cannot be read: standard input is closed", input_name(file))
+            return nls.io.load_stream(sys.stdin.buffer, input_name(file), *how)
+        row = suffixes().get(suffix_of(file))
+        if row is None or not row.poses_alone or options.dialect != "auto" or os.path.isdir(file):
+            return nls.load(file, *how)
+        refuse_needless(file, row.name, how)
+        return row.read(how, file)
 
     def read_to_solve(self) -> Read:
         """What `solve` and `explain` take: as it was read, and the landmarks of contacts without names."""
@@ -196,26 +222,19 @@ class GraphFile:
         """With the solution of a mission at the last optimum."""
         return solved
 
-    def choice(
-        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
-    ) -> nls.Robustified | None:
+    def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
         """The measurements to believe where nothing was asked for and some do not fit; None: all."""
         return None
 
-    def with_findings(
-        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
-    ) -> nls.LoadReport:
+    def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with what an optimum says of the tables that were read."""
-        return report
+        return read[2]
 
     def explanation(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.Explanation:
         """The explanation of a graph, with the lines of the measurements where its file has them."""
-        explanation = nls.explain(graph, values, self._parts(report), report.assumed)
+        dives = getattr(report, "dive_of", None) or None  # of every factor
+        explanation = nls.explain(graph, values, dives, report.assumed)
         return explanation.placed(report.place) if report.has_lines else explanation
-
-    def _parts(self, report: nls.LoadReport) -> list[str] | None:
-        """The name of the dive that each factor is of; None where there are no dives."""
-        return None
 
     def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
         """The explanation with what is said of the tables of a mission."""
@@ -235,14 +254,9 @@ class GraphFile:
             same = os.path.splitext(options.file)[1] == os.path.splitext(options.output)[1]  # lines left out are in it
             return shlex.join(["nls", "explain", named(options.output), *of_lines * same])
         words = ["nls", "explain", *map(named, self.files)]
-        options_of_solve = {
-            "--dialect": options.dialect if options.dialect != "auto" else None,
-            "--convention": options.convention if options.convention != "g2o" else None,
-            "--elevation": options.elevation,
-            "--init": options.init if options.init != "auto" else None,
-            "--robust": None if self.rejects else options.robust,
-        }
-        words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
+        names = ["dialect", "convention", "elevation", "init", *["robust"] * (not self.rejects)]
+        changed = [name for name in names if getattr(options, name) != options.default_of(name)]
+        words += [word for name in changed for word in (f"--{name}", getattr(options, name))]
         words += ["--repair-information"] * options.repair_information + of_lines
         words += [word for kind in options.hold for word in ("--hold", kind)]
         return shlex.join(words)
@@ -284,10 +298,6 @@ class GraphFile:
         """Components of a pose that nothing measures."""
         return ()
 
-    def room(self) -> AbstractContextManager[None]:
-        """The place of the output, where it is to be made."""
-        return nullcontext()
-
     def outputs(self, solved: Solved) -> dict[str, Writer]:
         """What writes the files of the output, by their paths."""
         return {solved.graph_file: partial(self.write_optimum, solved)} if solved.graph_file else {}
@@ -319,10 +329,6 @@ class GraphFile:
         """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""
         return {}
 
-    def facts(self, solved: Solved) -> dict[str, str]:
-        """Facts for the page besides those of the run, by name."""
-        return {}
-
 
 def named(file: str) -> str:
     """A file name that is not taken for an option; standard input is none."""
@@ -331,7 +337,6 @@ def named(file: str) -> str:
 
 def _rescaled(problem: Problem, optimizer: nls.Optimizer) -> Solved:
     """The scales of the sigmas, and the optimum of the graph with rescaled noise; lines of its file do not hold it."""
-
     options, report, old = problem.options, problem.report, problem.as_read
     groups: Any = options.sigmas.partition(":")[2] or "kinds"
     sigmas = nls.variance_components(problem.graph, problem.start, groups, optimizer, problem.solver, options.gauge)

@@ -11,6 +11,7 @@ from nls.cli import formats
 from nls.cli.inputs import input_of
 from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable, say, write_json
 from nls.io import files
+from nls.io.formats import format_of
 
 LABELS = {  # where the identifier of a program says too little
     "components": "connected parts",
@@ -78,7 +79,7 @@ def plot(options: argparse.Namespace) -> int:
 def convert(options: argparse.Namespace) -> int:
     """Read, write, say what the file leaves out; returns the exit status."""
     refuse_unwritable({"OUT": options.output})
-    form = formats.output_format("OUT", options.output, options.to)
+    form = format_of(options.output, options.to, "--to FORMAT", "OUT")
     kind = input_of(options)
     kind.check_renumber(form)
     graph, values, report = kind.read()

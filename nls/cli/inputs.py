@@ -1,4 +1,4 @@
-"""The kinds of input of a command: a graph file, a mission, several dives, a scan mission.
+"""The kinds of input of a command: a graph file, a mission or several dives, a scan mission.
 
 Each reads, solves, writes and draws, and lists the options that mean nothing to it. No other file of the command line
 asks which kind it has.
@@ -11,8 +11,6 @@ import os
 
 from nls.cli.graph_file import GraphFile
 
-__all__ = ["GraphFile", "input_of"]
-
 
 def input_of(options: argparse.Namespace) -> GraphFile:
     """The input of a command, by its files."""
@@ -20,11 +18,10 @@ def input_of(options: argparse.Namespace) -> GraphFile:
         return GraphFile(options)
     from nls.missions.scans.folder import is_scan_mission
 
-    dives = getattr(options, "dives", [])
-    if any(map(is_scan_mission, [options.file, *dives])):
+    if any(map(is_scan_mission, [options.file, *getattr(options, "dives", [])])):
         from nls.cli.scan_mission import ScanMission
 
         return ScanMission(options)
-    from nls.cli.mission import Dives, Mission
+    from nls.cli.mission import Mission
 
-    return Dives(options) if dives else Mission(options)
+    return Mission(options)

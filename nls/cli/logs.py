@@ -40,11 +40,10 @@ def new(options: argparse.Namespace) -> int:
     files = importing.templates(options.map)
     there = [name for name in files if Path(options.folder, name).exists()]
     options.phase.now(f"while writing {options.folder}")
-    for folder in sorted({str(Path(name).parent) for name in files}):
-        group = {Path(name).name: data for name, data in files.items() if str(Path(name).parent) == folder}
-        fresh = {name: data for name, data in group.items() if not Path(options.folder, folder, name).exists()}
-        if fresh:
-            options.phase.written += write_folder(Path(options.folder, folder), fresh)
+    fresh = {Path(name): data for name, data in files.items() if name not in there}
+    for folder in sorted({path.parent for path in fresh}):
+        group = {path.name: data for path, data in fresh.items() if path.parent == folder}
+        options.phase.written += write_folder(Path(options.folder, folder), group)
     say(f"written     {options.folder}: {len(files) - len(there)} templates")
     if there:
         say(f"note        kept as they are: {', '.join(there)}")

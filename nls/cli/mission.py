@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from nls.cli.outliers import choice_of
 from nls.cli.progress import Progress
 from nls.cli.run import Problem, Solved
 from nls.io.files import new_folder, title_of, write_bytes
-from nls.io.formats import suffixes
+from nls.io.formats import format_of, suffixes
 from nls.missions import MissionReport
 from nls.missions.checks.table_errors import table_errors
 from nls.missions.summary import lines, of_tables
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from nls.missions.charts import Projection
     from nls.missions.files import MissionFiles
 
-__all__ = ["Dives", "Folder", "Mission"]
-
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
 
 
@@ -40,12 +37,13 @@ class Folder(GraphFile):
 
     MEANINGLESS: Meaningless = (("the solution of a mission is a folder with files of their own", ("to",)),)
     unnumbered = "mission"
+    read_values = "dead reckoning"
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
+        if self.output_file:
+            self.room = new_folder(self.output_file)
         self.output_file = None
-
-    read_values = "dead reckoning"
 
     def output_format(self) -> str:
         """The format of ``--write-graph``, once it is known that the folder of the output can hold the solution.
@@ -71,11 +69,7 @@ class Folder(GraphFile):
     def graph_format(self) -> str:
         """The format of ``--write-graph``; empty without it."""
         file = self.options.write_graph
-        return formats.output_format("--write-graph", file, None) if file else ""
-
-    def room(self) -> AbstractContextManager[None]:
-        """The folder of the output."""
-        return new_folder(self.options.output) if self.options.output else nullcontext()
+        return format_of(file, None, "--to FORMAT", "--write-graph") if file else ""
 
     def outputs(self, solved: Solved) -> dict[str, Writer]:
         """What writes the files of the folder, and its mark where the solution is doubtful, by their paths."""
@@ -106,7 +100,7 @@ class Folder(GraphFile):
 
 
 class Mission(Folder):
-    """The folder of a mission."""
+    """The folder of a mission, or those of several dives, which are solved as one."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
@@ -127,7 +121,7 @@ class Mission(Folder):
             mission = self.mission(report)
             return read if mission.unnamed is None else nls.missions.associated(graph, values, mission)
 
-        return formats.read(self.options, with_landmarks)
+        return self.read(with_landmarks)
 
     def not_drawn(self, report: nls.LoadReport) -> list[str]:
         """The remark on contacts without names."""
@@ -167,39 +161,38 @@ class Mission(Folder):
     def solved(self, problem: Problem) -> Solved:
         """The optimum, without contacts that are wrong where that of all says so, and what explains its chi2."""
         solved = self.optimum(problem)
-        if (choice := self.choice(solved.graph, solved.values, solved.result, solved.report)) is not None:
+        if (choice := self.choice((solved.graph, solved.values, solved.report), solved.result)) is not None:
             solved = self.optimum(problem.without(choice, "gnc-tls"))
         problem.clock.lap("optimize")
         as_read = solved.choice is None and solved.sigmas is None
-        report = self.with_findings(solved.report, solved.graph, solved.result, as_read)
+        report = self.with_findings((solved.graph, solved.values, solved.report), solved.result, as_read)
         problem.clock.lap("report")
         return replace(solved, report=report)
 
     def finished(self, solved: Solved) -> Solved:
         """With the solution at the last optimum."""
-        from nls.missions.solution import SolvedMission
+        from nls.missions.solution import SolvedDives, SolvedMission
 
-        return replace(solved, solution=SolvedMission(*solved.optimized))
+        kind = SolvedDives if self.options.dives else SolvedMission
+        return replace(solved, solution=kind(*solved.optimized))
 
-    def choice(
-        self, graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
-    ) -> nls.Robustified | None:
+    def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
         """The contacts to believe where some do not fit; None where all are believed, or the user says which."""
         if self.options.robust is not None or getattr(self.options, "sigmas", "stated") != "stated":
             return None
+        graph, values, report = read
         return choice_of(graph, values, result, report)
 
-    def with_findings(
-        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = True
-    ) -> nls.LoadReport:
+    def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with errors of whole tables, and what explains an implausible chi2.
 
-        Nothing is tried of a graph that is not as read, and where special values or units of its tables are wrong:
-        those come first.
+        Nothing is tried of several dives, or of a graph that is not as read. Special values and wrong units of its
+        tables come first: beside them nothing is tried.
         """
-        mission, (chi2, dof) = self.mission(report), result.believed
+        (graph, _, report), (chi2, dof) = read, result.believed
+        mission = self.mission(report)
         errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged and dof > 0 else []
-        if not as_read:
+        if self.options.dives or not as_read:
             return replace(mission, errors=[replace(error, evident=False) for error in errors])
         mission = replace(mission, errors=errors)
         implausible = bool(result.doubt) and result.chi2_final > TWICE * result.dof
@@ -217,12 +210,8 @@ class Mission(Folder):
         tried = explanation.trials or "contacts.csv" not in mission.tags  # the mounting of a sonar is not tried
         return replace(mission, explained=explanation) if tried else mission
 
-    def _parts(self, report: nls.LoadReport) -> list[str] | None:
-        return self.mission(report).dive_of or None
-
     def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
         """With what is implausible in the tables first, no kernel for all, no sigmas of what is unmeasured."""
-
         mission = self.mission(report)
         first = [*mission.findings, *([mission.explained] if mission.explained else ())]
         findings = [nls.Finding(nls.FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
@@ -280,43 +269,18 @@ class Mission(Folder):
         return plan_before_after(solved.graph, solved.before, solved.result, title=title)
 
     def made(self, solved: Solved) -> MissionFiles:
-        """The files of the solution."""
-        from nls.missions.files import MissionFiles
+        """The files of the solution; of several dives also those of each."""
+        from nls.missions.files import DiveFiles, MissionFiles
 
-        return MissionFiles(solved.solution, solved.projection, self.marks(solved))
+        kind = DiveFiles if self.options.dives else MissionFiles
+        return kind(solved.solution, solved.projection, self.marks(solved))
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """What makes the files of the folder, by name."""
         return self.made(solved)()
 
     def page(self, solved: Solved) -> dict[str, Any]:
-        """Covariances and pictures of the page, as `nls.plot.report.report` takes them."""
-        made = self.made(solved)
-        pictures = {"The track": made.track()} | ({"The landmarks": made.landmarks()} if made.solution.mapped else {})
-        return {"marginals": solved.solution.marginals, "pictures": pictures}
-
-    def facts(self, solved: Solved) -> dict[str, str]:
-        """Facts for the page: the errors of whole tables that nothing shows."""
-        return {"unchecked": of_tables(solved.solution.unchecked)}
-
-
-class Dives(Mission):
-    """The folders of several dives, solved as one."""
-
-    def with_findings(
-        self, report: nls.LoadReport, graph: nls.FactorGraph, result: nls.Result, as_read: bool = False
-    ) -> nls.LoadReport:
-        """The report with errors of whole tables; nothing is tried of several dives."""
-        return super().with_findings(report, graph, result, as_read=False)
-
-    def finished(self, solved: Solved) -> Solved:
-        """With the solution of all dives at the last optimum."""
-        from nls.missions.solution import SolvedDives
-
-        return replace(solved, solution=SolvedDives(*solved.optimized))
-
-    def made(self, solved: Solved) -> MissionFiles:
-        """The files of the solution, and of each dive."""
-        from nls.missions.files import DiveFiles
-
-        return DiveFiles(solved.solution, solved.projection, self.marks(solved))
+        """Covariances and pictures of the page, and errors of whole tables that nothing shows."""
+        made, solution = self.made(solved), solved.solution
+        pictures = {"The track": made.track()} | ({"The landmarks": made.landmarks()} if solution.mapped else {})
+        return {"marginals": solution.marginals, "pictures": pictures, "unchecked": of_tables(solution.unchecked)}

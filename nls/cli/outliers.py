@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from nls.io.report import Source
     from nls.robust.graduated import Rejected
 
-__all__ = ["choice_of", "record", "without_rejected"]
-
 PREFIX = "gnc-"
 SHOWN = 6  # rejected measurements in the table
 OF_CHOICE = ("doubted", "probability", "expected_by_chance", "sigma0", "strain")
@@ -102,7 +100,7 @@ def record(choice: nls.Robustified, sources: Sequence[Source]) -> dict[str, Any]
     return {
         **{name: getattr(choice, name) for name in OF_CHOICE},
         "sigma0_between_neighbors": choice.local,
-        "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
+        "left": [vars(landmark) for landmark in choice.left],
         "rejected": [rejected(r) for r in choice.rejected],
         "doubts": [doubt.record() for doubt in choice.doubts],
         "unverified": [
@@ -142,8 +140,6 @@ def without_rejected(
 
 def without_left(values: nls.Values, kept: nls.Values) -> nls.Values:
     """The values of the variables that were kept."""
-    stacks = []
-    for stack in values.stacks.values():
-        there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
-        stacks.append(stack if there.all() else stack.only(there))
+    kinds = ((stack, kept.stack(stack.kind).numbers) for stack in values.stacks.values())
+    stacks = (stack.only(np.isin(stack.numbers, numbers)) for stack, numbers in kinds)
     return nls.Values.of(stacks)

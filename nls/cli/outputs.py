@@ -11,8 +11,6 @@ from typing import Any
 
 import nls
 
-__all__ = ["json_text", "say"]
-
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
 

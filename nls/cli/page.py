@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import nls
-from nls.cli.inputs import GraphFile
+from nls.cli.graph_file import GraphFile
 from nls.cli.run import Problem, Solved
 from nls.cli.timing import rows
 from nls.io.files import write_bytes
@@ -34,13 +34,13 @@ def write_page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Under
             "seconds": {name: timings[name] for name in rows(timings) if name != "process"},
             **kind.page(problem),
         }
+    unchecked = of_result.pop("unchecked", "")
     explanation = None
     if kind.explains:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", nls.GraphWarning)  # they were given when it was solved
             values = problem.before if result.values is None else result.values
-            explanation = kind.explanation(problem.graph, values, problem.report)
-            explanation = kind.with_tables(explanation, problem.report)
+            explanation = kind.with_tables(kind.explanation(problem.graph, values, problem.report), problem.report)
     text = page(
         problem.graph,
         problem.before,
@@ -48,14 +48,16 @@ def write_page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Under
         explanation,
         title=Path(problem.report.path).name,
         init=problem.init,
-        facts=_facts(kind, problem, result),
+        facts=_facts(kind, problem, result, unchecked),
         shell=True,
         **of_result,
     )
     write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
 
 
-def _facts(kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError) -> dict[str, str]:
+def _facts(
+    kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError, unchecked: str
+) -> dict[str, str]:
     """Where the solution comes from, by name."""
     options, report = problem.options, problem.report
     facts = {
@@ -68,7 +70,7 @@ def _facts(kind: GraphFile, problem: Problem, result: nls.Result | nls.Undercons
         "linear solver": getattr(result, "linear_solver", ""),
         "robust kernel": kind.robust or "",
         "held": ", ".join(f"all {kind}" for kind in options.hold),
-        **(kind.facts(problem) if isinstance(problem, Solved) else {}),
+        "unchecked": unchecked,
         "notes": "; ".join(report.notes),
         "version": f"leadline {nls.__version__}",
     }

@@ -12,12 +12,11 @@ from nls.cli import choices
 from nls.cli.outputs import say
 from nls.io.formats import dialects, outputs
 
-__all__ = ["parser"]
-
 FILE = (
     "graph file, or folder of a mission, of a scan mission, or with graph.npz or graph.g2o; files may be gzipped; "
     "'-' is standard input"
 )
+DIVES, START = "folders of further missions there", "start values (default: auto)"
 OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
 RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
@@ -160,8 +159,8 @@ def parser() -> Parser:
         return added
 
     solve = command("solve", "find the optimum")
-    _dives(solve)
     add = solve.add_argument
+    add("dives", metavar="DIVE", nargs="*", default=[], help=DIVES)
     output = "write the optimum: a file whose suffix says the format, or the folder of a solved mission"
     add("-o", "--output", metavar="OUT.g2o", help=output)
     add("--write-graph", metavar="OUT.npz", help=SOLVED_GRAPH)
@@ -169,7 +168,7 @@ def parser() -> Parser:
     add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
     add("--crs", metavar="CRS", help=COORDINATES)
     add("--to", choices=outputs(), help="format of OUT.g2o (default: by its suffix)")
-    _init(solve)
+    add("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
     add("--method", default="auto", choices=["auto", *choices.OPTIMIZERS], help="optimizer (default: auto)")
     solvers = ["auto", *choices.SOLVERS]
     add("--linear-solver", default="auto", choices=solvers, help="linear solver (default: the best one installed)")
@@ -195,9 +194,10 @@ def parser() -> Parser:
     _flag(how, "--verbose", "print every iteration and where the time went")
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps")
-    _dives(explain)
-    _init(explain)
-    explain.add_argument("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
+    add = explain.add_argument
+    add("dives", metavar="DIVE", nargs="*", default=[], help=DIVES)
+    add("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
+    add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
     _problem(explain)
     _json(explain)
 
@@ -270,16 +270,6 @@ def _overwriting(command: argparse.ArgumentParser) -> None:
     """Options of what is written in the place of the input, or in another format."""
     _flag(command, "--overwrite", OVERWRITE)
     _flag(command, "--renumber", RENUMBER)
-
-
-def _init(command: argparse.ArgumentParser) -> None:
-    starts = ["auto", *choices.STARTS]
-    command.add_argument("--init", default="auto", choices=starts, help="start values (default: auto)")
-
-
-def _dives(command: argparse.ArgumentParser) -> None:
-    """Further missions, which are one graph with the first."""
-    command.add_argument("dives", metavar="DIVE", nargs="*", default=[], help="folders of further missions there")
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:

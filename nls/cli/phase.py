@@ -13,8 +13,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-__all__ = ["INTERRUPTED", "Phase"]
-
 INTERRUPTED = 130  # exit status, 128 + SIGINT as shells have it
 
 
@@ -121,7 +119,7 @@ class _Output(io.FileIO):
 
 
 def _patient(stream: io.TextIOWrapper) -> io.TextIOWrapper:
-    """The same stream, for which a closed pipe is no error."""
+    """A stream over the file of another, for which a closed pipe is no error."""
     raw = _Output(stream.fileno(), "wb", closefd=False)
     return io.TextIOWrapper(
         raw if isinstance(stream.buffer, io.RawIOBase) else io.BufferedWriter(raw),

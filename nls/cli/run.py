@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from nls.cli.timing import Clock
     from nls.missions.charts import Projection
 
-__all__ = ["Problem", "Run", "Solved"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Run:

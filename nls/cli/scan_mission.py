@@ -26,8 +26,6 @@ from nls.missions.summary import scan_lines
 if TYPE_CHECKING:
     from nls.missions.scans import Round
 
-__all__ = ["ScanMission"]
-
 
 class ScanMission(Folder):
     """The folder of a scan mission."""
@@ -93,24 +91,19 @@ class ScanMission(Folder):
         for finding in findings:
             report.warn(finding.says)
             warnings.warn(f"{self.options.file}: {finding.says}", nls.GraphWarning, stacklevel=2)
-        closed = replace(problem, graph=closing.graph, as_read=closing.graph)
-        solved = Solved(**{**vars(closed), "result": closing.result})
+        closed = {**vars(problem), "graph": closing.graph, "as_read": closing.graph}
+        solved = Solved(**closed, result=closing.result)
         solved = replace(solved, solution=SolvedScans(self.select, closing, findings, *solved.optimized))
         problem.clock.lap("optimize")
         return solved
 
-    def map(self, solved: Solved) -> SolvedScans:
-        """The solution."""
-        assert isinstance(solved.solution, SolvedScans)
-        return solved.solution
-
     def doubts(self, solved: Solved) -> list[str]:
         """With why the map is no solution."""
-        return [*super().doubts(solved), *self.map(solved).faults()]
+        return [*super().doubts(solved), *solved.solution.faults()]
 
     def record(self, solved: Solved) -> dict[str, Any]:
         """The map in the report for programs."""
-        return {"scans": self.map(solved).record()}
+        return {"scans": solved.solution.record()}
 
     def lines(self, record: dict[str, Any]) -> list[str]:
         """The lines of the table that say what the map is worth, from the report for programs."""
@@ -118,15 +111,15 @@ class ScanMission(Folder):
 
     def picture(self, solved: Solved) -> Any:
         """The map from above."""
-        return self.map(solved).picture()
+        return solved.solution.picture()
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """What makes the files of the folder, by name."""
-        return self.map(solved).files()
+        files: dict[str, Callable[[], Any]] = solved.solution.files()
+        return files
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """The map, and errors of positions against the truth, rmse, before and after."""
-        solution = self.map(solved)
-        errors = solution.errors
+        solution, errors = solved.solution, solved.solution.errors
         ate = {"ATE": f"{errors['dead_reckoning'].rmse:.3g} → {errors['solution'].rmse:.3g} m"} if errors else {}
         return {"marginals": solution.marginals, "pictures": {"The map": solution.picture()}, "figures": ate}

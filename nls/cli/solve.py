@@ -13,10 +13,11 @@ import nls
 import nls.starts  # counted as an import
 from models.advice import Advice, listed
 from nls.cli import formats
-from nls.cli.inputs import GraphFile, input_of
+from nls.cli.graph_file import GraphFile
+from nls.cli.inputs import input_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
 from nls.cli.run import Problem, Run, Solved
-from nls.cli.solve_report import SCHEMA, advice, record_of, summary, table
+from nls.cli.solve_report import SCHEMA, advice, record_of, table
 from nls.cli.timing import Clock
 from nls.io.files import refuse_absent
 from nls.linear import SOLVERS
@@ -52,17 +53,11 @@ def _checked(kind: GraphFile) -> Run:
     clock = Clock(options.began, options.startup)
     solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
-    files = {"-o": kind.output_file, "--covariance": options.covariance}
-    files |= {
-        "--write-graph": options.write_graph,
-        "--plot": options.plot,
-        "--report": options.report,
-        "--json": options.json,
-    }
+    others = ("covariance", "write_graph", "plot", "report", "json")
+    files = {"-o": kind.output_file, **{f"--{name.replace('_', '-')}": getattr(options, name) for name in others}}
     refuse_unwritable(files, *kind.files)
     kind.check_options()
-    if options.sigmas != "stated":
-        _refuse_sigmas(kind)
+    _refuse_sigmas(kind)
     if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
         refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
     refuse_name("--plot", options.plot, PICTURES)
@@ -80,15 +75,11 @@ def _refuse_sigmas(kind: GraphFile) -> None:
     ------
     OptionError
     """
-    options, allowed = kind.options, ""
-    if kind.rejects:
-        allowed = (
-            f"with --robust {kind.robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
-        )
-    elif options.improve:
-        allowed = "with --improve: scales hold for the optimum they were estimated at; --certify goes with it"
-    if allowed:
-        raise nls.OptionError("--sigmas", options.sigmas, f"stated {allowed}")
+    options = kind.options
+    if options.sigmas != "stated" and (kind.rejects or options.improve):
+        rejects = f"--robust {kind.robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
+        improves = "--improve: scales hold for the optimum they were estimated at; --certify goes with it"
+        raise nls.OptionError("--sigmas", options.sigmas, f"stated with {rejects if kind.rejects else improves}")
 
 
 def _read(kind: GraphFile, run: Run) -> Problem:
@@ -151,10 +142,10 @@ def _improved(kind: GraphFile, solved: Solved) -> Solved:
 def _certified(solved: Solved) -> Solved:
     """The certificate; without ``--improve`` last of the work, as it can take longer than the solution."""
     solved.options.phase.now("while certifying the optimum")
-    certificate = None
     try:
         certificate = nls.certify(solved.graph, solved.result.values, solved.stop)
     except nls.LeadlineError as error:
+        certificate = None
         solved.failed.append(error)
     solved.clock.lap("certify")
     return replace(solved, certificate=certificate)
@@ -183,7 +174,7 @@ def _write(kind: GraphFile, solved: Solved) -> None:
     if options.covariance and not solved.result.converged:
         solved.report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
     try:
-        with kind.room():
+        with kind.room:
             attempt(solved, kind.outputs(solved))
     except nls.GraphFileError as error:  # no folder, no files in it
         solved.failed.append(error)
@@ -277,9 +268,9 @@ def _status(kind: GraphFile, solved: Solved) -> int:
     if not result.converged and not (allowed and options.quiet):
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
         say(f"nls: {reason}; see: {kind.asking(options.phase.written)}", error=True)
-    refuted = solved.certificate is not None and solved.certificate.verdict == "refuted"
-    if solved.certificate is not None and refuted:
-        say(f"nls: {summary(solved.certificate)}", error=True)
+    certificate = solved.certificate
+    if refuted := certificate is not None and certificate.verdict == "refuted":
+        say(f"nls: {'; '.join([certificate.sentence, *listed(certificate.advice, shell=True)])}", error=True)
     doubts = [] if options.allow_doubtful or refuted else kind.doubts(solved)
     if doubts and (result.converged or allowed):
         say(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", error=True)

@@ -8,20 +8,19 @@ from typing import Any
 import nls
 from models.advice import Advice, listed
 from models.listing import several
-from nls.cli.inputs import GraphFile
+from nls.cli.graph_file import GraphFile
 from nls.cli.run import Solved
 from nls.cli.timing import iterations, peak_rss_mb
 from nls.cli.timing import table as timing_table
 from nls.gauge import choose_gauge, component_labels, fixed_variables
 
-__all__ = ["advice", "record_of", "summary", "table"]
-
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
-# fields of the report for programs that are as in the result, in a certificate, and in the scales of a kind
+# fields of the report for programs that are as in the result, a certificate, the scales of a kind, an iteration
 OF_RESULT = "method linear_solver chi2_initial chi2_final gauge dof ratio doubt iterations converged rule reused"
 OF_CERTIFICATE = "verdict chi2_given chi2_reached reached lower_chi2 cost_given cost proved lowest converged steps"
 OF_KIND = "measurements numbers redundancy scale known"
+OF_ITERATION = "chi2 update gradient seconds reused"
 
 
 def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
@@ -52,7 +51,9 @@ def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
         "reason": f"{result.status.value}: {result.ending}",
         "attempts": [attempt._asdict() | {"status": attempt.status.name} for attempt in result.attempts],
         **additions,
-        "history": [_iteration(iteration) for iteration in result.history],
+        "history": [
+            {"iteration": step.number, "lambda": step.damping, **_same(step, OF_ITERATION)} for step in result.history
+        ],
         "timings": solved.timings,
         "underconstrained": list(result.underconstrained),
         "written": written,
@@ -138,12 +139,6 @@ def _doubt(report: dict[str, Any]) -> str:
     return f"; but {'; '.join(doubts)}" if doubts else ""
 
 
-def _iteration(iteration: nls.Iteration) -> dict[str, Any]:
-    """One iteration for programs."""
-    same = _same(iteration, "chi2 update gradient seconds reused")
-    return {"iteration": iteration.number, "lambda": iteration.damping, **same}
-
-
 def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     """The table of a run, from its report for programs."""
     result, verbose = solved.result, solved.options.verbose
@@ -194,11 +189,6 @@ def _rows(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> list[str]:
         text = solved.certificate.report(shell=True).replace("\n", f"\n{'':12}")
         out += f"certificate {text}".splitlines()
     return out + kind.lines(report)
-
-
-def summary(certificate: nls.Certificate) -> str:
-    """The verdict of a certificate and the way on, in one line."""
-    return "; ".join([certificate.sentence, *listed(certificate.advice, shell=True)])
 
 
 def advice(result: nls.Result, allowed: bool) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from io import BufferedReader
-from itertools import chain, dropwhile
+from itertools import chain, dropwhile, pairwise
 from time import perf_counter
 from typing import Any, cast
 
@@ -37,8 +37,6 @@ from nls.io.formats import FORMATS, Format, Reading, by_content
 from nls.io.read import read_graph
 from nls.io.records import KINDS
 from nls.io.unused_lines import not_there
-
-__all__ = ["stream"]
 
 EVERY = 100  # steps from one checkpoint to the next
 AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
@@ -115,13 +113,11 @@ def stream(options: argparse.Namespace) -> int:
 def _arrivals(options: argparse.Namespace, reader: _Reader) -> Iterator[tuple[Arrived, nls.Values, bool]]:
     """Steps, what is said of their variables, and whether a step is the last: of a file, nobody knows it of a pipe."""
     arrivals = chain.from_iterable(map(reader.steps, _blocks(options)))
+    end: list[Any] = [None]
     if options.file == "-":
-        yield from ((arrived, values, False) for arrived, values in arrivals)
-        return
-    ahead = next(arrivals, None)
-    while ahead is not None:
-        (arrived, values), ahead = ahead, next(arrivals, None)
-        yield arrived, values, ahead is None
+        yield from ((*arrival, False) for arrival in arrivals)
+    else:
+        yield from ((*arrival, ahead is None) for arrival, ahead in pairwise(chain(arrivals, end)))
 
 
 def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str, Any]:
@@ -135,10 +131,7 @@ def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str,
         "gap": smoother.gap,
         "milliseconds": round(milliseconds, 3),
     }
-    more = {
-        "waiting": [repr(key) for key in smoother.waiting],
-        "behind": sum(len(factor) for factor in smoother.behind),
-    }
+    more = {"waiting": [*map(repr, smoother.waiting)], "behind": sum(map(len, smoother.behind))}
     return facts | {key: value for key, value in more.items() if value}
 
 

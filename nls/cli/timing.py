@@ -41,11 +41,10 @@ class Clock:
         self.seconds = {"startup": startup}
         self._began = self._last = began
 
-    def lap(self, name: str) -> float:
-        """End of a stage, or of a part of it; returns its seconds so far."""
+    def lap(self, name: str) -> None:
+        """End of a stage, or of a part of it."""
         now = perf_counter()
         self.seconds[name], self._last = self.seconds.get(name, 0.0) + now - self._last, now
-        return self.seconds[name]
 
     def timings(self, optimize: dict[str, float], stages: dict[str, float]) -> dict[str, float]:
         """All stages for the report: the parts of the optimization in the place of its lap, and what they left over.

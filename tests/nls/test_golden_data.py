@@ -20,7 +20,6 @@ from models import SE2
 from models.algebra import Array
 from models.errors import GraphFileError, LeadlineError, UnderconstrainedError
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Status, Stop, Values
-from nls.linear import SOLVERS
 from nls.metrics import ate
 from nls.optimizers import default_optimizer
 from nls.starts import STARTS
@@ -85,12 +84,9 @@ REFUSED = [  # file, dialect, kind that is held, error, message
     (PLANE + "city10000_groundtruth_edges.txt", "toro", "", GraphFileError, ":1: information of .* has the negative"),
     (PLANE + "city10000_groundtruth_edges.txt", "graph", "", GraphFileError, ":1: Covariance .* is not positive def"),
     (SPACE + "sphere2500_groundtruth_edges.txt", "auto", "", GraphFileError, f":1: EDGE3 {READINGS}.*toro.*isam"),
-    (SPACE + "sphere400.txt", "auto", "", GraphFileError, f":1: EDGE3 {READINGS}.*toro.*isam"),
     (PARK + "victoria_park.txt", "auto", "", GraphFileError, f":1: ODOMETRY {READINGS} .isam: .*; isam-cov.*: covar"),
     (PARK + "victoria_park.txt", "toro", "", GraphFileError, "'ODOMETRY' is no tag of a graph; .* EDGE2, EDGE3"),
     (BAL + "dubrovnik-1-1-pre.txt", "bal", "", UnderconstrainedError, "leave [46] directions free: .*k0: f, k1, k2"),
-    (BAL + "dubrovnik-3-7-pre.txt", "bal", "", UnderconstrainedError, "leave [46] directions free: .*k0: f, k1, k2"),
-    (BAL + "dubrovnik-3-7-18-pre.txt", "bal", "", UnderconstrainedError, "leave [46] directions .*: .*k0: f, k1, k2"),
     (BAL + "dubrovnik-1-1-pre.txt", "bal", "k", UnderconstrainedError, "leave 1 direction free: l0: x, y, z"),
 ]
 TABLES = {  # no graphs: what the refusal says
@@ -193,15 +189,6 @@ def test_conventions_from_the_estimate_of_the_file(name: str, convention: str, d
         assert result.history[1].chi2 > 10 * result.chi2_initial
 
 
-@pytest.mark.parametrize("solver", ["cholesky", "qr", "lu"])
-def test_every_sparse_solver_reaches_it(solver: str, data: Path) -> None:
-    linear_solver = SOLVERS[solver]()
-    if (why := linear_solver.missing()) is not None:
-        pytest.skip(f"{solver}: {why}")
-    graph, values = load(data, PLANE + "CSAIL.g2o")
-    assert graph.optimize(values, linear_solver=linear_solver).chi2_final == pytest.approx(40.5551, rel=1e-5)
-
-
 def test_the_default_converges_where_gauss_newton_diverges(data: Path) -> None:
     """GOATS 14: chi2 of undamped steps goes to 1e18. A method that is named is not replaced."""
     graph, values = load(data, "range-only/goats_14.pyfg.gz")
@@ -236,7 +223,7 @@ def test_one_rise_of_gauss_newton_is_no_divergence(data: Path) -> None:
 def test_what_cannot_be_right_is_refused(
     name: str, dialect: str, hold: str, error: type[LeadlineError], message: str, data: Path
 ) -> None:
-    """While a file is read, or else while it is solved."""
+    """The refusal comes when the file is read, or else when the graph is solved."""
 
     def solve() -> None:
         graph, values = load(data, name, dialect, hold)

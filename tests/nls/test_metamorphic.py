@@ -1,4 +1,4 @@
-"""A problem that is told in another way has the same optimum: order, names, batches, directions, world frame."""
+"""A problem told in another way has the same optimum: order, names, batches, directions, world frame."""
 
 from __future__ import annotations
 

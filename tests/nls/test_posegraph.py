@@ -1,8 +1,6 @@
-"""Relative poses as arrays: which are odometry, their covariances and weights, trees, sums and block matrices."""
+"""Relative poses as arrays: which are odometry, their covariances and weights, and the trees along them."""
 
 from __future__ import annotations
-
-from collections import deque
 
 import numpy as np
 import numpy.typing as npt
@@ -31,10 +29,8 @@ from models.errors import GraphError
 from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
 from nls.analysis.leave_one_out import kinds_of
-from nls.linear.default import Laplacian
-from nls.linear.factorization import SingularSystemError
 from nls.posegraph import Edges, PoseGraph, closures, odometry, pose_graphs
-from tests.nls.graphs import informations, moved, walk, x, y
+from tests.nls.graphs import informations, walk, x, y
 
 RNG = np.random.default_rng
 UNIT = Isotropic(1)
@@ -163,68 +159,10 @@ def test_weights_are_means_of_information_and_of_covariance(group: LieGroup) -> 
     assert (kappa.tolist(), tau.tolist()) == ([1, 0, 1, 1], [0, 1, 1, 0])
 
 
-def test_sums_collect_at_the_ends() -> None:
-    poses, _ = posed(SE2, [0, 1, 2, 0, 0], [1, 2, 0, 1, 3], 5)
-    rng = RNG(5)
-    for shape in ((), (2,), (3, 2)):
-        at_i, at_j = rng.normal(size=(2, 5, *shape))
-        expected = np.zeros((5, *shape))
-        for k, (i, j) in enumerate(zip(poses.i, poses.j, strict=True)):
-            expected[i] += at_i[k]
-            expected[j] += at_j[k]
-        np.testing.assert_allclose(poses.sums(at_i, at_j), expected)
-    assert poses.touched.tolist() == [True, True, True, True, False]
-    assert poses.component.tolist() == [0, 0, 0, 0, 4]
-
-
-def test_a_tree_has_the_fewest_edges_to_its_roots() -> None:
-    rng, n = RNG(6), 30
-    first = rng.integers(0, n, 45)
-    i, j = first.tolist(), ((first + rng.integers(1, n, 45)) % n).tolist()
-    poses, X = posed(SE2, i, j, n, fixed=(7, 20))
-    depth, queue = dict.fromkeys(poses.roots.tolist(), 0), deque(poses.roots.tolist())
-    while queue:
-        node = queue.popleft()
-        for a, b in [*zip(i, j, strict=True), *zip(j, i, strict=True)]:
-            if a == node and b not in depth:
-                depth[b] = depth[a] + 1
-                queue.append(b)
-    parent, edge = poses.tree(poses.pairs())
-    kept = sorted({*poses.roots.tolist(), *(set(range(n)) - {*i, *j})})
-    assert [k for k in range(n) if parent[k] < 0] == kept
-    for child in np.flatnonzero(parent >= 0).tolist():
-        assert {i[edge[child]], j[edge[child]]} == {child, int(parent[child])}
-        assert depth[child] == depth[int(parent[child])] + 1
-    start = moved(SE2, X, 1.0, rng)
-    start[kept] = X[kept]
-    np.testing.assert_allclose(SE2.local(X, poses.along((parent, edge), start)), 0, atol=1e-12)
-
-
 def test_odometry_bridges_a_gap_by_the_shortest_jump() -> None:
     poses, _ = posed(SE3, [0, 4, 1, 0, 2, 2], [1, 3, 2, 4, 0, 4], 5)  # 2 to 3 is missing; 2 to 4 jumps over less
     parent, edge = poses.odometry_tree()
     assert (parent.tolist(), edge.tolist()) == ([-1, 0, 1, 4, 2], [-1, 0, 2, 1, 5])
-
-
-@pytest.mark.parametrize(("k", "dtype"), [(1, complex), (3, float)])
-def test_block_matrices_are_those_written_out(k: int, dtype: type) -> None:
-    rng = RNG(7)
-    u, v, V = np.array([0, 3, 2, 4, 0, 3]), np.array([1, 1, 4, 0, 1, 2]), 5  # (0, 1) twice
-    off = rng.normal(size=(6, k, k)) + (1j * rng.normal(size=(6, k, k)) if dtype is complex else 0)
-    on = np.tile(20.0 * np.eye(k, dtype=dtype), (V, 1, 1)) * (1 + np.arange(V))[:, None, None]
-    H = np.zeros((V, k, V, k), dtype=dtype)
-    H[np.arange(V), :, np.arange(V)] = on
-    for a, b, block in zip(u, v, off, strict=True):
-        H[a, :, b] += block
-        H[b, :, a] += block.conj().T
-    H, g = H.reshape(V * k, V * k), rng.normal(size=(V * k, 2)).astype(dtype)
-    given, laplacian = off.copy(), Laplacian(u, v, V)
-    np.testing.assert_allclose(laplacian.factorized(on, off).solve(g), np.linalg.solve(H, g), rtol=1e-10)
-    twice = H + np.diag(np.diagonal(on, axis1=1, axis2=2).ravel())
-    np.testing.assert_allclose(laplacian.factorized(2 * on, off).solve(g), np.linalg.solve(twice, g), rtol=1e-10)
-    np.testing.assert_array_equal(off, given)
-    with pytest.raises(SingularSystemError):
-        laplacian.factorized(0.01 * on, off)
 
 
 class Counts(Factor):

@@ -29,17 +29,22 @@ def refusal(done: subprocess.CompletedProcess[str]) -> str:
     return done.stderr[done.stderr.index("\nImportError: ") :]
 
 
-@pytest.mark.parametrize("first", ["import nls", "import sim", "from factors import Between", "from nls import load"])
-@pytest.mark.parametrize("file", ["models/__init__.py", "models.py", "models/__init__.py models/errors.py"])
+@pytest.mark.parametrize(
+    ("file", "first"),
+    [
+        ("models/__init__.py", "import nls"),
+        ("models/__init__.py", "import sim"),
+        ("models.py", "from factors import Between"),
+        ("models/__init__.py models/errors.py", "from nls import load"),
+    ],
+)
 def test_the_file_in_the_way_is_named_with_the_ways_out(tmp_path: Path, file: str, first: str) -> None:
     for name in file.split():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     message = refusal(run(tmp_path, first))
-    assert "another 'models' shadows the package 'models' of leadline.\n" in message
-    assert f"In the way: {tmp_path / file.split()[0]}" in message
-    assert str(ROOT / "models") in message
-    assert all(way in message for way in WAYS_OUT)
+    shadow = f"another 'models' shadows the package 'models' of leadline.\n  In the way: {tmp_path / file.split()[0]}"
+    assert all(words in message for words in (shadow, str(ROOT / "models"), *WAYS_OUT))
 
 
 @pytest.mark.parametrize("name", ["factors", "sim"])

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.nls.cli.shell import Shell
+from tests.nls.plot import html_page
 
 
 @pytest.fixture
@@ -17,5 +18,12 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytes
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: that is most of the time."""
+    """Figures are made, but not rendered: that is most of the time of a page or a picture."""
     monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
+    html_page.undrawn(monkeypatch)
+
+
+@pytest.fixture
+def untried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mistake of a setup is tried as the cause of an implausible chi2: that is most of the time of a mission."""
+    monkeypatch.setattr("nls.missions.checks.trials.worth_trying", lambda findings: False)

@@ -56,8 +56,11 @@ class Shell:
 
     def told(self, words: str, status: int = 0) -> tuple[str, dict[str, Any]]:
         """Standard output, and the report for programs beside it."""
-        out = self(f"{words} --json r.json", status)
-        return out, dict(json.loads((self.folder / "r.json").read_text()))
+        return self(f"{words} --json r.json", status), self.json()
+
+    def json(self, name: str = "r.json") -> dict[str, Any]:
+        """The content of a report."""
+        return dict(json.loads((self / name).read_text()))
 
     def refused(self, words: str, status: int = 2) -> str:
         """A refusal: one line and advice below it, nothing on standard output, and every file as it was."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import importlib
-import json
 import math
 import os
 import re
@@ -18,16 +17,11 @@ import pytest
 
 import nls
 from nls.cli import main
+from nls.optimizers import OPTIMIZERS
 from tests.nls.cli.shell import Shell, row
 from tests.nls.io.g2o_files import PLANE, SPACE
 
 ROOT = Path(__file__).parents[3]
-FIELDS = {
-    *("input", "dimension", "variables", "factors", "convention", "init", "method", "linear_solver", "chi2_file"),
-    *("chi2_initial", "chi2_final", "gauge", "dof", "iterations", "converged", "reason", "history", "timings"),
-    *("peak_rss_mb", "version"),
-}
-TIMINGS = {"read", "build", "init", "analyze", "linearize", "factorize", "solve", "retract", "total"}
 
 
 def test_the_table_of_solve(shell: Shell) -> None:
@@ -47,8 +41,6 @@ def test_the_table_of_solve(shell: Shell) -> None:
 @pytest.mark.parametrize(("text", "counts"), [(PLANE, ("2-D", 4, 4)), (SPACE, ("3-D", 3, 3))], ids=["plane", "space"])
 def test_the_report_for_programs(text: str, counts: tuple[str, int, int], shell: Shell) -> None:
     report = shell.report(f"solve {shell.file(text)}")
-    assert set(report) >= FIELDS
-    assert set(report["timings"]) >= TIMINGS
     assert (report["input"], report["converged"], report["version"]) == ("graph.g2o", True, nls.__version__)
     assert (report["dimension"], report["variables"], report["factors"]) == counts
     assert report["reason"].startswith("converged: ")
@@ -65,7 +57,7 @@ def test_the_report_for_programs(text: str, counts: tuple[str, int, int], shell:
     assert report["chi2_final"] == result.chi2_final <= report["chi2_initial"]
     assert report["linear_solver"] == result.linear_solver
     assert shell("solve graph.g2o --quiet --json r.json") == ""
-    assert json.loads((shell / "r.json").read_text())["chi2_final"] == report["chi2_final"]
+    assert shell.json()["chi2_final"] == report["chi2_final"]
 
 
 @pytest.mark.parametrize(("text", "convention"), [(PLANE, "gtsam"), (SPACE, "graphslam"), (SPACE, "log")])
@@ -84,30 +76,28 @@ def test_the_optimum_is_written_and_reads_back(text: str, convention: str, shell
     assert again.chi2_final == pytest.approx(again.chi2_initial, rel=1e-5)
 
 
-def test_numbers_without_a_value_are_null(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """chi2 of a start that overflows, and of a file without vertices."""
+def test_a_file_without_vertices_has_no_chi2(shell: Shell) -> None:
     edges = shell.file("".join(line + "\n" for line in PLANE.splitlines() if line.startswith("EDGE")), "edges.g2o")
     report = shell.report(f"solve {edges}")
     assert report["chi2_file"] is None
     assert report["notes"] == ["no vertices in the file: 4 poses chained along the edges"]
-    graph, values, _ = nls.load(shell.file())
-    monkeypatch.setattr(nls, "initialize", lambda *_: (values, "file", {"file": graph.chi2(values), "worse": math.inf}))
-    assert shell.report("solve graph.g2o")["starts"]["worse"] is None
 
 
-def test_every_start_gauge_and_solver_by_name(shell: Shell) -> None:
-    expected = nls.load(shell.file())[0].optimize(nls.load("graph.g2o")[1]).chi2_final
-    starts, gauges = (
-        ("auto", "file", "odometry", "spanning-tree", "chordal"),
-        ("first", "prior", "free", "first", "free"),
-    )
-    for init, gauge in zip(starts, gauges, strict=True):
-        report = shell.report(f"solve graph.g2o --init {init} --gauge {gauge}")
-        assert report["init"] == init or init == "auto"
-        assert report["gauge"].startswith({"first": "x0 held", "prior": "a prior", "free": "free"}[gauge])
-        assert report["chi2_final"] == pytest.approx(expected, rel=1e-5)
-    for solver in ("lu", "dense-cholesky", "dense-qr", "pinv"):
-        assert shell.report(f"solve graph.g2o --linear-solver {solver}")["linear_solver"] == solver
+def test_every_choice_by_name(shell: Shell) -> None:
+    expected = shell.report(f"solve {shell.file()}")
+    assert (expected["method"], expected["gauge"]) == ("gauss-newton", "x0 held")
+    names = {
+        "init": ("file", "odometry", "spanning-tree", "chordal"),
+        "gauge": ("prior", "free"),
+        "linear-solver": ("lu", "dense-cholesky", "dense-qr", "pinv"),
+        "method": OPTIMIZERS,
+    }
+    for option, choices in names.items():
+        for name in choices:
+            report = shell.report(f"solve graph.g2o --{option} {name}")
+            said = report[option.replace("-", "_")]
+            assert said.startswith(f"a {name}" if name == "prior" else name)
+            assert report["chi2_final"] == pytest.approx(expected["chi2_final"], rel=1e-5)
 
 
 def test_a_run_leaves_the_warnings_and_the_environment_alone(shell: Shell) -> None:

@@ -44,18 +44,9 @@ def solve(file: str) -> list[str]:
 
 GRAPHS = {
     "tag.g2o": PLANE + f"TAG_{HOSTILE} 1 2\n",
-    "number.g2o": PLANE.replace("1 0.1", f"1 {HOSTILE.replace(' ', '')}", 1),
     "line.g2o": PLANE + f"VERTEX_SE2 77 {HOSTILE}\n",
-    "id.g2o": PLANE + f"FIX {HOSTILE}\n",
-    "tag.toro": f"VERTEX2 0 0 0 0\nEDGE{HOSTILE} 0 1\n",
-    "name.pyfg": f"VERTEX_SE2 0 A{HOSTILE}0 0 0 0\n",
     "kind.json": json.dumps({"format": "leadline graph", "version": 1, "fixed": {}, "factors": {},
                              "values": {HOSTILE: {"space": "SE2", "numbers": [0], "X": [[0, 0, 0]]}}}),
-    "space.json": json.dumps({"format": "leadline graph", "version": 1, "fixed": {}, "factors": {},
-                              "values": {"x": {"space": f"({HOSTILE})", "numbers": [0], "X": [[0.0]]}}}),
-    "type.json": json.dumps({"format": "leadline graph", "version": 1, "fixed": {}, "values": {},
-                             "factors": {HOSTILE: {"type": HOSTILE, HOSTILE: 1}}}),
-    "key.json": f'{{"format": "leadline graph", "{HOSTILE[9:]}": 1, "{HOSTILE[9:]}": 2}}',
     f"{HOSTILE}.g2o": PLANE,
     f"{HOSTILE}lost.g2o": None,
     "poses.csv": f"i,x_m,y_m,{HOSTILE}\n0,1,{HOSTILE},3\n",
@@ -102,22 +93,15 @@ def test_of_a_wrong_closure(shell: Shell) -> None:
 def test_of_a_mission(shell: Shell) -> None:
     sonar = TINY["sonar"].replace("DIDSON", f"DIDSON{HOSTILE}")
     mission = folder(shell / f"m{HOSTILE}", sonar=sonar)
-    words = ["solve", mission.name, "-o", "solved", "--report", "r.html", "--plot", "p.svg", "--allow-doubtful"]
+    words = ["solve", mission.name, "--report", "r.html", "--plot", "p.svg", "--allow-doubtful"]
     assert SHOWN in checked(shell, words)
     assert SHOWN in (shell / "r.html").read_text()
     files = {**raw(), "origin": "lat_deg,lon_deg\n54.0,10.0\n"}
     placed = folder(shell / f"p{HOSTILE}", files)
     checked(shell, ["solve", placed.name, "-o", "placed", "--plot", "q.svg"])
     assert SHOWN in (shell / "placed" / "track.kml").read_text()
-    for k, (table, text) in enumerate(
-        {
-            "depth": raw()["depth"].replace("z_m", f"z_m{HOSTILE}"),
-            "dvl": raw()["dvl"].replace("1.0", HOSTILE, 1),
-            "calibration": f"name,value,sigma\n{HOSTILE},1,1\n",
-            "poses": f"i,time_s\n{HOSTILE},1\n",
-        }.items()
-    ):
-        assert SHOWN in checked(shell, ["solve", folder(shell / f"d{k}", raw(), **{table: text}).name, "-o", "x"])
+    damaged = folder(shell / "d", raw(), poses=f"i,time_s\n{HOSTILE},1\n")
+    assert SHOWN in checked(shell, ["solve", damaged.name, "-o", "x"])
     dives = folder(shell / "a"), folder(shell / f"b{HOSTILE}", closures=f"dive,i,j\n{HOSTILE},0,0\n")
     checked(shell, ["solve", *(dive.name for dive in dives)])
 
@@ -129,11 +113,7 @@ LOG = f"t [s];depth [m]{HOSTILE};note\n0;250;{HOSTILE}\n1;260;b\n"
     "mapping",
     [
         f'[depth]\ntime_s = "t [s]"\nz_m = {{ column = "{visible(HOSTILE)}", unit = "m" }}\n',
-        f'[depth]\ntime_s = "t [s]"\nz_m = "{HOSTILE[9:]}"\n',
-        '[depth]\ntime_s = "t [s]"\nz_m = "note"\n',
         f'["{HOSTILE[9:]}"]\ntime_s = "t [s]"\n',
-        f'[depth]\n"{HOSTILE[9:]}" = "t [s]"\n',
-        '[depth]\ntime_s = "t [s]"\nz_m = { column = "note", missing = "b", unit = "m" }\n# ' + HOSTILE[9:],
         f"[depth]\ntime_s = {{ row = 0 }}\nz_m = 3\n# {HOSTILE[9:]}\n",
     ],
 )
@@ -159,12 +139,8 @@ def test_a_draft_names_a_column_of_controls_so_that_it_is_found(shell: Shell) ->
     ("run", "words"),
     [
         (main, ["solve", "a.g2o", f"--{HOSTILE}"]),
-        (main, [HOSTILE]),
         (main, ["solve", "a.g2o", "--robust", HOSTILE]),
-        (main, ["solve", HOSTILE]),
-        (main, ["convert", "a.g2o", f"{HOSTILE}.xyz"]),
         (main, ["new", f"n{HOSTILE}"]),
-        (main, ["stream", f"{HOSTILE}.g2o"]),
         (sim, ["ring", f"--{HOSTILE}"]),
         (sim, ["ring", "--laps", "1", "--per-lap", "4", "--out", f"s{HOSTILE}"]),
     ],

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import nls
-from models import SE2, SE3, euler
+from models import SE3, euler
 from models.algebra import Array
 from nls.io import write_kitti, write_tum
 from nls.metrics import ALIGNMENTS, ate, cep, drms2, rpe
@@ -40,8 +38,8 @@ def test_the_table_and_the_report(shell: Shell, align: str) -> None:
     P, Q = pair()
     write_tum(shell / "a.tum", np.arange(60.0), P)
     write_tum(shell / "b.tum", np.arange(60.0), Q)
-    out = shell(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6 --json r.json")
-    record, error, drift = json.loads((shell / "r.json").read_text()), ate(P, Q, align), rpe(P, Q, [5, 20])
+    out, record = shell.told(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6")
+    error, drift = ate(P, Q, align), rpe(P, Q, [5, 20])
     assert record["ate"]["rmse_m"] == pytest.approx(error.rmse, rel=1e-9)
     assert record["horizontal"]["cep50_m"] == pytest.approx(cep(error.errors))
     assert record["horizontal"]["cep95_m"] == pytest.approx(cep(error.errors, 0.95))
@@ -54,7 +52,7 @@ def test_the_table_and_the_report(shell: Shell, align: str) -> None:
     assert row(out, "ATE").startswith(f"{error.rmse:.4g} m rmse")
     assert row(out, "alignment").split(",")[0] == align
     assert rows(out, "RPE")[2] == "over 1e+06 m: the track is shorter"
-    assert json.loads(shell(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6 --json -")) == record
+    assert shell.report(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6") == record
     # angles of R_i^-1 S_i by SciPy, after a motion that is known; the report says this motion in words
     R, p, q = Rotation.from_quat(record["T"][3:]), Rotation.from_quat(P[:, 3:]), Rotation.from_quat(Q[:, 3:])
     rmse = np.degrees(np.sqrt(np.mean((q.inv() * R * p).magnitude() ** 2)))
@@ -81,7 +79,7 @@ def test_poses_are_matched_by_time_number_or_row(shell: Shell) -> None:
     numbers = np.arange(60) * 2
     (shell / "a.csv").write_text(table(P, numbers))
     (shell / "b.csv").write_text("# true\n" + table(Q[::-1], numbers[::-1] + 10))
-    record = json.loads(shell("evaluate a.csv b.csv --json -"))
+    record = shell.report("evaluate a.csv b.csv")
     assert (record["matched_by"], record["matched"]) == ("number", 55)
     assert record["ate"]["rmse_m"] == pytest.approx(ate(P[5:], Q[:55]).rmse)
     assert record["rpe"][0]["translation_percent"] == pytest.approx(100 * rpe(P[5:], Q[:55], [10])[0].translation)
@@ -90,20 +88,21 @@ def test_poses_are_matched_by_time_number_or_row(shell: Shell) -> None:
     assert row(shell("evaluate a.kitti b.kitti"), "matched") == "60 poses by row"
 
 
-def test_the_trajectory_of_a_mission_beside_its_truth(shell: Shell, undrawn: None) -> None:
+def test_the_solution_of_a_mission_beside_its_truth(shell: Shell, undrawn: None) -> None:
+    """By files and by folders; sigmas are judged where nothing was aligned."""
     folder(shell / "m")
-    shell("solve m -o solved --json r.json")
-    out = shell("evaluate solved/trajectory.csv m/truth.csv --distances 1 --json e.json")
-    solution = json.loads((shell / "r.json").read_text())["mission"]["solution"]
-    assert json.loads((shell / "e.json").read_text())["ate"]["rmse_m"] == pytest.approx(solution["ate_rmse_m"])
+    solution = shell.report("solve m -o solved")["mission"]["solution"]
+    out, record = shell.told("evaluate solved/trajectory.csv m/truth.csv --distances 1")
+    assert record["ate"]["rmse_m"] == pytest.approx(solution["ate_rmse_m"])
     assert row(out, "sigmas").startswith("mean of (error / sigma)^2: x ")
     assert rows(shell("evaluate solved/trajectory.csv m/truth.csv --align rigid"), "sigmas") == []
+    assert shell.report("evaluate solved m --distances 1") == record
+    assert shell.report("evaluate solved solved --distances 1")["ate"]["rmse_m"] == 0
 
 
 def test_refusals(shell: Shell) -> None:
     P, Q = pair(4)
     write_tum(shell / "a.tum", np.arange(4.0), P)
-    write_tum(shell / "late.tum", np.arange(4.0) + 100, Q)
     write_kitti(shell / "a.kitti", P)
     write_kitti(shell / "b.kitti", Q[:3])
     files = {
@@ -112,10 +111,6 @@ def test_refusals(shell: Shell) -> None:
         "typo.csv": table(P, np.arange(4), HEAD.replace("yaw_rad", "yaw_deg")),
         "none.csv": table(P, np.arange(4), HEAD.replace("i,", "k,")),
         "twice.csv": table(P, np.array([0, 1, 1, 2])),
-        "word.csv": f"{HEAD}\n0,0,0,0,1,2,deep\n",
-        "short.csv": f"{HEAD}\n\n0,0,0,0,1,2\n",
-        "half.csv": f"{HEAD}\n0.5,0,0,0,1,2,3\n",
-        "empty.csv": f"{HEAD}\n",
         "image.csv": b"\x89PNG\xff\n\xfe",
     }
     for name, text in files.items():
@@ -123,7 +118,6 @@ def test_refusals(shell: Shell) -> None:
     shell.file(BUNDLE, "b.bal")
     (shell / "empty").mkdir()
     for words, message in (
-        ("a.tum late.tum", "none of 4 poses has a match"),
         ("a.tum n.csv", "a.tum has times alone; n.csv has numbers alone. Expected times in both"),
         ("a.kitti n.csv", "a.kitti has rows alone; n.csv has numbers alone"),
         ("a.kitti b.kitti", "a.kitti has 4 poses, b.kitti 3"),
@@ -131,23 +125,16 @@ def test_refusals(shell: Shell) -> None:
         ("typo.csv n.csv", "typo.csv:1: no column 'yaw_rad'; did you mean 'yaw_deg'"),
         ("none.csv n.csv", "no column 'i' and none 'time_s'"),
         ("twice.csv n.csv", "twice.csv:4: pose 1 was given before"),
-        ("n.csv word.csv", "word.csv:2: 'deep' is not a number"),
-        ("n.csv short.csv", "short.csv:3: 6 cells, expected 7"),
-        ("n.csv half.csv", "half.csv:2: i is 0.5; expected a whole number"),
-        ("n.csv empty.csv", "empty.csv:1: has no row below its names"),
         ("n.csv image.csv", "image.csv:1: no column 'x_m'"),
         ("n.csv lost.csv", "lost.csv"),
         ("n.csv graph.txt", "a folder, or a file ending in .g2o, .toro, "),
-        ("n.csv lost.g2o", "lost.g2o: cannot be read"),
         ("n.csv b.bal", "holds the poses of one kind, this graph has none"),
         ("empty n.csv", "expected a folder with trajectory.csv, as nls solve empty -o OUT writes"),
         ("n.csv empty", "expected a folder with truth.csv or truth.npz or trajectory.csv"),
         ("n.csv n.csv --distances 0,5", "meters above 0 with commas between"),
         ("n.csv n.csv --distances far", "meters above 0 with commas between"),
         ("n.csv n.csv --tolerance 1", "the poses are matched by number, not by time"),
-        ("n.csv n.csv --align umeyama", "invalid choice: 'umeyama'"),
         ("n.csv m.csv --json n.csv", "another name: this is the input"),
-        ("n.csv m.csv --json m.csv", "another name: this is the input"),
     ):
         assert message in shell.refused(f"evaluate {words}"), words
 
@@ -173,26 +160,25 @@ def test_a_truth_of_positions_has_no_relative_error(shell: Shell) -> None:
     assert record["ate"]["rmse_m"] == pytest.approx(3.0)
 
 
+STRAIGHT = np.arange(80.0), np.column_stack([np.arange(80.0), np.zeros(80), 0.01 * np.sin(np.arange(80.0))])
+
+
 @pytest.mark.parametrize("offset", [0.0, 2.5])
-def test_headings_of_two_conventions(shell: Shell, offset: float) -> None:
-    t, X = circle()
-    (shell / "a.csv").write_text(plane("time,x,y,yaw", t, X))
-    for sense, opposed in ((1.0, False), (-1.0, True)):
-        (shell / "b.csv").write_text(plane("time,x,y,yaw", t, np.column_stack([X[:, :2], sense * X[:, 2] + offset])))
-        record = json.loads(shell("evaluate a.csv b.csv --distances 10 --json -"))
-        assert bool(record["rpe_unknown"]) == opposed
-        assert len(record["rpe"]) == (not opposed)
-        assert record["ate"]["rmse_m"] < 1e-9
-
-
-def test_a_straight_track_has_no_sense(shell: Shell) -> None:
-    t = np.arange(40.0)
-    for name, sense in (("a", 1.0), ("b", -1.0)):
-        X = np.column_stack([t, 0 * t, sense * 0.01 * np.sin(t)])
-        (shell / f"{name}.csv").write_text(plane("time,x,y,yaw", t, X))
-    record = json.loads(shell("evaluate a.csv b.csv --distances 10 --json -"))
-    assert record["rpe_unknown"] is None
-    assert record["rpe"][0]["pairs"] == 30
+@pytest.mark.parametrize(
+    ("track", "sense", "opposed"),
+    [(circle(), 1.0, False), (circle(), -1.0, True), (STRAIGHT, -1.0, False)],
+    ids=["one", "two", "a straight track has none"],
+)
+def test_headings_of_two_conventions(
+    shell: Shell, track: tuple[Array, Array], sense: float, opposed: bool, offset: float
+) -> None:
+    t, X = track
+    shell.file(plane("time,x,y,yaw", t, X), "a.csv")
+    shell.file(plane("time,x,y,yaw", t, np.column_stack([X[:, :2], sense * X[:, 2] + offset])), "b.csv")
+    record = shell.report("evaluate a.csv b.csv --distances 10")
+    assert bool(record["rpe_unknown"]) == opposed
+    assert len(record["rpe"]) == (not opposed)
+    assert record["ate"]["rmse_m"] < 1e-9
 
 
 @pytest.mark.parametrize("align", ["rigid", "similarity"])
@@ -202,16 +188,16 @@ def test_a_mirrored_track_is_called_so_and_its_cure_helps(shell: Shell, align: s
     (shell / "truth.csv").write_text(plane("time,x,y,yaw", t, X))
     (shell / "mirrored.csv").write_text(plane("time,x,y,yaw", t, X * [1, -1, -1]))
     out, err = shell.both(f"evaluate mirrored.csv truth.csv --align {align} --json r.json")
-    record = json.loads((shell / "r.json").read_text())
+    record = shell.json()
     assert record["ate"]["rmse_m"] < 1e-9
     assert (record["turned_over"], record["tilt_deg"]) == (True, pytest.approx(180.0))
     assert record["ate"]["rotation_rmse_deg"] > 90
     assert err.startswith(f"nls: warning: mirrored.csv: the alignment {align} turned the track over")
     assert "tilted by 180 deg" in row(out, "alignment")
     # the cures: another alignment shows it, other signs remove it
-    assert json.loads(shell("evaluate mirrored.csv truth.csv --align yaw --json -"))["ate"]["rmse_m"] > 5
+    assert shell.report("evaluate mirrored.csv truth.csv --align yaw")["ate"]["rmse_m"] > 5
     (shell / "signs.csv").write_text(plane("time,x,y,yaw", t, X))
-    assert json.loads(shell(f"evaluate signs.csv truth.csv --align {align} --json -"))["turned_over"] is False
+    assert shell.report(f"evaluate signs.csv truth.csv --align {align}")["turned_over"] is False
 
 
 def test_graphs_are_compared_as_they_are_written(shell: Shell) -> None:
@@ -228,26 +214,14 @@ def test_graphs_are_compared_as_they_are_written(shell: Shell) -> None:
         name: shell.report(f"evaluate solved.{name} truth.{'tum' if name == 'tum' else 'g2o'} --align rigid")
         for name in ("g2o", "npz", "json", "tum")
     }
-    P, Q = ([nls.load(shell / f"{name}.g2o")[1][nls.Kind("x")[range(20)]]] for name in ("solved", "truth"))
-    error = ate(P[0], Q[0], "rigid")
+    P, Q = (nls.load(shell / f"{name}.g2o")[1][nls.Kind("x")[range(20)]] for name in ("solved", "truth"))
+    error = ate(P, Q, "rigid")
     assert error.rmse > 0.1
     for name, record in records.items():
         assert record["matched"] == 20, name
         assert record["ate"]["rmse_m"] == pytest.approx(error.rmse, rel=1e-9), name
         assert record["ate"]["rotation_rmse_deg"] == pytest.approx(np.degrees(error.rotation), rel=1e-9), name
-    angles = np.abs(SE2.local(SE2.compose(error.T[None], P[0]), Q[0])[:, 2])
-    assert error.angles == pytest.approx(angles)
     assert "nls convert GRAPH OUT.tum" in shell.refused("evaluate solved.g2o truth.tum")
-
-
-def test_folders_of_missions_are_compared_by_their_names(shell: Shell, undrawn: None) -> None:
-    folder(shell / "m")
-    shell("solve m -o solved")
-    files = shell.report("evaluate solved/trajectory.csv m/truth.csv --distances 1")
-    assert files["ate"]["rmse_m"] > 0
-    assert shell.report("evaluate solved m --distances 1") == files
-    assert shell.report("evaluate solved solved --distances 1")["ate"]["rmse_m"] == 0
-    assert "nls solve m -o OUT writes" in shell.refused("evaluate m m")
 
 
 @pytest.mark.filterwarnings("always")
@@ -259,7 +233,7 @@ def test_the_cures_of_a_graph_that_is_not_read_are_options_of_another_command(sh
     option, command = (line.rpartition(": ")[2].strip() for line in complaint.splitlines()[1:])
     assert (option, command) == ("--ignore-tags EDGE_FOO", "nls convert 'two words.g2o' OUT.npz")
     shell.both(f"{command.removeprefix('nls ')} {option}")
-    assert json.loads(shell("evaluate OUT.npz truth.g2o --json -"))["ate"]["rmse_m"] == 0
+    assert shell.report("evaluate OUT.npz truth.g2o")["ate"]["rmse_m"] == 0
     (shell / "no poses").mkdir()
     assert "as nls solve 'no poses' -o OUT writes" in shell.refused("evaluate 'no poses' truth.g2o")
 
@@ -269,5 +243,5 @@ def test_a_file_of_no_times_is_not_matched_by_time(shell: Shell) -> None:
     shell.file("".join(f"EDGE_SE2 {k} {k + 1} 1 0 0.2 {INFORMATION_2}\n" for k in range(9)), "a.g2o")
     shell("convert a.g2o a.pyfg")
     shell("convert a.pyfg a.tum")  # by their numbers, as the note says
-    assert json.loads(shell("evaluate a.pyfg a.g2o --json -"))["matched_by"] == "number"
+    assert shell.report("evaluate a.pyfg a.g2o")["matched_by"] == "number"
     assert "a.pyfg has numbers alone; a.tum has times alone" in shell.refused("evaluate a.pyfg a.tum")

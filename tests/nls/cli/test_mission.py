@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +38,8 @@ def test_both_commands_draw_a_mission_from_above_and_from_the_side(
     shell("plot m a.png")
     shell("solve m --plot b.png")
     as_read, solved = figures
-    views = [axes.get_ylabel() for axes in as_read.axes]
-    assert views == ["x, north [m]", "z, down [m]"]
-    assert [axes.get_ylabel() for axes in solved.axes[:4]] == 2 * views
+    assert [axes.get_ylabel() for axes in as_read.axes] == ["x, north [m]", "z, down [m]"]
+    assert [axes.get_ylabel() for axes in solved.axes[:4]] == 2 * ["x, north [m]", "z, down [m]"]
     assert as_read.get_suptitle() == solved.get_suptitle() == "m"
 
 
@@ -73,11 +71,11 @@ def test_the_table_and_the_report(shell: Shell) -> None:
 
 def test_without_truth_dead_reckoning_is_judged_by_the_solution(shell: Shell) -> None:
     folder(shell / "m", truth=None, landmarks=None)
-    out = shell("solve m --json r.json")
+    out, report = shell.told("solve m")
     assert row(out, "drift").endswith("against the solution (there is no truth.csv)")
     assert "solution 0" not in out
     assert rows(out, "landmarks") == []
-    mission = json.loads((shell / "r.json").read_text())["mission"]
+    mission = report["mission"]
     assert "solution" not in mission
     assert 0 < mission["dead_reckoning"]["ate_rmse_m"] < 0.1
 
@@ -109,17 +107,13 @@ def test_where_nothing_checks_dead_reckoning_it_has_a_sigma_and_no_drift(
 def test_a_contact_from_two_places_checks_dead_reckoning(shell: Shell) -> None:
     folder(shell / "once", contacts="\n".join(TINY["contacts"].splitlines()[:3]), truth=None, landmarks=None)
     folder(shell / "often", truth=None, landmarks=None)
-    checks = {}
-    for name in ("once", "often"):
-        shell(f"solve {name} --json r.json")
-        checks[name] = json.loads((shell / "r.json").read_text())["mission"]["checks"]
-    assert checks == {"once": 0, "often": 13}
+    assert [shell.report(f"solve {name}")["mission"]["checks"] for name in ("once", "often")] == [0, 13]
 
 
 def test_the_files(shell: Shell) -> None:
     folder(shell / "m", poses="i,time_s\n0,10\n1,10.5\n2,12\n3,12.25\n")
-    printed = shell("solve m -o deep/out --json r.json")
-    out, report = shell / "deep/out", json.loads((shell / "r.json").read_text())
+    printed, report = shell.told("solve m -o deep/out")
+    out = shell / "deep/out"
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert report["written"] == [*(f"deep/out/{name}" for name in FILES), "r.json"]
     assert all((out / name).read_bytes()[:4] == b"\x89PNG" for name in FILES[5:])
@@ -170,31 +164,22 @@ def test_raw_logs_have_no_map_and_trajectories_the_order_of_time(shell: Shell, u
 @pytest.mark.filterwarnings("default::nls.GraphWarning")
 def test_a_landmark_seen_once_costs_no_sigmas_but_its_own(shell: Shell, undrawn: None) -> None:
     """One view leaves its elevation free: all other sigmas are those of the mission without it."""
-    tables, maps, covariances = {}, {}, {}
+    tables, maps = {}, {}
     for name, contacts in (("with", ONCE), ("without", TINY["contacts"])):
         folder(shell / name, contacts=contacts)
-        out, _ = shell.both(f"solve {name} -o {name}-out --covariance {name}.csv")
+        out, _ = shell.both(f"solve {name} -o {name}-out")
         assert out.count("nothing measures the elevation of l20: no sigmas there") == (name == "with")
         assert ("--elevation prior" in out) == (name == "with")
         assert "known to " in row(out, "elevation")
         assert {path.name for path in (shell / f"{name}-out").iterdir()} == set(FILES)
         tables[name] = Table(shell / f"{name}-out/trajectory.csv", TRAJECTORY).floats(*TRAJECTORY[1:])
-        texts = [(shell / path).read_text() for path in (f"{name}-out/map.csv", f"{name}.csv")]
-        maps[name], covariances[name] = ([line.split(",") for line in text.splitlines()] for text in texts)
+        maps[name] = [line.split(",") for line in (shell / f"{name}-out/map.csv").read_text().splitlines()]
     assert tables["with"] == pytest.approx(tables["without"], rel=1e-4, abs=1e-7)
     *seen, free = maps["with"][1:]
     expected = np.array(maps["without"][1:], dtype=float)
     assert np.array(seen, dtype=float) == pytest.approx(expected, rel=1e-4, abs=1e-7)
     assert (free[0], free[4:10], free[10:12], free[-3:]) == ("20", [""] * 6, ["1", "0"], ["", "0", ""])
     assert float(free[-4]) == pytest.approx(0.0, abs=1e-3)  # where it began
-
-    (head, *estimated, free), (head_without, *without) = covariances["with"], covariances["without"]
-    assert free == ["l", "20", "free", *[""] * (len(head) - 3)]
-    assert head == head_without
-    assert [cells[:3] for cells in estimated] == [cells[:3] for cells in without]
-    assert {cells[2] for cells in without} == {"estimated"}
-    numbers = [np.array([[float(c or "nan") for c in cells[3:]] for cells in part]) for part in (estimated, without)]
-    np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-8)
 
     assert "nothing measures" not in shell("solve with -o prior --elevation prior")
     last = Table(shell / "prior/map.csv", MAP).floats("sigma_elevation_rad")[-1]
@@ -226,19 +211,12 @@ def test_no_sigmas_where_there_are_none_and_all_others(shell: Shell, undrawn: No
     assert [all(row[7:]) for row in poses] == [True, True, False, True]
     assert poses[2][7:] == [""] * 6
     assert all(all(row.split(",")[4:10]) for row in (shell / "out/map.csv").read_text().splitlines()[1:])
-    folder(shell / "n")
-    printed, _ = shell.both("solve n -o out --init file --max-iterations 1 --allow-unconverged")
-    assert "the files have no sigmas: this is no optimum" in printed
 
 
 def test_other_options_and_commands(shell: Shell) -> None:
     folder(shell / "dive.tum")  # a folder named like a trajectory
-    assert row(shell("solve dive.tum"), "mission").startswith("4 poses")
-    out = shell("solve dive.tum --elevation free --robust huber:2")
-    assert "gauss-newton" in row(out, "solver")
+    assert "gauss-newton" in row(shell("solve dive.tum --elevation free"), "solver")
     assert "contacts.csv             11" in shell("info dive.tum")
-    shell("plot dive.tum a.png")
-    assert (shell / "a.png").read_bytes()[:4] == b"\x89PNG"
     shell("convert dive.tum a.tum")
     assert len(read_tum(shell / "a.tum")[1]) == 4
 
@@ -263,10 +241,10 @@ def test_no_percent_of_no_distance(shell: Shell) -> None:
     still["truth"] = lines["truth"][0] + "0,0,0,0,0,0,5\n1,0,0,0,0,0,5\n"
     folder(shell / "still", still)
     for name in ("one", "still"):
-        out = shell(f"solve {name} --json r.json")
+        out, report = shell.told(f"solve {name}")
         assert "nan" not in out
         assert row(out, "drift").startswith("dead reckoning - (")
-        assert json.loads((shell / "r.json").read_text())["mission"]["dead_reckoning"]["drift_percent"] is None
+        assert report["mission"]["dead_reckoning"]["drift_percent"] is None
 
 
 def test_sigmas_come_from_the_solver_and_gauge_that_were_asked_for(

@@ -12,7 +12,6 @@ import nls
 from factors import BundleProjection, Cauchy, Huber, Isotropic
 from factors.bundle import CAMERA, LENS
 from models import R
-from nls.optimizers import OPTIMIZERS
 from tests.nls.cli.shell import Shell, rows
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
 from tests.nls.missions.folder.mission_files import TINY, folder
@@ -69,15 +68,6 @@ def test_a_kernel_on_one_type_of_factor(shell: Shell) -> None:
     assert report["chi2_final"] == expected.chi2_final
     every = shell.report("solve m --robust cauchy:1 --init odometry --allow-doubtful")
     assert every["chi2_final"] != report["chi2_final"]
-
-
-def test_methods_by_name(shell: Shell) -> None:
-    expected = shell.report(f"solve {shell.file()}")
-    assert expected["method"] == "gauss-newton"
-    for method in OPTIMIZERS:
-        report = shell.report(f"solve graph.g2o --method {method} --init file")
-        assert report["method"] == method
-        assert report["chi2_final"] == pytest.approx(expected["chi2_final"], rel=1e-5)
 
 
 def test_a_kind_is_held(shell: Shell) -> None:

@@ -19,20 +19,16 @@ from models.advice import Advice
 from nls.cli import main
 from nls.cli.timing import Clock
 from tests.nls.cli.shell import Shell, rows
+from tests.nls.io.g2o_files import PLANE
 from tests.nls.io.test_bal import GOOD
 from tests.nls.missions.folder.mission_files import folder
-from tests.nls.plot.html_page import Page, undrawn
+from tests.nls.plot.html_page import Page
 
 TURN = "VERTEX_SE3:QUAT {} 0 0 0 0 {} 0 {}\n"
-PLACEHOLDER = """VERTEX_SE2 0 0 0 0
-VERTEX_SE2 1 1 0 0
-VERTEX_SE2 2 2 0.5 0.2
-VERTEX_XY 5 0 0
-EDGE_SE2 0 1 1 0 0 100 0 0 100 0 100
-EDGE_SE2 1 2 1 0.5 0.2 100 0 0 100 0 100
-EDGE_BEARING_SE2_XY 0 5 0.78 400
-EDGE_BEARING_SE2_XY 1 5 1.11 400
-EDGE_BEARING_SE2_XY 2 5 1.37 400
+PLACEHOLDER = f"""{PLANE}VERTEX_XY 5 0 0
+EDGE_BEARING_SE2_XY 0 5 0.785 400
+EDGE_BEARING_SE2_XY 1 5 0.891 400
+EDGE_BEARING_SE2_XY 2 5 -0.536 400
 """
 
 
@@ -93,10 +89,6 @@ def test_covariances_at_an_optimum_only(shell: Shell, monkeypatch: pytest.Monkey
     head, held, first, *_ = (line.split(",") for line in (shell / "c.csv").read_text().splitlines())
     assert head[:4] == ["kind", "number", "status", "world_x_x"]
     assert (held[:3], first[:3]) == (["x", "0", "gauge"], ["x", "1", "estimated"])
-    graph, values, _ = nls.load("graph.g2o")
-    result = graph.optimize(nls.initialize(graph, values)[0])
-    Sigma = nls.Marginals(graph, result.values).covariance(nls.Kind("x")[1], frame="world")
-    assert float(first[3]) == pytest.approx(Sigma[0, 0], rel=1e-12)
     (shell / "c.csv").unlink()
     report = shell.report(f"{words} --init file --max-iterations 1", status=1)
     assert report["notes"] == ["no covariances were written to c.csv: this is no optimum"]
@@ -144,26 +136,21 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
     assert "no space left on device" in shell.refused(words)
 
 
-def test_the_command(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    undrawn(monkeypatch)
+def test_the_page(shell: Shell, undrawn: None) -> None:
     file = shell.file(name="<b>$a$.g2o")
-    printed = shell(f"solve '{file}' --certify --report out.html --json r.json --verbose")
+    printed, record = shell.told(f"solve '{file}' --certify --report out.html --verbose")
     assert re.search(r"^report +[0-9.]+ +[0-9.]+ +explanation, covariances and pictures", printed, re.MULTILINE)
-    record = json.loads((shell / "r.json").read_text())
     assert "out.html" in record["written"]
     seconds = record["timings"]
     parts = ("solved", "check", "write", "certify", "report")
     assert seconds["total"] == pytest.approx(sum(seconds[part] for part in parts))
-    text = (shell / "out.html").read_text()
-    page = Page(text)
+    page = Page((shell / "out.html").read_text())
     assert {"certificate", "provenance", "time"} <= page.ids
     for said in ("<b>$a$.g2o", "4 VERTEX_SE2, 4 EDGE_SE2", "g2o, 2-D", "--certify --report", record["reason"][11:]):
         assert said in page.text
-    assert "<b>" not in text
 
 
-def test_a_mission(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    undrawn(monkeypatch)
+def test_the_page_of_a_mission(shell: Shell, undrawn: None) -> None:
     folder(shell / "m", anchor=None)  # the anchor is assumed, and not a measurement that nothing checks
     assert shell("solve m --report out.html --quiet") == ""
     page = Page((shell / "out.html").read_text())
@@ -171,8 +158,7 @@ def test_a_mission(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"RangeAzimuth", "XYH", "ZPR", "Nothing suspicious."} <= set(page.texts)
 
 
-def test_a_bundle(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    undrawn(monkeypatch)
+def test_the_page_of_a_bundle(shell: Shell, undrawn: None) -> None:
     shell.both(f"solve {shell.file(chr(10).join(GOOD), 'b.txt')} --report out.html --quiet", 1)
     page = Page((shell / "out.html").read_text())
     assert "Not solved" in page.text  # two cameras, three points: much is free
@@ -211,12 +197,13 @@ def test_parts_of_a_stage_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     now = iter([1.0, 3.0, 4.0, 9.0])
     monkeypatch.setattr("nls.cli.timing.perf_counter", lambda: next(now))
     clock = Clock(0.0, 0.0)
-    assert [clock.lap(name) for name in ("optimize", "certify", "optimize", "certify")] == [1.0, 2.0, 2.0, 7.0]
+    for name in ("optimize", "certify", "optimize", "certify"):
+        clock.lap(name)
     assert clock.seconds == {"startup": 0.0, "optimize": 2.0, "certify": 7.0}
 
 
 def test_the_report_of_a_process(shell: Shell) -> None:
-    """Its timings add up, and count its start; its peak of memory is not that of the process that began it."""
+    """Timings add up, and count the start; the peak of memory is not that of the process that began this one."""
     code = "import subprocess, sys; big = bytearray(b'1') * 400_000_000; subprocess.run(sys.argv[1:], check=True)"
     command = [sys.executable, "-m", "nls", "solve", shell.file(), "--json", "-", "-o", "out.g2o"]
     done = subprocess.run(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 
 import nls
 from factors.keys import kinds
-from models.errors import GraphFileError
 from nls.io import read_tum
 from nls.missions.scans.solution import CLOSURES, MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
@@ -106,39 +104,11 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
     assert err.startswith("nls: doubtful: not settled: the last of 1 rounds moved the track by 0.7")
 
 
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ("--robust huber:1", "'huber:1' is not possible; expected for a scan mission one of gnc, cauchy, none"),
-        ("--robust gnc-tls", "one of gnc, cauchy, none"),
-        ("--sigmas estimate", "--sigmas: 'estimate' is not possible; expected nothing"),
-        ("--elevation prior", "a scan mission is of the plane"),
-        ("--init odometry", "a scan mission starts from dead reckoning"),
-        ("--method dogleg", "the rounds of a scan mission choose their own"),
-        ("--hold x", "a scan mission has only its keyframes and their drift"),
-        ("--certify", "the drifts of a scan mission are no poses"),
-        ("--crs utm -o out", "a scan mission has coordinates of its own"),
-        ("-o out.g2o", "a folder: the solution of a mission is several files"),
-        ("m", "a scan mission is solved alone"),
-    ],
-)
-def test_options_without_a_meaning_are_refused(words: str, reason: str, shell: Shell) -> None:
-    write(shell / "m", FILES)
-    assert reason in shell.refused(f"solve m {words}")
-
-
 def test_other_commands(shell: Shell) -> None:
     write(shell / "m", FILES)
     assert "scans                      2" in shell("info m")
-    assert "nls solve m -o OUT, then nls explain OUT/graph.npz" in shell.refused("explain m")
     shell("convert m m.npz")
     shell("plot m m.png")
-    assert "m.g2o" in shell.refused("convert m m.g2o")
-    write(shell / "bad", FILES | {"scans": FILES["scans"].replace(b"90,4", b"90,5")})
-    for words in ("solve bad -o out", "info bad"):
-        assert "bad/scans.csv:3: keyframe 5: no such keyframe in keyframes.csv" in shell.refused(words)
-    with pytest.raises(GraphFileError):
-        nls.load("bad")
 
 
 @pytest.mark.filterwarnings("default::models.errors.GraphWarning")
@@ -149,5 +119,5 @@ def test_a_wrong_setup_is_said_where_the_user_looks(shell: Shell) -> None:
     assert "nls: doubtful: no solution: the setup is wrong (mirrored), see the warning" in err
     assert "[drift]" not in err
     assert "nls: warning: m: azimuths look mirrored: 72 steps that turn fit the other sign better, 0 fit this" in err
-    (finding,) = json.loads((shell / "r.json").read_text())["scans"]["setup"]
+    (finding,) = shell.json()["scans"]["setup"]
     assert finding["kind"] == "mirrored"

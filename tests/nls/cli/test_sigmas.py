@@ -54,7 +54,7 @@ def test_a_kernel_and_a_chain_that_nothing_checks(shell: Shell) -> None:
     assert row == "Between: stated sigmas kept, no other measurement checks them (redundancy 0 of 15 numbers)"
 
 
-def test_a_mission_has_the_sigmas_of_the_estimated_noise(shell: Shell) -> None:
+def test_a_mission_has_the_sigmas_of_the_estimated_noise(shell: Shell, undrawn: None) -> None:
     mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
     write_mission(shell / "m", mission.graph, mission.sonar, mission.offset, mission.truth)
     report = shell.report("solve m --sigmas estimate -o out")

@@ -12,7 +12,7 @@ import pytest
 import sim
 from factors.sighting import Sighting
 from nls import FactorGraph
-from nls.missions.folder.write import mission_files
+from nls.missions.folder.write import write_mission
 from tests.nls.cli.shell import Shell, row
 
 
@@ -25,12 +25,10 @@ def mission(outliers: float = 0.0, exchanged: float = 0.0, per_leg: int = 8) -> 
 
 def written(folder: Path, given: sim.Mission) -> None:
     """The folder of a mission."""
-    folder.mkdir()
-    for name, data in mission_files(given.graph, given.sonar, given.offset, given.truth).items():
-        (folder / name).write_bytes(data)
+    write_mission(folder, given.graph, given.sonar, given.offset, given.truth)
 
 
-def test_wrong_contacts_are_left_out_and_counted(shell: Shell) -> None:
+def test_wrong_contacts_are_left_out_and_counted(shell: Shell, undrawn: None) -> None:
     given = mission(outliers=0.1)
     written(shell / "m", given)
     out, report = shell.told("solve m -o solved")
@@ -59,7 +57,7 @@ def test_a_clean_mission_is_solved_as_without_the_test(shell: Shell) -> None:
     assert plain["mission"] == judged["mission"]
 
 
-def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
+def test_all_contacts_are_believed_on_request(shell: Shell, untried: None) -> None:
     written(shell / "m", mission(outliers=0.1))
     out, report = shell.told("solve m --robust none --allow-doubtful")
     assert "rejected" not in report
@@ -80,6 +78,7 @@ def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
     assert "more" in out
 
 
+@pytest.mark.usefixtures("untried")
 def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     written(shell / "m", mission(outliers=0.1))
     monkeypatch.setattr("nls.robust.verdict.HALF", 1.0)  # whatever is rejected is too much
@@ -89,7 +88,7 @@ def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeyp
 
 
 def test_a_misplaced_sonar_is_no_wrong_contact(shell: Shell) -> None:
-    """Its mounting is off by 0.3 m, and three landmarks with one contact each have a free elevation."""
+    """The mounting is off by 0.3 m, and three landmarks with one contact each have a free elevation."""
     given = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
     offset = given.offset + np.array([0, 0.3, 0, 0, 0, 0, 0])
     factors = [f.mounted(offset) if isinstance(f, Sighting) else f for f in given.graph.factors]
@@ -107,7 +106,7 @@ def test_a_misplaced_sonar_is_no_wrong_contact(shell: Shell) -> None:
     assert f"all contacts are kept, though some do not fit: {words}" in solved["notes"]
 
 
-def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell) -> None:
+def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell, untried: None) -> None:
     given = mission(exchanged=0.05)
     written(shell / "m", given)
     record = shell.report("explain m")
