@@ -219,7 +219,7 @@ SEVERAL = {"contacts", "odometry", "fixes", "ranges", "usbl", "closures"}  # fil
 def test_no_exotic_number_gets_through(name: str, tmp_path: Path) -> None:
     """In every column of every file a word that is no number, one after the other, and a number beyond all bounds.
 
-    No sigma is 0.
+    No sigma and no range is 0.
     """
     words, files = cycle(EXOTIC), WHOLE[name]
     assert nls.load(folder(tmp_path / name, files))[1]
@@ -228,7 +228,7 @@ def test_no_exotic_number_gets_through(name: str, tmp_path: Path) -> None:
         cells = lines[-1].split(",")
         for k in range(2 if file == "sonar" else 0, len(cells)):
             column = head.split(",")[k - len(cells)]  # the quoted name of the sonar has a comma
-            zero = ["0"] * (column.startswith("sigma_") and column not in MAY_BE_0)
+            zero = ["0"] * (column.startswith(("sigma_", "range_m")) and column not in MAY_BE_0)
             for word in (next(words), "inf" if file == "sonar" else "1e308", *zero):
                 damaged = "\n".join([head, *lines[:-1], ",".join([*cells[:k], word, *cells[k + 1 :]])])
                 place = folder(tmp_path / name, {file: damaged})
