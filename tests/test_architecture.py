@@ -6,6 +6,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -222,6 +223,26 @@ def test_only_the_inputs_ask_what_was_read() -> None:
     files = [path for path in (ROOT / "nls" / "cli").glob("*.py") if path.stem not in kinds]
     asked = [f"{name_of(path)}:{node.lineno}" for path in files for node in ast.walk(tree_of(path)) if asks(node)]  # type: ignore[attr-defined]
     assert asked == []
+
+
+def test_pages_import_what_a_room_exports_or_the_reference_documents() -> None:
+    """Readers copy these lines. A room is a folder of a package, its `__init__` has the public names."""
+    pages = [ROOT / "README.md", *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
+    texts = {path: path.read_text(encoding="utf-8") for path in pages if "_build" not in path.parts}
+    documented = set(re.findall(r"automodule:: (\S+)", "".join(texts.values())))
+    line = re.compile(rf"""^(?:>>> |    ")?from ((?:{"|".join(PACKAGES)})[\w.]*) import ([\w, ]+)""", re.MULTILINE)
+    imports = {(path, *found) for path, text in texts.items() for found in line.findall(text)}
+    assert len(imports) > 100
+    inner = []
+    for path, module, names in imports:
+        exported = (
+            getattr(importlib.import_module(module), "__all__", ())
+            if (ROOT / module.replace(".", "/")).is_dir()
+            else ()
+        )
+        if module not in documented and not {name.split()[0] for name in names.split(",")} <= {*exported}:
+            inner.append(f"{name_of(path)}: from {module} import {names}")
+    assert inner == []
 
 
 def test_files_are_short_and_say_what_they_are() -> None:

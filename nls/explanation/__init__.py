@@ -11,4 +11,4 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "explain"]
 
 # `explain` needs every analysis, and findings of other rooms need none
-__getattr__, __dir__ = importer(__name__, {"explain": "nls.explanation.explanation"})
+__getattr__, __dir__, _ = importer(__name__, {"nls.explanation.explanation": "explain"})
