@@ -115,8 +115,7 @@ class ScanMission(Folder):
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """What makes the files of the folder, by name."""
-        files: dict[str, Callable[[], Any]] = solved.solution.files()
-        return files
+        return {**solved.solution.files()}
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """The map, and errors of positions against the truth, rmse, before and after."""

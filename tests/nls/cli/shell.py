@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,15 @@ SPOILED = RING + CHORDS + f"EDGE_SE2 1 5 9 9 0.3 {INFORMATION_2}\n"
 # a second part that nothing joins to PLANE, and a point that is seen once
 PART = f"VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 {INFORMATION_2}\n"
 RAY = "VERTEX_XY 20 3 3\nEDGE_BEARING_SE2_XY 0 20 0.785 100\n"
+
+
+ROOT = Path(__file__).parents[3]
+
+
+def process(*words: str, env: dict[str, str] | None = None, **options: Any) -> subprocess.CompletedProcess[Any]:
+    """Python in a process of its own, with the packages of this folder."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | (env or {})
+    return subprocess.run([sys.executable, *words], env=environment, capture_output=True, timeout=60, **options)
 
 
 class Shell:

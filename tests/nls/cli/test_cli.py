@@ -7,8 +7,6 @@ import importlib
 import math
 import os
 import re
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -18,10 +16,8 @@ import pytest
 import nls
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS
-from tests.nls.cli.shell import Shell, row
+from tests.nls.cli.shell import Shell, process, row
 from tests.nls.io.g2o_files import PLANE, SPACE
-
-ROOT = Path(__file__).parents[3]
 
 
 def test_the_table_of_solve(shell: Shell) -> None:
@@ -164,13 +160,7 @@ def test_info(shell: Shell) -> None:
 def test_warnings_and_names_of_a_process(shell: Shell) -> None:
     """A compressed file of a name that the terminal cannot show, with tags that are unknown and an isolated pose."""
     name = shell.file(gzip.compress((PLANE + "UNKNOWN 1 2\nUNKNOWN 3\nVERTEX_SE2 77 1 2 3\n").encode()), "ünï.g2o.gz")
-    done = subprocess.run(
-        [sys.executable, "-m", "nls", "solve", name],
-        env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = process("-m", "nls", "solve", name, env={"PYTHONIOENCODING": "ascii"}, text=True)
     assert done.returncode == 0
     tags, isolated = done.stderr.splitlines()
     assert re.match(r"nls: warning: .*UNKNOWN \(2, first on line 9\)", tags)

@@ -6,21 +6,17 @@ import gzip
 import io
 import os
 import re
-import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 import nls
 from nls.io import load_stream
-from tests.nls.cli.shell import RING, SPOILED, Shell
+from tests.nls.cli.shell import RING, SPOILED, Shell, process
 from tests.nls.io.g2o_files import PLANE
 from tests.nls.io.io_files import BAL, PYFG, TORO_2
 from tests.nls.missions.folder.mission_files import folder
 
-ROOT = Path(__file__).parents[3]
 FOREIGN = PLANE + "SONAR 0 1 3.4\n"
 
 
@@ -130,18 +126,13 @@ def test_mistakes_on_standard_input_have_their_line(shell: Shell, monkeypatch: p
 
 def test_a_pipe_between_processes(shell: Shell) -> None:
     """What is free is explained by a command that can be typed; the file behind standard input is the input, too."""
-
-    def piped_into(*options: str, **stdin: Any) -> subprocess.CompletedProcess[bytes]:
-        command = [sys.executable, "-m", "nls", "solve", "-", *options]
-        return subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, **stdin)
-
     two = RING + "EDGE_SE2 20 21 1 0 0 9 0 0 9 0 9\n"
-    done = piped_into("--gauge", "none", input=gzip.compress(two.encode()))
+    done = process("-m", "nls", "solve", "-", "--gauge", "none", input=gzip.compress(two.encode()))
     assert done.returncode == 1
     assert re.search(rb"see: nls explain -( |$|\n)", done.stderr), done.stderr
     file = shell / shell.file(SPOILED)
     with file.open("rb") as stream:
-        done = piped_into("--robust", "gnc-tls", "-o", str(file), stdin=stream)
+        done = process("-m", "nls", "solve", "-", "--robust", "gnc-tls", "-o", str(file), stdin=stream)
     assert (done.returncode, b"--overwrite" in done.stderr) == (2, True)
     assert file.read_text() == SPOILED
 

@@ -99,7 +99,7 @@ def test_commands_show_the_names(shell: Shell) -> None:
 
 
 def test_several_trajectories_are_not_one(shell: Shell) -> None:
-    """No word of times; the cures work as they are printed."""
+    """The cures work as they are printed."""
     graph, values, _ = nls.load(shell.file(ROBOTS))
     for form in ("tum", "kitti"):
         first, *cures = shell.refused(f"convert graph.g2o out.{form}").splitlines()

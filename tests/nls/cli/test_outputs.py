@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import sys
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +17,7 @@ import nls
 from models.advice import Advice
 from nls.cli import main
 from nls.cli.timing import Clock
-from tests.nls.cli.shell import Shell, rows
+from tests.nls.cli.shell import Shell, process, rows
 from tests.nls.io.g2o_files import PLANE
 from tests.nls.io.test_bal import GOOD
 from tests.nls.missions.folder.mission_files import folder
@@ -172,7 +171,6 @@ def test_the_page_of_a_large_graph_stays_below_3_mb(data: Path, tmp_path: Path) 
     assert len(Page(out.read_text()).images) == 5
 
 
-ROOT = Path(__file__).parents[3]
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")
 STAGES = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS, "other", "write")
 
@@ -206,13 +204,7 @@ def test_the_report_of_a_process(shell: Shell) -> None:
     """Timings add up, and count the start; the peak of memory is not that of the process that began this one."""
     code = "import subprocess, sys; big = bytearray(b'1') * 400_000_000; subprocess.run(sys.argv[1:], check=True)"
     command = [sys.executable, "-m", "nls", "solve", shell.file(), "--json", "-", "-o", "out.g2o"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *command],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        timeout=60,
-        check=True,
-    )
+    done = process("-c", code, *command, check=True)
     report = json.loads(done.stdout)
     seconds = report["timings"]
     solved = sum(seconds[part] for part in ("read", "init", "build", "analyze", *PARTS, "other"))
