@@ -120,6 +120,34 @@ def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Capt
     assert os.listdir(tmp_path) == [file.name]
 
 
+@for_all(name=["a.gz", "A.GZ"])
+def test_compressed_by_suffix(name: str, tmp_path: Path) -> None:
+    write_bytes(tmp_path / name, b"new")
+    data = (tmp_path / name).read_bytes()
+    assert (data[4:8], gzip.decompress(data)) == (bytes(4), b"new")  # no time: equal content, equal bytes
+
+
+def test_a_pipe_and_a_device_are_written_to(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_bytes(pipe, b"new")
+    assert (os.read(reader, 9), pipe.is_fifo()) == (b"new", True)
+    os.close(reader)
+    write_bytes(os.devnull, b"new")
+    assert Path(os.devnull).is_char_device()
+
+
+def test_what_cannot_be_written_names_the_file_given(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name, reason in (("none/out", "No such file"), ("", "Is a directory"), ("loop", "Too many levels")):
+        with pytest.raises(GraphFileError) as caught:
+            write_bytes(tmp_path / name, b"new")
+        assert str(caught.value).startswith(f"{tmp_path / name}: cannot be written: {reason}")
+        assert "\n" not in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["loop"]
+
+
 def test_a_text_is_utf_8(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_bytes(gzip.compress("\ufeffSchären\r\n".encode()))

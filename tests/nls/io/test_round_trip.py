@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors import Between, Isotropic, Landmark
+from factors import Between, Huber, Isotropic, Landmark, Prior, Robust
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphWarning, OptionError, Values, kinds, load, save
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import CONVENTIONS, again, assert_unwritable, read, same, same_factors
+from tests.nls.io.g2o_files import CONVENTIONS, PLANE, again, assert_unwritable, read, same, same_factors, write
 from tests.nls.io.io_files import FILES, SENSORS_2, SENSORS_3, TORO_3
 
 x, l, o = kinds("x", "l", "o")
@@ -194,6 +194,38 @@ def test_what_a_dialect_has_no_line_for(tmp_path: Path) -> None:
     refused(singular, values, "graph", "has no covariance")
     steep = FactorGraph([Between(x[0], x[1], SE3.exp([0, 0, 0, 0, np.pi / 2, 0]), Isotropic(1))])
     refused(steep, Values({x: (SE3, SE3.identity(2))}), "toro", r"Between\(x0, x1\): Euler angles: .* gimbal lock")
+
+
+def test_what_no_graph_file_can_hold(tmp_path: Path) -> None:
+    graph, values, _ = read(PLANE)
+    z, missing = [1.0, 0.0, 0.0], "no variable of kind 'l' has a value"
+    mixed = FactorGraph([Between(x[0], x[1], z, Isotropic(1), convention) for convention in ("log", "g2o", "g2o")])
+    at = [0.0, 0.0, 0.0]
+    refused = [
+        (FactorGraph([Prior(x[0], at, Isotropic(1), ("x", "y"))]), r"out\.g2o: Prior\(x0\) cannot be written"),
+        (FactorGraph([Prior(x[0], at, Isotropic(1), offset=z)]), r"out\.g2o: Prior\(x0\) cannot be written"),
+        (FactorGraph([Prior(x[0], at, Robust(Isotropic(1), Huber(1.0)))]), r"out\.g2o: Prior\(x0\) .*robust kernel"),
+        *((FactorGraph([Between(i, l[1], z, Isotropic(1))]), missing) for i in (l[0], x[0])),
+        (FactorGraph([Between(x[0], x[7], z, Isotropic(1))]), "x7 has no value"),
+        (FactorGraph(graph.factors, [l[0]]), missing),
+        (FactorGraph(graph.factors, [x[7]]), "x7 has no value"),
+        (mixed, "g2o, log"),
+    ]
+    for other, message in refused:
+        assert_unwritable(tmp_path / "out.g2o", message, other, values)
+    mixed.remove(mixed.factors[0])
+    save(tmp_path / "out.g2o", mixed, values)
+
+
+def test_unused_lines_come_back_byte_for_byte(tmp_path: Path) -> None:
+    lines = [b"  WHAT \xff\xfe 1\t2  ", b"WHAT caf\xc3\xa9 \xc2\x85x\r", b"\xe9T\xe9 3"]
+    with pytest.warns(GraphWarning) as caught:
+        loaded = load(write(tmp_path, PLANE.encode() + b"\n".join(lines) + b"\n"))
+    assert all(str(c.message).encode() for c in caught)  # no lone surrogates in messages
+    assert str(loaded[2]).encode()
+    assert r"\xe9T\xe9" in str(caught[0].message)
+    same(loaded, again(loaded, tmp_path))
+    assert (tmp_path / "again.g2o").read_bytes().split(b"\n")[-4:-1] == lines
 
 
 def test_suffixes(tmp_path: Path) -> None:

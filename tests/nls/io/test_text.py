@@ -67,11 +67,6 @@ def test_the_shortest_digits_read_back(numbers: list[float]) -> None:
     same_bits([f"{x:.17g}" for x in numbers])
 
 
-@given(st.lists(st.integers(-(10**18), 10**18), min_size=1, max_size=40), st.integers(0, 18))
-def test_decimals_of_every_length(integers: list[int], places: int) -> None:
-    same_bits([f"{n / 10**places:.{places}f}" for n in integers])
-
-
 WORDS = """nan NaN inf -inf Infinity 1_0 \uff11 \u0661 0x1A 1e 1e+ e5 . - + -. 1-2 1..2 1.2.3 --1 +-1 1,5 1e5.0 1f 1d0
 1/2 5% \u22121 1.-2 None 1e1_0"""
 
