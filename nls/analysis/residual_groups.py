@@ -6,7 +6,6 @@ The symbols are those of `nls.analysis.variance_components`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -24,16 +23,11 @@ EXACT_ROWS, PROBES = 4000, 200  # of T_kl; 200 columns give T_kl to some percent
 COLUMNS = 256  # solved for together
 
 
-@dataclass(frozen=True)
-class Group:
-    """Numbers of one scale: of some batches some measurements and some of their components."""
-
-    name: str
-    parts: tuple[tuple[int, Index, Index], ...]
+Parts = list[tuple[int, Index, Index]]  # of some batches some measurements and some of their components
 
 
-def residual_groups(pattern: Pattern, groups: str) -> list[Group]:
-    """The numbers of every scale.
+def residual_groups(pattern: Pattern, groups: str) -> dict[str, Parts]:
+    """The numbers of every scale, by its name.
 
     Parameters
     ----------
@@ -45,19 +39,19 @@ def residual_groups(pattern: Pattern, groups: str) -> list[Group]:
     OptionError
         Correlated components that shall have scales of their own.
     """
-    out = []
+    out: dict[str, Parts] = {}
     for name, kind in kinds_of(pattern, len(pattern.batches)).items():
         variables = dict.fromkeys(pattern.batches[k].kinds for k, _ in kind)
         for kinds in variables:
             own = [(k, index) for k, index in kind if pattern.batches[k].kinds == kinds]
             full = name if len(variables) == 1 else f"{name} of {', '.join(kinds)}"
-            out += _split(pattern, full, own, groups)
+            out |= _split(pattern, full, own, groups)
     return out
 
 
-def _split(pattern: Pattern, name: str, kind: list[tuple[int, Index]], groups: str) -> list[Group]:
+def _split(pattern: Pattern, name: str, kind: list[tuple[int, Index]], groups: str) -> dict[str, Parts]:
     """One group of a kind, or one for each unit or component."""
-    split: dict[str, list[tuple[int, Index, Index]]] = {}
+    split: dict[str, Parts] = {}
     for k, index in kind:
         model = pattern.batches[k].model
         whole = groups == "kinds" or model.factor.eliminated
@@ -70,9 +64,9 @@ def _split(pattern: Pattern, name: str, kind: list[tuple[int, Index]], groups: s
                 expected = f"'kinds': components of {model.factor!r} are correlated, so they share a scale"
                 raise OptionError("groups", groups, expected)
         for own in columns.values():
-            names = ", ".join(np.array(model.names)[own]) if len(columns) > 1 else ""
-            split.setdefault(names, []).append((k, index, own))
-    return [Group(f"{name}: {of}" if of else name, tuple(parts)) for of, parts in split.items()]
+            full = f"{name}: {', '.join(np.array(model.names)[own])}" if len(columns) > 1 else name
+            split.setdefault(full, []).append((k, index, own))
+    return split
 
 
 class Residuals:
@@ -89,14 +83,14 @@ class Residuals:
     numbers : (K,) numbers that measure something.
     """
 
-    def __init__(self, checked: Checked, groups: Sequence[Group]) -> None:
+    def __init__(self, checked: Checked, groups: Sequence[Parts]) -> None:
         self._factorization, self._A = checked.factorization, checked.linear.system.A
         K, pattern = len(groups), checked.linear.pattern
         self.v, self.numbers, self._spent, self._likeness = np.zeros((4, K))
         self._f = np.zeros((pattern.m, K))
         self._rows = np.zeros((pattern.m, K), dtype=bool)
-        for k, group in enumerate(groups):
-            for number, index, columns in group.parts:
+        for k, parts in enumerate(groups):
+            for number, index, columns in parts:
                 batch = pattern.batches[number]
                 w, e, C = checked.w[number][index], checked.e[number][index], checked.C[number][index]
                 beta, likeness = _under_noise(batch, index)

@@ -52,7 +52,7 @@ from models.errors import GraphError, OptionError
 from nls.analysis.freedom import freedom
 from nls.analysis.leave_one_out import UNCHECKED
 from nls.analysis.linearization import Checked
-from nls.analysis.residual_groups import GROUPS, Group, Residuals, residual_groups
+from nls.analysis.residual_groups import GROUPS, Parts, Residuals, residual_groups
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import LinearSolver
@@ -193,7 +193,8 @@ def variance_components(
     if not len(graph):
         raise GraphError("the graph has no factors: nothing has a scale")
     stated = Pattern(graph.factors, values)
-    every = residual_groups(stated, groups)
+    by_name = residual_groups(stated, groups)
+    every = list(by_name.values())
     theta = np.zeros(len(every))  # log sigma^2
     free, again = np.ones((2, len(every)), dtype=bool)
     settled, rounds, last = False, 0, np.zeros(0)
@@ -233,10 +234,10 @@ def variance_components(
             last = step / sd
     covariance = residuals.covariance(free)
     sd = np.sqrt(np.diagonal(covariance))
-    names, sizes = zip(*((group.name, sum(len(index) for _, index, _ in group.parts)) for group in every), strict=True)
+    sizes = [sum(len(index) for _, index, _ in parts) for parts in every]
     scale, numbers = np.exp(log_variance / 2), residuals.numbers.astype(int)
     columns = (column.tolist() for column in (numbers, r, scale, scale * sd / 2, free))
-    components = tuple(map(VarianceComponent, names, sizes, *columns))
+    components = tuple(map(VarianceComponent, by_name, sizes, *columns))
     correlation = covariance / (sd[:, None] * sd)
     return VarianceComponents(components, correlation, scaled_graph, result, tuple(scales), rounds, settled)
 
@@ -248,11 +249,11 @@ def _faster(step: Array, last: Array) -> float:
     return float(1 / (1 - np.clip(step @ last / np.square(last).sum(), 0.0, 0.8)))
 
 
-def _scales(pattern: Pattern, groups: Sequence[Group], theta: Array) -> list[Array]:
+def _scales(pattern: Pattern, groups: Sequence[Parts], theta: Array) -> list[Array]:
     """The scales (n, m) of every batch."""
     scales = [np.ones((len(batch), batch.model.dim)) for batch in pattern.batches]
-    for group, scale in zip(groups, np.exp(theta / 2), strict=True):
-        for k, index, columns in group.parts:
+    for parts, scale in zip(groups, np.exp(theta / 2), strict=True):
+        for k, index, columns in parts:
             scales[k][index[:, None], columns] = scale
     return scales
 

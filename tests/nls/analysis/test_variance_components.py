@@ -153,7 +153,7 @@ def values_of_poses(values: Values) -> Values:
 def test_kinds_of_variables_and_units_are_groups_of_their_own() -> None:
     graph, values = survey(0, np.ones(3), np.ones(2))
     graph.add(Prior(l[:LANDMARKS], values[l[np.arange(LANDMARKS)]], Isotropic(1.0)))
-    names = [group.name for group in residual_groups(graph.pattern(values), "units")]
+    names = list(residual_groups(graph.pattern(values), "units"))
     seen = ["BearingRange: bearing", "BearingRange: range"]
     assert names == ["Between: x, y", "Between: yaw", *seen, "Prior of x", "Prior of l"]
 
