@@ -14,7 +14,7 @@ from factors import Sighting
 from factors.keys import Keys
 from models import LieGroup
 from models.advice import Advice
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index
 from models.sensors import point_in_frame
 from nls.analysis.freedom import AXES, NEAR, SAME_MOTION, Freedom, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
@@ -23,6 +23,7 @@ from nls.sparse.pattern import Pattern
 from nls.values import Values
 
 ALIGNED = 0.99  # cosine of the angle between an axis and the free directions
+ABSENT = 1e-8  # share of a direction that is rounding
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
 CURES: dict[str, tuple[Advice, ...]] = {
     "elevation": (Advice("roll", ("the point",)), Advice("aperture")),
@@ -107,16 +108,13 @@ def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     """Directions that move several variables: of whole parts of the graph where they are motions of the world."""
     if not free.combinations.shape[1]:
         return []
-    owner, _ = pattern.column_owner()
-    label = component_labels(pattern)
-    scaled = free.combinations * free.norms[:, None]
-    share = np.stack([np.square(scaled[label[owner] == k]).sum(axis=0) for k in np.unique(label[owner])])
-    home = np.unique(label[owner])[np.argmax(share, axis=0)]  # component of every direction
-    findings = []
-    for k in np.unique(home).tolist():
+    label, findings = component_labels(pattern), []
+    part = np.repeat(label, pattern.dims)  # of every unknown
+    directions = np.stack([pattern.expand(u) for u in free.combinations.T], axis=1) * free.scale[:, None]
+    for k, N in sorted(_by_part(directions, part).items()):
         members = np.flatnonzero(label == k)
-        N, G, positions, places_named = _motions_of(members, free, home == k, pattern, values)
-        whole, remainder = motions(N, G)
+        G, positions, places_named = _motions_of(members, pattern, values)
+        whole, remainder = motions(N[part == k], G * free.scale[part == k, None])
         names = sorted(
             (_motion_name(motion, positions, places_named) for motion in whole),
             key=lambda name: AXES.index(name) if name in AXES else len(AXES),
@@ -130,19 +128,33 @@ def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     return findings
 
 
-def _motions_of(
-    members: Index, free: Freedom, mask: Mask, pattern: Pattern, values: Values
-) -> tuple[Array, Array, Array, list[str]]:
-    """Directions and motions over all unknowns of some variables, scaled; positions and names of those that have one.
+def _by_part(directions: Array, part: Index) -> dict[int, Array]:
+    """Every direction (n, r) under the part (n,) that has most of it; those of one part differ within it.
+
+    A calibration is a part of its own, and a direction may move it and poses. Q has orthonormal columns. Then the
+    squares of the singular values of the rows of a part are the shares that it has of directions.
+    """
+    Q = np.linalg.qr(directions)[0]
+    out: dict[int, Array] = {}
+    parts = np.unique(part[np.abs(Q).max(axis=1) > ABSENT]).tolist()
+    for share in (0.5, 0.0):  # most of a direction, then what no part has most of
+        for k in parts:
+            _, s, Vt = np.linalg.svd(np.linalg.qr(Q[part == k], mode="r"))
+            mine = np.pad(s, (0, len(Vt) - len(s))) ** 2 > max(share, ABSENT)
+            if mine.any():
+                out[k] = np.concatenate([out.get(k, Q[:, :0]), Q @ Vt[mine].T], axis=1)
+            Q = Q @ Vt[~mine].T
+    return out
+
+
+def _motions_of(members: Index, pattern: Pattern, values: Values) -> tuple[Array, Array, list[str]]:
+    """Motions of the world over all unknowns of some variables; positions and names of those that have one.
 
     What is held does not move in a direction, and must not in a motion; what no measurement reacts to may.
     """
     sizes = pattern.dims[members]
-    ends = np.cumsum(sizes)
-    begin = np.cumsum(pattern.dims) - pattern.dims
-    rows = np.repeat(begin[members] - (ends - sizes), sizes) + np.arange(ends[-1])  # among all unknowns
-    N = np.stack([pattern.expand(u)[rows] for u in free.combinations.T[mask]], axis=1)
-    G = np.zeros((len(rows), len(AXES)))
+    begin = np.cumsum(sizes) - sizes
+    G = np.zeros((sizes.sum(), len(AXES)))
     positions, names = [], []
     for name, stack in values.stacks.items():
         place = members - pattern.offsets[name]
@@ -150,12 +162,11 @@ def _motions_of(
         if not len(here):
             continue
         X = np.asarray(stack.X)[place[here]]
-        G[(ends - sizes)[here, None] + np.arange(stack.manifold.dim)] = generators(stack.manifold, X)
+        G[begin[here, None] + np.arange(stack.manifold.dim)] = generators(stack.manifold, X)
         if len(p := places(stack.manifold, X)):
             positions.append(p)
             names += [repr(Keys(name, int(number))) for number in stack.numbers[place[here]]]
-    D = free.scale[rows, None]
-    return N * D, G * D, np.concatenate([np.zeros((0, 3)), *positions]), names
+    return G, np.concatenate([np.zeros((0, 3)), *positions]), names
 
 
 def _cures(names: list[str]) -> tuple[Advice, ...]:
@@ -217,7 +228,7 @@ def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
 
 
 def _numbers(a: Array) -> str:
-    return f"({', '.join(f'{round(float(x), 3):g}' for x in a)})"
+    return f"({', '.join(f'{round(float(x), 3) + 0.0:g}' for x in a)})"
 
 
 @dataclass(frozen=True)
