@@ -67,9 +67,8 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
         count[rows] != 4, rows, lambda k: f"observation {k} of {observations} has {count[rows[k]]} numbers, {expected}"
     )
     if len(rows) < observations:
-        raise text.error(
-            f"the file ends after {len(rows)} observations, its first line announces {observations}", int(lines[-1])
-        )
+        message = f"the file ends after {len(rows)} observations, its first line announces {observations}"
+        raise text.error(message, int(lines[-1]))
     i = _index(text, rows, 0, cameras, "camera")
     j = _index(text, rows, 1, points, "point")
     z = text.words(rows, 2, 2)
@@ -79,10 +78,10 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     if last - first != needed:
         message = f"{last - first} numbers follow the observations, expected 9 x {cameras} + 3 x {points} = {needed}"
         missing = last - first < needed
-        raise text.error(
-            f"{message}; the file is cut off here" if missing else f"{message}; this is the first too many",
-            _line(text, np.array([last - 1 if missing else first + needed]))[0],
+        token, where = (
+            (last - 1, "the file is cut off here") if missing else (first + needed, "this is the first too many")
         )
+        raise text.error(f"{message}; {where}", _line(text, np.array([token]))[0])
     tokens = np.arange(first, last)
     numbers = text.numbers(tokens, _line(text, tokens), 1)
     camera, point = numbers[: 9 * cameras].reshape(-1, 9), numbers[9 * cameras :].reshape(-1, 3)

@@ -47,25 +47,17 @@ class BoundedText:
         self.size += len(chunk)
         self.word = 0 if BETWEEN.search(chunk) else self.word + len(chunk)
         if self.word > WORD:
-            raise ResourceLimitError(
-                f"{self.subject} a word of {self.word:,} bytes or more, the limit is {WORD:,}; expected tags and "
-                "numbers with blanks between them",
-                self.word,
-                WORD,
-                "word",
-            )
+            much = f"{self.subject} a word of {self.word:,} bytes or more, the limit is {WORD:,}"
+            cure = "expected tags and numbers with blanks between them"
+            raise ResourceLimitError(f"{much}; {cure}", self.word, WORD, "word")
         if self.size > SLACK:
             self.content += sum(map(self._content, self.chunks[self.weighed :]))
             self.weighed = len(self.chunks)
             idle, allowed = self.size - self.content, SLACK + SHARE * self.content
             if idle > allowed:
-                raise ResourceLimitError(
-                    f"{self.subject} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} "
-                    f"others, the limit is {allowed:,}; take them out",
-                    idle,
-                    allowed,
-                    "blanks and comments",
-                )
+                much = f"{idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others"
+                message = f"{self.subject} {much}, the limit is {allowed:,}; take them out"
+                raise ResourceLimitError(message, idle, allowed, "blanks and comments")
         if (PER_BYTE + PER_WORD) * self.size > self.limit:
             self.words += sum(map(_words, self.chunks[self.counted :]))
             self.counted = len(self.chunks)
@@ -91,13 +83,9 @@ class BoundedText:
         """
         needed = float(PER_BYTE * size + PER_WORD * words)
         if needed > self.limit:
-            raise ResourceLimitError(
-                f"{self.subject} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more, the "
-                f"limit is {gigabytes(self.limit)}; split the file or leave lines out",
-                needed,
-                self.limit,
-                "reading",
-            )
+            much = f"{self.subject} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more"
+            cure = f"the limit is {gigabytes(self.limit)}; split the file or leave lines out"
+            raise ResourceLimitError(f"{much}, {cure}", needed, self.limit, "reading")
 
     def _content(self, chunk: bytes) -> int:
         """The bytes of the next chunk that are neither blanks, nor commas, nor in comments."""

@@ -244,10 +244,8 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
         k = int(np.argmax(missing))
         has_vertices = len(roles.vertex_ids) > 0
         named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
-        raise text.error(
-            f"FIX names vertex {id_text(numbers[k])}, which no {named} line has; add one, or take {numbers[k]} out",
-            int(owner[k]),
-        )
+        which = f"which no {named} line has; add one, or take {numbers[k]} out"
+        raise text.error(f"FIX names vertex {id_text(numbers[k])}, {which}", int(owner[k]))
     fixed = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]
     return [keys for keys in fixed if len(keys)]
 
@@ -321,8 +319,6 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
         located_ids = np.concatenate([located_ids, *(keys.numbers for f in joined.factors for keys in f.keys)])
     lost = roles.points[~np.isin(roles.points, located_ids)]
     if len(lost):
-        raise text.error(
-            f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices",
-            roles.first_line(("point",), int(lost[0])),
-        )
+        message = f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices"
+        raise text.error(message, roles.first_line(("point",), int(lost[0])))
     return values

@@ -143,9 +143,8 @@ class Roles:
             use, other_use = ROLE_NAMES.get(slot, "pose"), ROLE_NAMES[role]
             if line < other_line:
                 line, other_line, use, other_use = other_line, line, other_use, use
-            raise self.text.error(
-                f"vertex {id_text(number)} is used as {use} here, and as {other_use} on line {other_line + 1}", line
-            )
+            message = f"vertex {id_text(number)} is used as {use} here, and as {other_use} on line {other_line + 1}"
+            raise self.text.error(message, line)
 
     def _refuse_missing(self, lines: dict[str, Lines], apart: bool) -> None:
         """Refuse an edge to a vertex that no line gives, or that is of another role."""

@@ -75,9 +75,8 @@ def entries(record: Record, kind: str, factor: Factor, W: Array, measured: Array
     """
     m, noise = record.element.space.dim, factor.noise
     if isinstance(noise, Robust):
-        raise GraphError(
-            f"{factor!r} has a robust kernel, which files of this kind have no place for", factor.keys, factor.name
-        )
+        message = f"{factor!r} has a robust kernel, which files of this kind have no place for"
+        raise GraphError(message, factor.keys, factor.name)
     W = square(W)
     M: Array
     if type(noise) is NOISES[kind] and not (kind == "square root" and np.tril(noise.matrix, -1).any()):
@@ -90,9 +89,8 @@ def entries(record: Record, kind: str, factor: Factor, W: Array, measured: Array
         W_inv = np.linalg.inv(W)
         M = W_inv @ W_inv.mT
     else:
-        raise GraphError(
-            f"{factor!r} has no covariance: it measures nothing in some direction", factor.keys, factor.name
-        )
+        message = f"{factor!r} has no covariance: it measures nothing in some direction"
+        raise GraphError(message, factor.keys, factor.name)
     if record.element.angles:
         _, S_inv = _turn(measured[:, 3:], factor.convention)
         M = _upper(M @ S_inv) if kind == "square root" else _symmetric(S_inv.mT @ M @ S_inv)

@@ -57,26 +57,15 @@ def encoded(thing: Any) -> Plain:
     name = type_name(thing)
     keys = thing.keys if isinstance(thing, Factor) else ()
     if isinstance(thing, FunctionFactor):
-        raise GraphError(
-            f"{thing!r} is made of a function, and a file holds no code; write a factor class and name it with "
-            "nls.io.register",
-            keys,
-            thing.name,
-        )
+        why = "is made of a function, and a file holds no code; write a factor class and name it with nls.io.register"
+        raise GraphError(f"{thing!r} {why}", keys, thing.name)
     if name is None:
-        raise GraphError(
-            f"{type(thing).__name__} is no class that a native file holds; name a factor class with nls.io.register",
-            keys,
-        )
+        why = "is no class that a native file holds; name a factor class with nls.io.register"
+        raise GraphError(f"{type(thing).__name__} {why}", keys)
     plain = {"type": name, **_arguments(thing)}
-    if isinstance(thing, Factor):
-        lost = _lost(thing, decoded(plain))
-        if lost:
-            raise GraphError(
-                f"{thing!r} would be read without its {lost}: its constructor has no parameter of that name",
-                keys,
-                thing.name,
-            )
+    if isinstance(thing, Factor) and (lost := _lost(thing, decoded(plain))):
+        why = f"would be read without its {lost}: its constructor has no parameter of that name"
+        raise GraphError(f"{thing!r} {why}", keys, thing.name)
     return plain
 
 

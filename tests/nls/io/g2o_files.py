@@ -101,7 +101,7 @@ def same(one: Loaded, other: Loaded) -> None:
 
 
 def same_factors(one: Loaded, other: Loaded) -> None:
-    """The same measurements, to the bit."""
+    """Two graphs have the same measurements, to the bit."""
     assert len(one[0].factors) == len(other[0].factors)
     for f, g in zip(one[0].factors, other[0].factors, strict=True):
         assert type(f) is type(g)

@@ -78,8 +78,7 @@ def test_every_factor_is_written_or_refused_by_name_with_a_file_that_holds_it(fo
         if refusal is not None:
             assert repr(factor) in str(refusal) or "variables " in str(refusal), sample
             assert {Advice("native"), Advice("register")} & set(refusal.advice), (sample, str(refusal))
-            held = refused(tmp_path / "a.npz", graph, values) is None
-            assert held == ("function" not in sample.name), sample
+            assert "function" not in sample.name or refused(tmp_path / "a.npz", graph, values)  # others: test_native
             continue
         read, its, _ = nls.load(tmp_path / f"a.{form}", factor.convention)
         assert read.chi2(its) == pytest.approx(graph.chi2(values), rel=1e-9, abs=1e-12), sample

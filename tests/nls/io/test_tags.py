@@ -206,8 +206,6 @@ EDGE_POINTXY 11 12 1 1 {THREE}
 
 def test_points_alone() -> None:
     edges = f"EDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n"
-    graph, values, _ = read("VERTEX_XY 1 0 0\nVERTEX_XY 2 1 0\n" + edges)
-    assert graph.optimize(values).values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
     _, values, report = read(edges)
     assert values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
     assert (values.stacks["l"].manifold, report.dimension) == (R(2), "2-D")
