@@ -212,9 +212,8 @@ def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
     if (distance := float(np.median(away))) > max(farthest, float(np.linalg.norm(high - low))):
         near = [reading for reading, p in fixes.others if np.median(np.linalg.norm(p, axis=1)) < farthest]
         reading = next(iter(near), Reading(Cause.FAR, "fixes.csv", ", ".join(fixes.columns)))
-        out.append(
-            Implausible.of("far away", distance, farthest, "m", reading, row=fixes.rows[np.argmax(away > farthest)])
-        )
+        row = fixes.rows[np.argmax(away > farthest)]
+        out.append(Implausible.of("far away", distance, farthest, "m", reading, row=row))
     if wild.any() and (share := wild.mean()) > wild_share:
         reading, row = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns)), fixes.rows[np.argmax(wild)]
         out.append(Implausible.of("jumps", share, wild_share, "of the rows", reading, row=row))

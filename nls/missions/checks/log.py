@@ -228,11 +228,8 @@ class Alternative:
             return _from_the_bow(tables) if {"usbl", "ship"} <= tables.keys() else {}
         columns = self.reading.columns
         names = tables if columns[0] in GEODETIC else [self.reading.file.removesuffix(".csv")]
-        meant = {
-            name: tables[name].with_numbers(columns, self._meant(tables[name].floats(*columns)))
-            for name in names
-            if name in tables and tables[name].has(*columns)
-        }
+        own = {name: tables[name] for name in names if name in tables and tables[name].has(*columns)}
+        meant = {name: t.with_numbers(columns, self._meant(t.floats(*columns))) for name, t in own.items()}
         return tables | meant if meant else {}
 
     def _meant(self, y: Array) -> Array:
@@ -276,10 +273,8 @@ def _both(sizes: Iterable[float]) -> list[float]:
 
 def corrected(reading: Reading) -> Alternative:
     """Without the error of a whole table: a clock that is late or fast, an arm, a scale."""
-    A, c = {
-        Cause.DRIFT: (1 / (1 + reading.factor), reading.offset),
-        Cause.SCALE: (1 / reading.factor, 0.0),
-    }.get(reading.cause, (1.0, -reading.factor))
+    known = {Cause.DRIFT: (1 / (1 + reading.factor), reading.offset), Cause.SCALE: (1 / reading.factor, 0.0)}
+    A, c = known.get(reading.cause, (1.0, -reading.factor))
     return Alternative(reading, np.array([[A]]), np.array([c]))
 
 

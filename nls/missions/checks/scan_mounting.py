@@ -153,9 +153,8 @@ def _read(values: Values, marginals: Marginals, keys: list[Keys], steps: int, sc
     if drifts:
         correlation = float(C[2, 4] / (s[2] * s[4]))
         lateral = float(G[2] + values[m][0, 1]), float(np.sqrt(C[2, 2] + C[4, 4] + 2 * C[2, 4]))
-    return Mounting(
-        steps, value, sigma, np.array(PRIOR), SE2.compose(G[None], scans.mount[None])[0], correlation, lateral
-    )
+    placed = SE2.compose(G[None], scans.mount[None])[0]
+    return Mounting(steps, value, sigma, np.array(PRIOR), placed, correlation, lateral)
 
 
 def neighbors(poses: Array, scans: Scans) -> tuple[Index, Array, Array]:

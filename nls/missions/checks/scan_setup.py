@@ -45,11 +45,7 @@ x, d = kinds("x", "d")
 
 
 def check_setup(
-    graph: FactorGraph,
-    values: Values,
-    scans: Scans,
-    closing: Closing | None = None,
-    times: npt.ArrayLike | None = None,
+    graph: FactorGraph, values: Values, scans: Scans, closing: Closing | None = None, times: npt.ArrayLike | None = None
 ) -> list[SetupFinding]:
     """Faults of the setup, from scans against dead reckoning; `nls.missions.checks.words` makes sentences of it.
 
@@ -202,6 +198,4 @@ def fits(graph: FactorGraph, closing: Closing) -> dict[str, tuple[float, float]]
     kept = closing.matches.kept  # in the last factor
     own = np.square(checked.e[-1]).sum(axis=1) * shares(closing.matches.i[kept], closing.matches.j[kept])
     parts["closures"].append((float(own.sum()), float(tests[-1].dof.sum())))
-    return {
-        name: (sum(chi2), sum(dof)) for name, rows in parts.items() if rows for chi2, dof in [zip(*rows, strict=True)]
-    }
+    return {name: (sum(r[0] for r in rows), sum(r[1] for r in rows)) for name, rows in parts.items() if rows}

@@ -58,9 +58,8 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
         listed = np.column_stack([_listed(y_k, column) for column, y_k in zip(columns, y.T, strict=True)])
         listed &= measured[:, None]
         none = listed.any(axis=1)
-        zero: Mask = (
-            (y == 0).all(axis=1) & measured & np.array((len(columns) > 1 or group == ("z_m",)) and name != "odometry")
-        )
+        may_be_none = (len(columns) > 1 or group == ("z_m",)) and name != "odometry"
+        zero: Mask = (y == 0).all(axis=1) & measured & np.array(may_be_none)
         for special, cells, cause in ((none, listed, Cause.NONE), (zero, y == 0, Cause.ZEROS)):
             for value in np.unique(y[special][cells[special]]):
                 rows = special & (cells & (y == value)).any(axis=1)

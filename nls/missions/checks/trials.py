@@ -76,19 +76,18 @@ def explained(
     GraphFileError
         The tables as they are cannot be read.
     """
-    given = tables["calibration"].text_of("name") if "calibration" in tables else []
+    own = tables["calibration"].text_of("name") if "calibration" in tables else []
     linear = [
-        Trial(e.reading, e.sigma, chi2 - e.fall, dof) for e in errors if e.reading and e.reading.column not in given
+        Trial(e.reading, e.sigma, chi2 - e.fall, dof) for e in errors if e.reading and e.reading.column not in own
     ]
     if chi2 <= TWICE * dof:
         return Explained(chi2, dof, tuple(sorted(nearest(linear), key=_is_drift)))
     center = Table("dvl_mount.csv", COLUMNS["dvl_mount"], data=csv_text(COLUMNS["dvl_mount"], np.zeros((1, 6))))
     tables = ({"dvl_mount": center} if "dvl" in tables else {}) | tables
     whole = _mission(tables, elevation, chi2, dof)
-    few = {
-        name: t.part(slice(None, None, -(-len(t) // MOST_ROWS))) if name in TIMED else t for name, t in tables.items()
-    }
-    thinned = any(len(table) < len(tables[name]) for name, table in few.items())
+    steps = {name: -(-len(tables[name]) // MOST_ROWS) if name in TIMED else 1 for name in tables}
+    few = {name: table.part(slice(None, None, steps[name])) for name, table in tables.items()}
+    thinned = max(steps.values()) > 1
     mission = _mission(few, elevation) if thinned else whole
     trials = [] if expected(mission) else [*_calibrations(mission), *_tried(mission, readings(mission.tables))]
     if thinned:

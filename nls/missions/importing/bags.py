@@ -112,11 +112,8 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = str(path)
         with _reading(self.path) as reader:
-            self.topics = {
-                name: (topic.msgtype or "several types", topic.msgcount)
-                for name, topic in sorted(reader.topics.items())
-                if topic.msgcount
-            }
+            topics = [(name, topic) for name, topic in sorted(reader.topics.items()) if topic.msgcount]
+            self.topics = {name: (topic.msgtype or "several types", topic.msgcount) for name, topic in topics}
 
     def log(self, topic: str, most: int | None = None) -> BagLog:
         """All messages of one of its topics as a table, or the first of them.

@@ -151,9 +151,8 @@ def sigma_words(column: str) -> str:
     >>> sigma_words("sigma_x_m"), sigma_words("scale")
     ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
     """
-    return (
-        f"0 or above, up to {BOUNDS[1]}" if column in ZERO else f"a standard deviation above 0, {' to '.join(BOUNDS)}"
-    )
+    above = f"a standard deviation above 0, {' to '.join(BOUNDS)}"
+    return f"0 or above, up to {BOUNDS[1]}" if column in ZERO else above
 
 
 def sigmas_out(column: str, numbers: Array | float) -> Mask:
