@@ -68,14 +68,8 @@ def child(contender: str, variant: str, files: Files, out: Path, marginals: bool
     np.savez(out, ids=np.asarray(ids)[order], X=np.asarray(X)[order])
     if marginals:
         timed("marginals")
-    record = {
-        "cpu": cpu,
-        "wall": wall,
-        "iterations": run.iterations,
-        "cost": run.cost(),
-        "peak": peak,
-        "said": run.said,
-    }
+    facts = {"iterations": run.iterations, "cost": run.cost(), "peak": peak, "said": run.said}
+    record = {"cpu": cpu, "wall": wall, **facts}
     out.with_suffix(".json").write_text(json.dumps(record))  # libraries print what they like
 
 

@@ -92,13 +92,8 @@ def outliers(world: World, fraction: float, rng: np.random.Generator, grouped: b
     i, j, z = i[far][:count], j[far][:count], z[far][:count]
     if len(i) < count:
         raise OptionError("fraction", fraction, f"less for a world of {n} poses: too few pairs are far from the truth")
-    keys_i, keys_j = closures.keys
-    right_and_wrong = Between(
-        x[np.concatenate([keys_i.numbers, i])],
-        x[np.concatenate([keys_j.numbers, j])],
-        np.concatenate([z_right, z]),
-        closures.noise,
-        closures.convention,
-    )
+    right = (*(keys.numbers for keys in closures.keys), z_right)
+    i, j, z = (np.concatenate(pair) for pair in zip(right, (i, j, z), strict=True))
+    right_and_wrong = Between(x[i], x[j], z, closures.noise, closures.convention)
     description = f"{world.description} {count} wrong loop closures were added{f', {run} in a row' if grouped else ''}."
     return replace(world, graph=FactorGraph([odometry, right_and_wrong]), description=description), wrong

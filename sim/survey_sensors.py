@@ -193,6 +193,7 @@ class Sensors:
         mount = dict(zip(("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"), (*DVL_ARM, 0, 0, 0), strict=True))
         one = {"noise": {**noise, "sigma_z_m": SIGMA_Z}, "dvl_mount": mount}
         one["origin"] = {"lat_deg": self.plane.lat, "lon_deg": self.plane.lon}
+        value, sigma = np.array(list(believed.values())).T
         return {
             **{file: {name: np.array([float(value)]) for name, value in row.items()} for file, row in one.items()},
             "beacons": {
@@ -201,11 +202,7 @@ class Sensors:
                 "z_m": surveyed[:, 2],
                 **{f"sigma_{axis}_m": np.full(len(beacons), SIGMA_BEACON) for axis in "xyz"},
             },
-            "calibration": {
-                "name": np.array(list(believed)),
-                "value": np.array([value for value, _ in believed.values()]),
-                "sigma": np.array([sigma for _, sigma in believed.values()]),
-            },
+            "calibration": {"name": np.array(list(believed)), "value": value, "sigma": sigma},
         }
 
 

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from script import make_page, markdown, timed
-from wrong_closures import KINDS, SETS, Solved, X, few, solved, spoiled
+from wrong_closures import FINE, KINDS, SETS, TWENTY, Solved, X, few, solved, spoiled
 
 import nls
 from factors import Between, Diagonal
@@ -26,12 +26,10 @@ from nls.covariance import Marginals
 from nls.optimizers import Fit
 
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # of all closures, right and wrong
-TWENTY = 20
 PUBLIC = ("CSAIL", "FR079", "INTEL", "intel", "kitti_00")
 HALLS = {"halls": 1.0, "halls, poor odometry": 3.0}  # times the noise of odometry
 RUNS = ", in two runs"  # of a public graph: what is near each other agrees, and the rest of the map hangs on it
 CLEAN = ("kitti_00", "intel", "CSAIL")
-FINE = 0.01  # of the extent: what is nearer to the optimum without wrong closures is right
 SIGMAS = 3.0  # of the position of a pose: a map that is nearer everywhere is the same map within its own sigmas
 HALL, CORNERS, POSES, REVISITED = 12, 5, 800, 1.5  # steps of a hall; corners a side; poses; m between two visits
 

@@ -60,21 +60,10 @@ def row_of(world: sim.Harbor, closing: Closing, seconds: float) -> list[float]:
     place, right = judged(world, m)
     first = closing.rounds[0].matches
     place_1 = judged(world, first)[0]
-    return [
-        world.ate(world.poses),
-        world.ate(closing.values[x]),
-        len(closing.rounds),
-        len(m),
-        m.accepted.sum(),
-        m.kept.sum(),
-        (m.kept & place).sum(),
-        (m.kept & right).sum(),
-        (m.accepted & place).sum(),
-        nees(world, closing),
-        seconds,
-        (first.kept & ~place_1).sum(),
-        *np.bincount(m.verdict, minlength=len(Verdict)),
-    ]
+    figures = [world.ate(world.poses), world.ate(closing.values[x]), len(closing.rounds), len(m)]
+    chosen = (m.accepted, m.kept, m.kept & place, m.kept & right, m.accepted & place)
+    figures += [*(mask.sum() for mask in chosen), nees(world, closing), seconds]
+    return [*figures, (first.kept & ~place_1).sum(), *np.bincount(m.verdict, minlength=len(Verdict))]
 
 
 def share(part: float, whole: float) -> str:

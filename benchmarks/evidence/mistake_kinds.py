@@ -111,13 +111,8 @@ def of_rows() -> Iterator[Mistake]:
         yield Mistake(f"{table}: rows twice", rows((table,), lambda n: np.repeat(np.arange(n), 2)), ("duplicates",))
         yield Mistake(f"{table}: times of the row before", off_by_one(table), clock_of(table))
         yield Mistake(f"{table}: a row of units", units_row(table), ("skip|rows",))
-    for table, column in (
-        ("dvl", VELOCITIES[0]),
-        ("depth", DEPTH),
-        ("fixes", PLACES[0]),
-        ("ahrs", YAW),
-        ("usbl", SEEN[0]),
-    ):
+    firsts = {"dvl": VELOCITIES[0], "depth": DEPTH, "fixes": PLACES[0], "ahrs": YAW, "usbl": SEEN[0]}
+    for table, column in firsts.items():
         for word in ("--.--", "INVALID"):
             yield Mistake(f"{table}: {word} in 3 rows", words(table, column, word), (f"missing = .*{word}",))
     for name, factor in {"ms": 1e3, "us": 1e6, "days": 1 / 86400, "min": 1 / 60}.items():

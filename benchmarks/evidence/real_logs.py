@@ -124,17 +124,9 @@ def caves_legs(log: Caves, boundaries: Array) -> tuple[Legs, Array]:
     course = np.unwrap(np.arctan2(east[:, 1], east[:, 0]))
     middle = 0.5 * (log.t_track[1:] + log.t_track[:-1])
     level = np.zeros_like(log.t)
-    legs = integrate(
-        log.t,
-        log.v,
-        attitude=np.column_stack([level, level, np.interp(log.t, middle, course)]),
-        boundaries=boundaries,
-        valid=log.valid,
-        sigma_v=0.1,
-        sigma_attitude=0.2,
-        sigma_bridge=0.1,
-        sigma_turn=0.05,
-    )
+    rpy = np.column_stack([level, level, np.interp(log.t, middle, course)])
+    sigmas = {"sigma_v": 0.1, "sigma_attitude": 0.2, "sigma_bridge": 0.1, "sigma_turn": 0.05}
+    legs = integrate(log.t, log.v, attitude=rpy, boundaries=boundaries, valid=log.valid, **sigmas)
     yaw = np.interp(boundaries[0], middle, course)
     place = [np.interp(boundaries[0], log.t_track, log.track[:, c]) for c in range(3)]
     return legs, to_se3([0.0, 0.0, yaw, *place])

@@ -14,23 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from robust_real import real
-from robust_trials import (
-    COUNTS,
-    FEW_SETS,
-    FINE,
-    LARGE,
-    PROTOCOL,
-    RATIOS,
-    SHARES,
-    TWENTY,
-    Task,
-    Trial,
-    planted,
-    run,
-    tasks,
-)
+from robust_trials import COUNTS, FEW_SETS, LARGE, PROTOCOL, RATIOS, SHARES, Task, Trial, planted, run, tasks
 from script import ONE_THREAD, make_page, markdown
-from wrong_closures import KINDS, SETS, X
+from wrong_closures import FINE, KINDS, SETS, TWENTY, X
 
 import nls
 from models.algebra import Array

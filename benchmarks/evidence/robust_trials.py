@@ -13,7 +13,7 @@ from time import monotonic, process_time
 from typing import IO, Any, cast
 
 import numpy as np
-from wrong_closures import KINDS, SETS, Solved, few, solved, spoiled
+from wrong_closures import FINE, KINDS, SETS, TWENTY, Solved, few, solved, spoiled
 
 import nls
 from models.errors import UnderconstrainedError
@@ -26,10 +26,8 @@ VERTIGO = ("random", "grouped", "local", "local in groups")  # the kinds of its 
 PROTOCOL = ("CSAIL", "FR079", "INTEL", "intel", "M3500", "sphere2500", "parking-garage")
 RATIOS = tuple(k / 10 for k in range(1, 11))  # of the right closures
 RUNS = 10
-TWENTY = 20  # closures of a graph with few
 COUNTS = (10, 20, 80)  # wrong ones beside them
 FEW_SETS = ("CSAIL", "FR079", "INTEL", "intel", "kitti_00", "M3500", "manhattan", "sphere2500")
-FINE = 0.01  # of the extent: what is nearer to the right optimum is solved
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ NEAR = 20  # steps at most between the ends of a local one
 LOOP = 10  # steps at least between the two ends of an alias, and three times its group
 SIGMA_METERS, SIGMA_RADIANS = 0.3, np.radians(10)  # of what a random or local one says
 HALF = 0.5  # of the trials with few closures have them spread over the track
+TWENTY = 20  # closures of a graph with few
+FINE = 0.01  # of the extent: what is nearer to the optimum without wrong closures is right
 X = "x"  # the kind of every pose here
 
 

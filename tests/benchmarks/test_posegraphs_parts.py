@@ -29,14 +29,8 @@ def test_only_who_reached_the_optimum_counts(part: Callable[[str], Any]) -> None
     }
     found: dict[str, Any] = {"optimum": {"g2o": 100.0, "gtsam": 200.0}, "runs": runs}
     part("posegraphs").judge(found, modules, 30)
-    outcomes = {variant: run.get("outcome") for variant, run in runs["gtsam"].items()}
-    assert outcomes == {
-        "elsewhere": "another optimum",
-        "early": "not converged",
-        "quick": "optimum",
-        "slow": "optimum",
-        "refused": None,
-    }
+    outcomes = [run.get("outcome") for run in runs["gtsam"].values()]
+    assert outcomes == ["another optimum", "not converged", "optimum", "optimum", None]
     assert found["fastest"] == {"leadline": "auto", "gtsam": "quick"}
     assert found["ratio"] == {"gtsam": 20.0 / 40.0}
     assert found["theirs_is_lower"] == []

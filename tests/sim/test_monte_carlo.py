@@ -98,7 +98,7 @@ def test_an_error_names_its_seed_and_keeps_the_rest(tmp_path: Path) -> None:
         runs(broken, [0, 1, 2, 3], executor, resume=file)
     assert caught.value.__notes__ == ["in the run of seed 2"]
     kept = [json.loads(line)["seed"] for line in file.read_bytes().splitlines()[1:]]
-    assert set(kept) >= {0} - {2}
+    assert 0 in kept
     assert 2 not in kept
 
 
@@ -107,10 +107,8 @@ def test_seeds_that_fail_do_not_end_the_others(tmp_path: Path) -> None:
     with ThreadPoolExecutor(2) as executor, pytest.raises(FailedRunsError) as caught:
         runs(singular, [4, 3, 2, 1, 0], executor, resume=file)
     assert caught.value.records == {seed: {"seed": seed} for seed in (4, 2, 0)}
-    assert {seed: type(error) for seed, error in caught.value.failures.items()} == {
-        3: np.linalg.LinAlgError,
-        1: UnderconstrainedError,
-    }
+    kinds = {seed: type(error) for seed, error in caught.value.failures.items()}
+    assert kinds == {3: np.linalg.LinAlgError, 1: UnderconstrainedError}
     assert str(caught.value) == "2 of 5 runs failed. seed 3: LinAlgError: Singular matrix; seed 1: x0 is free"
     kept = {json.loads(line)["seed"] for line in file.read_bytes().splitlines()[1:]}
     assert kept == {0, 2, 4}

@@ -89,14 +89,9 @@ def test_the_table() -> None:
     fast = Cost("fast", [100, 200, 400, 800], [5, 9, 17, 33], [9.0, 1.0, 1.0, 1.0], [45.0, 9.0, 18.0, 36.0])
     rows = scaling_rows([slow, fast])
     assert rows[0][1].split() == ["poses", "slow", "fast"]
-    assert [(label, *text.split()) for label, text in rows[2:7]] == [
-        ("100", "5", "1000", "9000"),
-        ("200", "9", "4000", "1000"),
-        ("400", "17", "1000"),
-        ("800", "33", "1000"),
-        ("law", "m^2.00", "m^0.00"),
-    ]
-    assert [(label, *text.split()) for label, text in rows if label == "law"][1] == ("law", "m^2.85", "m^1.00")
+    words = [" ".join([label, *text.split()]) for label, text in rows]
+    assert words[2:6] == ["100 5 1000 9000", "200 9 4000 1000", "400 17 1000", "800 33 1000"]
+    assert [line for line in words if line.startswith("law")] == ["law m^2.00 m^0.00", "law m^2.85 m^1.00"]
     assert ("fitted to", "fast: 200, 400, 800 landmarks m") in rows  # not the first one, where it is slow
     assert rows[-1] == ("stopped", "slow stops")
     assert np.isnan(exponent([100], [1.0]))

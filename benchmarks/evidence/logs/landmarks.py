@@ -104,17 +104,9 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
     text, lines, survey, _ = plain_table(folder / "Landmark_Groundtruth.dat", 5, "subject, x, y, their sigmas")
     landmarks = text.whole(lines, 0)
     _once("subject", text, lines, landmarks)
-    return Mrclam(
-        commands[last, 0] - t_0,
-        commands[last, 1:],
-        measurements[:, 0] - t_0,
-        np.where(barcodes[at] == barcode, subjects[at], 0),
-        measurements[:, [3, 2]],
-        truth[:, 0] - t_0,
-        truth[:, 1:],
-        landmarks,
-        survey[:, 1:3],
-    )
+    seen = measurements[:, 0] - t_0, np.where(barcodes[at] == barcode, subjects[at], 0), measurements[:, [3, 2]]
+    true = truth[:, 0] - t_0, truth[:, 1:]
+    return Mrclam(commands[last, 0] - t_0, commands[last, 1:], *seen, *true, landmarks, survey[:, 1:3])
 
 
 def _timed(folder: Path, name: str, columns: int, expected: str) -> tuple[Array, Text, Index]:
