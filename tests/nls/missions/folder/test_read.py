@@ -53,19 +53,17 @@ def test_the_start_is_dead_reckoning_from_the_anchor(tmp_path: Path) -> None:
     steps = np.loadtxt(TINY["odometry"].splitlines()[1:], delimiter=",")[:, 2:5]
     yaw = np.append(0.0, np.cumsum(steps[:, 2]))
     assert E[:, 2] == pytest.approx(yaw, abs=1e-12)
-    turned = np.array([[np.cos(a), np.sin(a)] for a in yaw[:3]])
-    north = np.append(0.0, np.cumsum(turned[:, 0] * steps[:, 0] - turned[:, 1] * steps[:, 1]))
-    east = np.append(0.0, np.cumsum(turned[:, 1] * steps[:, 0] + turned[:, 0] * steps[:, 1]))
-    assert E[:, 3:5] == pytest.approx(np.column_stack([north, east]), abs=1e-12)
+    way = np.append(0.0, np.cumsum(np.exp(1j * yaw[:3]) * (steps[:, 0] + 1j * steps[:, 1])))
+    assert E[:, 3:5] == pytest.approx(np.column_stack([way.real, way.imag]), abs=1e-12)
 
     anchor = TINY["anchor"].splitlines()[0] + "\n2,10.0,-3.0,1.2,0.001,0.001,0.0001\n"
-    _, other, _ = nls.load(folder(tmp_path / "other", anchor=anchor))
+    graph, other, _ = nls.load(folder(tmp_path / "other", anchor=anchor))
     moved = euler.from_se3(other[x])
     assert moved[2, [3, 4, 2]] == pytest.approx([10.0, -3.0, 1.2])
     assert moved[:, [0, 1, 5]] == pytest.approx(E[:, [0, 1, 5]], abs=1e-12)
     lengths = [np.linalg.norm(np.diff(each[:, 3:5], axis=0), axis=1) for each in (E, moved)]
     assert lengths[0] == pytest.approx(lengths[1])
-    seen = elevations(*nls.load(tmp_path / "other")[:2])
+    seen = elevations(graph, other)
     assert seen.elevation == pytest.approx(0.0, abs=1e-9)  # where they were seen first
     assert seen.range.tolist() == pytest.approx([4.7457, 5.239, 5.5399])
     assert (seen.poses.tolist(), seen.views.tolist()) == ([0, 0, 0], [3, 4, 4])
@@ -88,13 +86,14 @@ def test_options_of_a_folder_and_of_a_file(tmp_path: Path) -> None:
         assert [type(f) for f in graph.factors[5:]] == kinds
     with pytest.raises(OptionError, match="elevation: 'search' is not possible"):
         read_mission(here, "search")
-    with pytest.raises(OptionError, match=r"dialect: 'g2o' is not possible; expected auto: .*m is a folder"):
-        nls.load(here, dialect="g2o")
-    with pytest.raises(OptionError, match=r"repair_information: True .* format mission"):
-        nls.load(here, repair_information=True)
     (tmp_path / "a.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
-    with pytest.raises(OptionError, match=r"elevation: 'free' .* no folder of a mission"):
-        nls.load(tmp_path / "a.g2o", elevation="free")
+    for place, option, problem in (
+        (here, {"dialect": "g2o"}, r"dialect: 'g2o' is not possible; expected auto: .*m is a folder"),
+        (here, {"repair_information": True}, r"repair_information: True .* format mission"),
+        (tmp_path / "a.g2o", {"elevation": "free"}, r"elevation: 'free' .* no folder of a mission"),
+    ):
+        with pytest.raises(OptionError, match=problem):
+            nls.load(place, **option)
 
 
 def test_columns_in_any_order_blanks_comments_and_gzip(tmp_path: Path) -> None:
