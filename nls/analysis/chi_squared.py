@@ -7,8 +7,6 @@ import numpy as np
 from models.algebra import Array, Index
 from models.options import check_between, check_whole
 
-__all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail", "mahalanobis"]
-
 
 def mahalanobis(xi: Array, S: Array) -> Array:
     """Squared Mahalanobis distances xi' S^-1 xi (...) of errors (..., m) with covariances S (..., m, m).

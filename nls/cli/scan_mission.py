@@ -16,7 +16,8 @@ from nls.cli.graph_file import named
 from nls.cli.mission import Folder
 from nls.cli.progress import Progress
 from nls.cli.run import Problem, Solved
-from nls.missions.checks.scan_setup import SetupFinding, check_setup
+from nls.missions.checks.findings import SetupFinding
+from nls.missions.checks.scan_setup import check_setup
 from nls.missions.scans import close
 from nls.missions.scans.closing import ROUNDS, SELECTIONS
 from nls.missions.scans.folder import ScanReport, is_scan_mission

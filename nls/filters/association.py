@@ -34,20 +34,6 @@ from models.errors import GraphError, OptionError, ResourceLimitError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 
-__all__ = [
-    "Assignment",
-    "Association",
-    "Candidates",
-    "JointCompatibility",
-    "Nearest",
-    "assignment",
-    "identified",
-    "jcbb",
-    "nearest",
-    "pair_precision_recall",
-    "precision_recall",
-]
-
 NODES = 200_000  # pairings tried by `jcbb`; 25 sightings in a clutter of landmarks within each other's gates
 
 

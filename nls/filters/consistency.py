@@ -22,8 +22,6 @@ from models.errors import GraphError, UnderconstrainedError
 from models.finite import finite
 from nls.analysis.chi_squared import chi2_gate
 
-__all__ = ["nees", "nees_bounds", "nis", "regular"]
-
 
 def nees_bounds(dim: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Within which the mean NEES over independent runs stays with this probability, for a consistent estimator.

@@ -39,8 +39,6 @@ from nls.filters.map_state import MapState, Measurements, associated, distances,
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
 from nls.values import Values
 
-__all__ = ["EKF"]
-
 LANDMARKS = ("correlated", "delayed", "first-sight", "independent")
 
 

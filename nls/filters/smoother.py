@@ -12,8 +12,6 @@ from nls.filters.base import POSE, Filter, Step
 from nls.incremental import Incremental
 from nls.values import Values
 
-__all__ = ["Smoother"]
-
 
 class Smoother(Filter):
     """The optimum of everything measured so far, or of the latest poses and a prior in the place of all before.

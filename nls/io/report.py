@@ -13,8 +13,6 @@ from factors.noise import Noise
 from models.algebra import Array, Index, Mask, Numbers
 from models.visible import visible
 
-__all__ = ["LoadReport", "Source", "Statement"]
-
 
 class Source(NamedTuple):
     """The file and the lines that the measurements of one factor were read from.

@@ -17,8 +17,6 @@ from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.values import Stack, Values
 
-__all__ = ["values_text", "write_covariances"]
-
 EMPTY = ("unmeasured", "free")  # what has no covariance
 QUATERNION = ("qx", "qy", "qz", "qw")
 STORED: dict[Manifold, tuple[str, ...]] = {

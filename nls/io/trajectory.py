@@ -30,8 +30,6 @@ from nls.io.text import plain_table, refuse_late
 from nls.io.unused_lines import note_comments
 from nls.values import Stack, Values
 
-__all__ = ["load_trajectory", "read_kitti", "read_tum", "trajectory_text", "write_kitti", "write_tum"]
-
 
 def load_trajectory(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
     """No measurements, the poses of a file as variables x, and a report with their times; the name says the format.

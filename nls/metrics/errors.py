@@ -54,19 +54,6 @@ from models.finite import finite, numbers
 from models.options import check_between
 from models.sensors import SingularAt
 
-__all__ = [
-    "ALIGNMENTS",
-    "DISTANCES",
-    "RelativeError",
-    "TrajectoryError",
-    "ate",
-    "cep",
-    "circles",
-    "displacements",
-    "drms2",
-    "rpe",
-]
-
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 DISTANCES = (10.0, 50.0, 100.0)  # m
 

@@ -20,8 +20,6 @@ from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
 from models.finite import finite
 
-__all__ = ["Matched", "matched"]
-
 
 @dataclass(frozen=True)
 class Matched:

@@ -13,8 +13,6 @@ from nls.missions.folder.report import MissionReport
 from nls.stages import announce, stage
 from nls.values import Values
 
-__all__ = ["associated"]
-
 l = kinds("l")[0]
 
 

@@ -26,8 +26,6 @@ from nls.missions.folder.columns import COLUMNS, PLACE, POSE, suffixed
 from nls.missions.folder.table import csv_text
 from nls.missions.solution import SolvedDives, SolvedMission
 
-__all__ = ["MAP", "TRAJECTORY", "DiveFiles", "MissionFiles"]
-
 x, l, b = kinds("x", "l", "b")
 TRAJECTORY = (*POSE, *suffixed(POSE[1:]))
 UPPER = np.triu_indices(3)

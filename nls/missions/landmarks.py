@@ -35,8 +35,6 @@ from nls.linear import LinearSolver
 from nls.missions.sonar.elevation import mirrored
 from nls.values import Values
 
-__all__ = ["Elevations", "elevations"]
-
 FOLLOWS = 1e-3  # rad
 x, l, e = kinds("x", "l", "e")
 

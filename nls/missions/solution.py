@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from nls.linear import LinearSolver
     from nls.optimizers import Result
 
-__all__ = ["Solution", "SolvedDives", "SolvedMission", "Track", "track_of"]
-
 x, l = kinds("x", "l")
 
 

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["lines", "of_tables", "scan_lines"]
-
 SIZES = {"heading": "rad", "zero of the depth": "m", "scale": "of it", "place": "m", "clock": "s", "arm": "m"}
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from nls.optimizers import Result
 
-__all__ = ["convergence"]
-
 
 def convergence(result: Result, axes: Axes | None = None) -> Figure:
     """chi2 (left axis) and max |dx| (right axis) per iteration, logarithmic; chi2 that falls by less than 10 is linear.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from nls.covariance import Joint
 
-__all__ = ["correlations"]
-
 
 def correlations(joint: Joint, axes: Axes | None = None) -> Figure:
     """The correlation matrix, with lines between the variables.

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.covariance import Marginals
 
-__all__ = ["ellipses"]
-
 MOST = 120  # of one kind, where it is not said how many
 
 

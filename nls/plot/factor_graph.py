@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.values import Values
 
-__all__ = ["factor_graph"]
-
 MOST = 60  # variables whose names can be read
 APART, MARGIN = 0.28, 0.4  # of a line: between factors of the same variables; the rim
 SQUARES = tuple(color for color in SERIES if color not in (ESTIMATE, LANDMARK))

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-__all__ = ["belief", "estimator_figure", "power_laws", "several"]
-
 BELOW = "0.82"  # of a true track, wide under the estimate
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-__all__ = ["offsets"]
-
 ONE_SIGMA = 1 - np.exp(-0.5)  # probability of the ellipse that cuts the axes at one sigma
 ROW = 13.0  # points: height of a row of the column of names at most; the column has 190 at most
 

@@ -15,8 +15,6 @@ from nls.plot.style import REJECTED
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["drawn", "write_picture"]
-
 
 def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:
     """Write a figure in the format of the suffix (png, pdf, svg), replaced whole or not at all.

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image as Picture
 
-__all__ = ["Animation", "animation", "image"]
-
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
 PLAYER = Path(__file__).with_name("player.html")

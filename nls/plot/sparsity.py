@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from models.algebra import Array, Index
     from nls.system import LinearSystem
 
-__all__ = ["spy"]
-
 LABELS = 40  # with more variables than this the axes count columns instead of naming them
 
 

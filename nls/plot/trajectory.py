@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Stack, Values
 
-__all__ = ["SHARED", "annotate", "before_after", "closures", "one_scale", "trajectory"]
-
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY = 300  # lines, from which they are fainter the more there are
 PAD = 9.0  # points between the numbers of an axis of space and its name

@@ -18,8 +18,6 @@ import numpy as np
 from factors.robust import Kernel
 from models.algebra import Array
 
-__all__ = ["LOSSES", "GemanMcClureSquares", "Graduated", "TruncatedSquares"]
-
 FASTER = 1.4  # mu from step to step, as in the paper
 
 

@@ -20,8 +20,6 @@ from nls.missions.folder.report import MissionReport
 from nls.missions.landmarks import Elevations
 from nls.values import Values
 
-__all__ = ["Chart", "Points", "chart_of"]
-
 NAMES = {"l": "landmark", "b": "beacon"}  # of the kinds of points in a mission
 ELLIPSES = 60  # along a track: as many as can be told apart
 

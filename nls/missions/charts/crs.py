@@ -20,8 +20,6 @@ from models.geodesy import LocalPlane
 if TYPE_CHECKING:
     from pyproj import Transformer
 
-__all__ = ["Projection", "extra", "near", "projection"]
-
 DECIMALS = 10  # of a degree: 0.01 mm
 MILLIMETERS = 4  # decimals of a meter: 0.1 mm
 

@@ -19,8 +19,6 @@ from models.geodesy import LocalPlane
 from nls.missions.charts.chart import Chart
 from nls.missions.charts.crs import DECIMALS, MILLIMETERS, near
 
-__all__ = ["geojson_text", "positions"]
-
 
 def geojson_text(chart: Chart) -> bytes:
     """A FeatureCollection: the track (LineString), points (Point), ellipses (Polygon); `kind` says which.

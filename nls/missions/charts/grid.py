@@ -15,8 +15,6 @@ from models.algebra import Array
 from nls.missions.charts.chart import Chart
 from nls.missions.charts.crs import Projection
 
-__all__ = ["depths_text", "grid_text"]
-
 CELLS = 100  # along the longer side, at most
 NODATA = -9999.0
 

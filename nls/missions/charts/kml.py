@@ -16,8 +16,6 @@ import numpy as np
 from nls.missions.charts.chart import Chart
 from nls.missions.charts.geojson import positions
 
-__all__ = ["kml_text"]
-
 STYLES = (  # colors are alpha, blue, green, red
     ("track", "<LineStyle><color>ff6c4f0b</color><width>3</width></LineStyle>"),
     (

@@ -19,8 +19,6 @@ from nls.missions.charts.chart import Chart
 from nls.missions.charts.crs import Projection
 from nls.values import Values
 
-__all__ = ["cloud_text", "ply_text", "points_text"]
-
 
 def points_text(chart: Chart, projection: Projection | None = None) -> bytes:
     """The points of a chart: north, east and down, or easting, northing and up in a projection of the Earth."""

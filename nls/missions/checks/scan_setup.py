@@ -37,8 +37,6 @@ from nls.missions.scans.matches import WINDOW_BEFORE, comparable, field_before
 from nls.missions.scans.scans import Scans
 from nls.values import Values
 
-__all__ = ["BENDING", "SetupFinding", "SetupKind", "check_setup"]
-
 BENDING = frozenset({SetupKind.UNREPEATED, SetupKind.MIRRORED, SetupKind.TIME_OFFSET})  # what follows is no map
 LARGEST_SCALE = {"steps": 2.0, "drifts": 1.5, "closures": 2.0}  # times that sigmas may be too large or too small
 x, d = kinds("x", "d")

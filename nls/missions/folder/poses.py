@@ -28,8 +28,6 @@ from nls.io.trajectory import lifted, track_of
 from nls.missions.folder.columns import ANGLES, PLACE, UPRIGHT, suffixed
 from nls.missions.folder.table import Table
 
-__all__ = ["Poses", "read_poses"]
-
 NEEDED = (*ANGLES, *PLACE)
 SIGMAS = suffixed(PLACE)
 OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)

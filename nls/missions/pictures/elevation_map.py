@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from models.algebra import Array
 
-__all__ = ["elevation_map", "motions"]
-
 NOTHING, UNSEEN = "#d4d4d4", "#ffffff"
 BEST = 0.1  # of what the aperture says: the darkest shade
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["landmark_map", "plan", "plan_before_after", "track"]
-
 LEAST = 1e-3  # m; what is below is nothing to see
 HIGHEST = 7.5  # inches of the panels
 SIDE = 4.2  # inches of the widest of three panels side by side

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from models.sensors import Camera
     from nls.values import Values
 
-__all__ = ["rig_before_after"]
-
 MOST = 1000  # points with their errors; of more an evenly spaced part is drawn
 LONGER = (1, 2, 5, 10, 20, 50, 100)  # how many times as long errors are drawn, up to 0.2 of the width
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from nls.missions.scans import Matches, Scans
     from nls.missions.scans.folder import Truth
 
-__all__ = ["scan_map"]
-
 LONG = 9.0  # inches of the map; its short side has at least half
 
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.values import Values
 
-__all__ = ["arcs", "fan_image", "frustum", "polar_image"]
-
 ALONG = 33  # points an arc is drawn through
 RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))  # of a face: at the ends of the fan, of the aperture
 CORNERS = ((0, 0), (0, -1), (-1, 0), (-1, -1))  # of the fan and of the aperture

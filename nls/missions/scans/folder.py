@@ -33,8 +33,6 @@ from nls.missions.folder.toml_file import TomlFile
 from nls.missions.scans import Drift, Scans, dead_reckoning
 from nls.values import Values
 
-__all__ = ["COLUMNS", "ScanReport", "Truth", "is_scan_mission", "read_scan_mission"]
-
 COLUMNS: dict[str, tuple[str, ...]] = {
     "keyframes": ("keyframe", "time", "x", "y", "yaw"),
     "scans": ("keyframe", "range", "azimuth", "intensity"),

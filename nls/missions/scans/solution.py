@@ -18,15 +18,14 @@ from models.algebra import distance_along
 from models.errors import SingularGeometryError
 from nls.metrics import TrajectoryError, circles
 from nls.missions.charts.ply import ply_text
-from nls.missions.checks.scan_setup import BENDING, SetupFinding
+from nls.missions.checks.findings import SetupFinding
+from nls.missions.checks.scan_setup import BENDING
 from nls.missions.determination import or_empty
 from nls.missions.folder.table import csv_text
 from nls.missions.scans import Closing, Matches, Verdict
 from nls.missions.scans.folder import ScanReport
 from nls.missions.scans.scans import in_world
 from nls.missions.solution import Solution
-
-__all__ = ["CLOSURES", "GRAPH", "MAP", "TRAJECTORY", "WORDS", "SolvedScans"]
 
 GRAPH = "graph.npz"
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none

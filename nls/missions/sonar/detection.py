@@ -48,8 +48,6 @@ from models.errors import GraphError, OptionError
 from models.options import check_between, check_whole, did_you_mean, is_number
 from models.sensors import ImagingSonar
 
-__all__ = ["Detections", "detect", "false_alarm_rate", "multiplier"]
-
 Detector = Literal["ca", "soca", "goca", "os"]
 
 

@@ -39,8 +39,6 @@ from nls.graph import FactorGraph
 from nls.starts.elevation import Arcs, aperture_of, misfit_of
 from nls.values import Values
 
-__all__ = ["elevation_sigma"]
-
 
 def elevation_sigma(
     motion: npt.ArrayLike, points: npt.ArrayLike, sigmas: npt.ArrayLike, motion_covariance: npt.ArrayLike | None = None

@@ -52,8 +52,6 @@ from models.sensors.arcs import Contacts, least_information
 from models.sensors.singular import SingularAt
 from nls.linear.schur.inverses import truncated_inverse
 
-__all__ = ["TwoView", "two_views"]
-
 
 @dataclass(frozen=True)
 class TwoView:

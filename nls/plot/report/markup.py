@@ -7,8 +7,6 @@ from html import escape
 
 from models.visible import visible
 
-__all__ = ["Html"]
-
 EMPTY = {"img", "meta"}  # elements without content
 
 

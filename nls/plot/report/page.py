@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.robust.graduated import Rejected
 
-__all__ = ["Page", "report"]
-
 # Every rule is about the inside of the page, so that it changes nothing else in a notebook that shows it. Pictures are
 # drawn for a white page; in the dark they are turned over, with their hues kept.
 STYLE = Path(__file__).with_name("style.css").read_text(encoding="utf-8")

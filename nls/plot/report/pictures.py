@@ -15,8 +15,6 @@ from nls.plot.report.markup import Html, tag
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["across", "bar", "picture"]
-
 SMALL = 1000  # lines and dots; pictures of more are not even tried as SVG (sphere2500's R: 216 MB, 0.06 MB)
 WIDTH, HEIGHT = 208, 20  # pixels of a bar
 EDGE = 8  # on both sides of the scale
