@@ -273,6 +273,22 @@ def test_names_are_nouns_and_verbs() -> None:
     assert {name: names for name, names in pronouns.items() if names} == {}
 
 
+def test_docstrings_begin_with_the_thing() -> None:
+    """A reader of one function has not read what a pronoun stands for."""
+    first = "It|Its|They|Their|This|That|These|Those|Same|The same"
+    pronoun = re.compile(rf"(?:{first}|(?:Whether|Where|What|How|As|If|When|Of|In) (?:it|they|this|these|those))\b")
+    files = [*FILES, *(path for room in ("benchmarks", "tools") for path in (ROOT / room).rglob("*.py"))]
+    kinds = ast.Module | ast.ClassDef | ast.FunctionDef
+    nodes = [(path, node) for path in files for node in ast.walk(tree_of(path)) if isinstance(node, kinds)]
+    begins = [
+        f"{name_of(path)}: {doc[:60]}"
+        for path, node in nodes
+        if (doc := ast.get_docstring(node) or "") and pronoun.match(doc)
+    ]
+    assert len(nodes) > 3000
+    assert begins == []
+
+
 def undocumented(module: ModuleType) -> Iterator[str]:
     """Public names of a module that do not exist, are listed twice or have no docstring."""
     public = getattr(module, "__all__", [])
