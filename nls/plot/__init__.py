@@ -4,16 +4,14 @@ Pictures of missions are registered in `OF_MISSIONS`, and imported when they are
 """
 
 from nls.lazy import importer
-from nls.plot.convergence import convergence
-from nls.plot.correlations import correlations
 from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
 from nls.plot.filters import belief
+from nls.plot.matrices import correlations, spy
 from nls.plot.offsets import offsets
 from nls.plot.player import animation
 from nls.plot.report import report
-from nls.plot.sparsity import spy
-from nls.plot.trajectory import before_after, trajectory
+from nls.plot.trajectory import before_after, convergence, trajectory
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:

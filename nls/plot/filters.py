@@ -25,8 +25,8 @@ from nls.covariance.frames import outlines
 from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
-from nls.plot.axes import axes_or_new, figure_of, legend_below
 from nls.plot.ellipses import _outlines, larger, magnification
+from nls.plot.picture import axes_or_new, figure_of, legend_below, name_plane, new_figure
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
@@ -77,9 +77,7 @@ def estimator_figure(
     >>> [axes.get_title() for axes in estimator_figure(track, world.truth, history).axes if axes.get_title()]
     ['map', 'sigma of the vehicle', 'errors and 3 sigma', 'sigma of the landmarks']
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 9), layout="constrained")
+    figure = new_figure(10.5, 9)
     grid = figure.add_gridspec(6, 2)
     estimator_map(track, truth, figure.add_subplot(grid[:3, 0]), sightings)
     vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
@@ -117,8 +115,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
             label = f"95 % of the landmarks{larger(scale)}"
             _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
             _named(axes, track.landmarks, L)
-    axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal", adjustable="datalim")
+    name_plane(axes, title="map")
     legend_below(axes, *axes.get_legend_handles_labels())
 
 
@@ -264,8 +261,7 @@ def belief(
         axes.plot(*places.T, ".", color=LANDMARK, markersize=4)
         _named(axes, keys, true_landmarks)
     drawn_larger = "" if scale == 1 else f": errors and ellipses × {scale:g}"
-    axes.set(title=f"{pose!r}{drawn_larger}", xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal", adjustable="datalim")
+    name_plane(axes, title=f"{pose!r}{drawn_larger}")
     figure, (handles, labels) = figure_of(axes), axes.get_legend_handles_labels()
     if alone:
         figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
@@ -291,9 +287,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 9), layout="constrained")
+    figure = new_figure(10.5, 9)
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
     q = manifold.position(truth[x])
@@ -315,8 +309,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
         nees.plot(x.numbers, e2, **style)
     for bound in consistency.nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
-    places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
-    places.set_aspect("equal", adjustable="datalim")
+    name_plane(places, title="tracks")
     errors.set(title="error of the position", xlabel="step", ylabel="[m], logarithmic")
     sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]", ylim=(0, None))
     nees.set(title=f"NEES, {100 * probability:g} % between the dashed lines", xlabel="step", yscale="log")
@@ -343,9 +336,7 @@ def power_laws(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.8 * len(panels), 4.2), layout="constrained")
+    figure = new_figure(4.8 * len(panels), 4.2)
     for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for color, (n, y, _) in zip(SERIES, lines.values(), strict=False):
             axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)

@@ -19,8 +19,8 @@ import numpy as np
 from models import LINE
 from nls.covariance import frames
 from nls.covariance.frames import outlines
-from nls.plot.axes import legend_below
 from nls.plot.filters import estimator_map
+from nls.plot.picture import legend_below, name_plane, new_figure
 from nls.plot.style import ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
@@ -62,9 +62,7 @@ def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Ke
     >>> [axes.get_title() for axes in figure.axes][:3]
     ['field', 'heading, estimate minus truth', 'position, estimate minus truth']
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 8.8), layout="constrained")
+    figure = new_figure(10.5, 8.8)
     (field, heading), (position, landmarks) = figure.subplots(2, 2)
     estimator_map(track, truth, field, sightings)
     field.set_title("field")
@@ -122,8 +120,7 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
     if line:
         axes.set(title="walls, estimate minus truth", xlabel="alpha [deg]", ylabel="r [m]")
     else:
-        axes.set(title="landmarks, estimate minus truth", xlabel="dX [m]", ylabel="dY [m]")
-        axes.set_aspect("equal", adjustable="datalim")
+        name_plane(axes, "dX [m]", "dY [m]", title="landmarks, estimate minus truth")
         common = e.mean(axis=0)
         handles += axes.plot(*common, "x", color=TRUE, markersize=9, markeredgewidth=2)
         rest = np.sqrt(np.mean(np.sum((e - common) ** 2, axis=1)))

@@ -90,7 +90,7 @@ def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -
     """Without modules of NumPy that only ``from numpy import *`` asks for; a small one without sparse matrices."""
     graph = str(written(tmp_path, PLANE))
     rest: tuple[str, ...] = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.missions", "nls.robust")
-    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.page", "nls.cli.outliers")
+    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.plot.report", "nls.cli.outliers")
     rest += ("scipy.sparse._base", "sksparse.cholmod")
     program = (
         f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.io.files import write_bytes
-from nls.plot.report.data import ReportData
 from nls.plot.report.markup import Html, joined, tag
-from nls.plot.report.sections import SECTIONS, key_figures, verdict
+from nls.plot.report.sections import SECTIONS, ReportData, key_figures, verdict
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
