@@ -65,9 +65,7 @@ class Progress:
 
     def show(self, iteration: nls.Iteration) -> None:
         """One more iteration."""
-        if self.bar is not None:
-            self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")
-            self.bar.update()
+        self.say(f"chi2 {iteration.chi2:.6g}")
 
     def say(self, step: object) -> None:
         """One more step, in its own words."""

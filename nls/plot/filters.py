@@ -116,7 +116,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
             _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
             _named(axes, track.landmarks, L)
     name_plane(axes, title="map")
-    legend_below(axes, *axes.get_legend_handles_labels())
+    legend_below(axes)
 
 
 def _named(axes: Axes, landmarks: Keys, places: Array) -> None:
@@ -149,8 +149,7 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
     right.plot(track.x.numbers, sigma[:, 2], color=SERIES[2], linewidth=1.0, linestyle="--", label="heading [deg]")
     axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
     right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
-    (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
-    legend_below(axes, [*handles, *more], [*labels, *names])
+    legend_below(axes, right)
 
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
@@ -191,7 +190,7 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     if walls:
         axes.set_ylabel("sigma of r [m]")
         panels[1].set_ylabel("sigma of alpha [deg], dotted")
-    legend_below(axes, *axes.get_legend_handles_labels())
+    legend_below(axes)
 
 
 def belief(
@@ -262,11 +261,11 @@ def belief(
         _named(axes, keys, true_landmarks)
     drawn_larger = "" if scale == 1 else f": errors and ellipses × {scale:g}"
     name_plane(axes, title=f"{pose!r}{drawn_larger}")
-    figure, (handles, labels) = figure_of(axes), axes.get_legend_handles_labels()
+    figure = figure_of(axes)
     if alone:
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     else:
-        legend_below(axes, handles, labels)
+        legend_below(axes)
     return figure
 
 

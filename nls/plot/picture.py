@@ -15,7 +15,6 @@ from nls.io.files import write_bytes
 from nls.plot.style import REJECTED
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -57,8 +56,10 @@ def figure_of(axes: Axes) -> Figure:
     return figure  # type: ignore[return-value]
 
 
-def legend_below(axes: Axes, handles: Sequence[Artist], labels: Sequence[str]) -> None:
-    """A legend under the axes, in as many rows as it needs, where it covers nothing."""
+def legend_below(*panels: Axes) -> None:
+    """A legend under axes and their twins, in as many rows as it needs, where it covers nothing."""
+    axes, pairs = panels[0], [panel.get_legend_handles_labels() for panel in panels]
+    handles, labels = ([entry for entries in column for entry in entries] for column in zip(*pairs, strict=True))
     # 13 letters of a legend in an inch
     room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
     rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -44,9 +45,9 @@ def fresh(program: str, **environment: str | None) -> str:
 def test_names_come_from_where_the_type_checker_thinks(package: ModuleType) -> None:
     tree = ast.parse((ROOT / package.__name__ / "__init__.py").read_text(encoding="utf-8"))
     (checked,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
-    said = {
-        alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    }
+    lines = [node for node in checked.body if isinstance(node, ast.ImportFrom)]
+    pairs = [(str(node.module), alias.name) for node in lines for alias in node.names]
+    said = {n: m for m, name in pairs for n in (import_module(m).__all__ if name == "*" else [name])}
     modules = {"plot"} if said.pop("plot", "") else set()
     assert said == {name: module for module, names in package._WHERE.items() for name in names.split()}
     assert set(package.__all__) == {*said, *modules}

@@ -110,22 +110,9 @@ def report(
             from nls.explanation import explain
 
             explanation = explain(graph, final)
-        data = ReportData(
-            graph,
-            start,
-            result,
-            explanation,
-            init,
-            marginals,
-            certificate,
-            rejected,
-            doubts,
-            facts or {},
-            seconds or {},
-            pictures or {},
-            figures or {},
-            shell,
-        )
+        known = init, marginals, certificate, rejected, doubts
+        by_name = facts or {}, seconds or {}, pictures or {}, figures or {}
+        data = ReportData(graph, start, result, explanation, *known, *by_name, shell)
         body = {link: element for link, make in SECTIONS.items() if (element := make(data)) is not None}
         head = [
             tag("p", title, class_="file"),
