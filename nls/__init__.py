@@ -8,20 +8,7 @@ from nls.lazy import importer, refuse_shadows
 TYPE_CHECKING = False  # to a type checker always true; the import of typing takes as long as all others of a start
 if TYPE_CHECKING:
     from factors.keys import Keys as Keys, Kind as Kind, kinds as kinds
-    from models.errors import (
-        EvaluationError as EvaluationError,
-        GraphError as GraphError,
-        GraphFileError as GraphFileError,
-        GraphWarning as GraphWarning,
-        JacobianError as JacobianError,
-        LeadlineError as LeadlineError,
-        MissingSolverError as MissingSolverError,
-        NoiseModelError as NoiseModelError,
-        OptionError as OptionError,
-        ResourceLimitError as ResourceLimitError,
-        SingularGeometryError as SingularGeometryError,
-        UnderconstrainedError as UnderconstrainedError,
-    )
+    from models.errors import *  # noqa: F403  # all of them are public here
     from nls import plot as plot
     from nls.analysis.variance_components import (
         VarianceComponents as VarianceComponents,

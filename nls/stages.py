@@ -6,10 +6,12 @@ Long stages also say how far they are, to a caller who listens.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from time import perf_counter
+from typing import TypeVar
 
+T = TypeVar("T")
 _SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
 _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", default=None)
 
@@ -27,7 +29,16 @@ def stage(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def collected() -> Iterator[dict[str, float]]:
+def _inside(variable: ContextVar[T | None], value: T) -> Iterator[T]:
+    """A context variable of this thread has a value inside."""
+    token = variable.set(value)
+    try:
+        yield value
+    finally:
+        variable.reset(token)
+
+
+def collected() -> AbstractContextManager[dict[str, float]]:
     """Seconds by stage of everything called inside, by this thread.
 
     Examples
@@ -38,12 +49,7 @@ def collected() -> Iterator[dict[str, float]]:
     >>> sorted(seconds), seconds["first"] >= seconds["second"] >= 0
     (['first', 'second'], True)
     """
-    seconds: dict[str, float] = {}
-    token = _SECONDS.set(seconds)
-    try:
-        yield seconds
-    finally:
-        _SECONDS.reset(token)
+    return _inside(_SECONDS, {})
 
 
 def announce(words: str) -> None:
@@ -52,8 +58,7 @@ def announce(words: str) -> None:
         listener(words)
 
 
-@contextmanager
-def listened(listener: Callable[[str], object]) -> Iterator[None]:
+def listened(listener: Callable[[str], object]) -> AbstractContextManager[object]:
     """Call the listener with all that is announced inside, by this thread.
 
     Examples
@@ -62,8 +67,4 @@ def listened(listener: Callable[[str], object]) -> Iterator[None]:
     ...     announce("round 3")
     round 3
     """
-    token = _LISTENER.set(listener)
-    try:
-        yield
-    finally:
-        _LISTENER.reset(token)
+    return _inside(_LISTENER, listener)

@@ -17,8 +17,8 @@ from typing import Any
 import nls
 from factors import Cauchy
 from factors.base import Factor
+from nls.io.native.data import json_of
 from nls.io.native.structure import encoded
-from nls.io.native.text import json_of
 from nls.missions.folder.poses import read_poses
 from nls.missions.importing import draft, import_logs, read_mapping
 

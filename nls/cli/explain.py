@@ -11,8 +11,7 @@ from models.listing import several
 from nls.cli.choices import GNC, ROBUST
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import refuse_unwritable, say, write_json
-from nls.cli.progress import Progress
+from nls.cli.outputs import Progress, refuse_unwritable, say, write_json
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
 

@@ -17,8 +17,7 @@ from factors.robust import kernel_from_text
 from models.options import did_you_mean
 from nls.cli import formats
 from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
-from nls.cli.outputs import input_name, refuse_loss
-from nls.cli.progress import Progress
+from nls.cli.outputs import Progress, input_name, refuse_loss
 from nls.cli.run import Problem, Solved
 from nls.io.files import title_of, write_bytes
 from nls.io.formats import FORMATS, Reading, check_renumber, format_of, refuse_needless, suffix_of, suffixes

@@ -15,7 +15,7 @@ import nls.missions
 from nls.cli import formats
 from nls.cli.graph_file import NO_FOLDER, GraphFile, Meaningless, Read, Writer
 from nls.cli.outliers import choice_of
-from nls.cli.progress import Progress
+from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
 from nls.io.files import new_folder, title_of, write_bytes
 from nls.io.formats import format_of, suffixes

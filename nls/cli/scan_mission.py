@@ -14,7 +14,7 @@ import nls
 from models.options import did_you_mean
 from nls.cli.graph_file import named
 from nls.cli.mission import Folder
-from nls.cli.progress import Progress
+from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
 from nls.missions.checks.findings import SetupFinding
 from nls.missions.checks.scan_setup import check_setup

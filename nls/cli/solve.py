@@ -16,9 +16,8 @@ from nls.cli import formats
 from nls.cli.graph_file import GraphFile
 from nls.cli.inputs import input_of
 from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
-from nls.cli.run import Problem, Run, Solved
-from nls.cli.solve_report import SCHEMA, advice, record_of, table
-from nls.cli.timing import Clock
+from nls.cli.run import Clock, Problem, Run, Solved
+from nls.cli.solve_report import SCHEMA, advice, record_of, table, write_page
 from nls.io.files import refuse_absent
 from nls.linear import SOLVERS
 from nls.stages import collected
@@ -186,8 +185,6 @@ def _write(kind: GraphFile, solved: Solved) -> None:
 
 
 def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError) -> None:
-    from nls.cli.page import write_page
-
     attempt(problem, {problem.options.report: partial(write_page, kind, problem, result)})
 
 

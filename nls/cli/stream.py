@@ -30,7 +30,7 @@ from nls.cli.outputs import input_name, refuse_unwritable
 from nls.gauge import fixed_variables
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.steps import Arrived, steps
-from nls.io import parameters
+from nls.io import ids
 from nls.io.dialects import TAGGED
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
 from nls.io.formats import FORMATS, Format, Reading, by_content
@@ -40,7 +40,7 @@ from nls.io.unused_lines import not_there
 
 EVERY = 100  # steps from one checkpoint to the next
 AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
-OF_SWITCH = b"|".join((parameters.VERTEX, parameters.PRIOR))
+OF_SWITCH = b"|".join((ids.VERTEX, ids.PRIOR))
 PARAMETERS, SWITCH, VERTEX, FIX = (
     re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE)
     for tag in (rb"PARAMS_", rb"(?:%s)\b" % OF_SWITCH, rb"(?!(?:%s)\b)VERTEX" % OF_SWITCH, rb"FIX\b")

@@ -29,10 +29,9 @@ from nls.incremental.leaving import Decision, Window
 from nls.incremental.new_variables import Known
 from nls.incremental.pending import Arrivals
 from nls.io.files import GZIP, ZIP, read_bytes, unreadable
-from nls.io.native.archive import KINDS, archived, arrays_of
+from nls.io.native.data import KINDS, archived, arrays_of, json_of, plain_of, without_arrays
 from nls.io.native.native import name_of_space, space_named
 from nls.io.native.structure import MISMATCHES, decoded, encoded
-from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.linear.updatable import Preconditioner
 
 FORMAT, VERSION = "leadline smoother", 1
@@ -40,7 +39,7 @@ STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
 SEQUENCES: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set}
 S = TypeVar("S")
-Plain = Any  # what `nls.io.native.text.json_of` writes
+Plain = Any  # what `nls.io.native.data.json_of` writes
 
 
 def smoother_bytes(smoother: object, about: Mapping[str, Any] | None = None) -> bytes:

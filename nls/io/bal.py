@@ -26,9 +26,9 @@ from models import R
 from models.algebra import Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.refusals import refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import Text
+from nls.io.write import refuse_held, unwritable
 from nls.values import Stack, Values
 
 KINDS = {"c": CAMERA, "k": LENS, "l": R(3)}

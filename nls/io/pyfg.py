@@ -39,11 +39,11 @@ from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.io.dialects import POINT2, POINT3, POSE2, POSE3
 from nls.io.records import NONE, Element, Lines, Record, at_origin, fixed_offsets, note_turns
-from nls.io.refusals import NATIVE, named, refuse_held, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused_lines import appended, note_comments, set_aside, without_comments
 from nls.io.weights import entries, matrix, noise_of
+from nls.io.write import NATIVE, named, refuse_held, unwritable
 from nls.values import Values
 
 FILE = "a PyFactorGraph file"

@@ -27,7 +27,7 @@ from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import choose
 from nls.io.formats import Reading, refuse_needless
-from nls.io.parameters import Offsets, Switches
+from nls.io.ids import Offsets, Roles, Switches, by_role, present
 from nls.io.records import (
     KINDS,
     Lines,
@@ -39,7 +39,6 @@ from nls.io.records import (
     spaces_of,
 )
 from nls.io.report import LoadReport, Source, Statement
-from nls.io.roles import Roles, by_role, present
 from nls.io.text import Text, printable
 from nls.io.unused_lines import note_comments, set_aside, without_comments
 from nls.io.variable_names import id_text, with_letters

@@ -79,7 +79,7 @@ class Record:
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.
     used : False where the error of the measurement ignores its parameter.
-    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.parameters`.
+    switched : whether it is a switch or its prior, or has a switch as its parameter, see `nls.io.ids`.
     foreign : whether it is a tag of other programs that is written only where lines were read with it.
     apart : whether its points have a numbering of their own.
     entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.

@@ -2,6 +2,8 @@
 
 Read, write, read with one dialect and one convention gives the same graph bit for bit. Where noise is about angles this
 takes the report of the file. Comments are never written: widely used readers lose a file's edges over one.
+
+Writers of other text formats refuse what they have no line for by the same functions.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from factors.base import Factor
+from factors.bearing_range import BearingRange
 from factors.keys import Keys
+from factors.range import Range
 from models import SE2, SE3, LieGroup, Manifold, R
 from models.advice import Advice
 from models.algebra import Array, Numbers
@@ -22,9 +26,9 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.dialects import TAGGED
-from nls.io.parameters import PRIOR, VERTEX
+from nls.io.ids import PRIOR, VERTEX
+from nls.io.native.structure import type_name
 from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, joined, spaces_of
-from nls.io.refusals import NATIVE, named, other_files, refuse_held, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.text import rows
 from nls.io.unused_lines import appended
@@ -32,6 +36,7 @@ from nls.io.variable_names import VertexIds
 from nls.io.weights import entries
 from nls.values import Values
 
+NATIVE = Advice("native")
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
@@ -282,3 +287,45 @@ class _Offsets:
 def _lines(tag: bytes, ids: list[Numbers], numbers: Array) -> list[str]:
     """Text lines, whole numbers without a point."""
     return rows(tag.decode(), [map(str, i.tolist()) for i in ids], numbers, lambda v: repr(v).removesuffix(".0"))
+
+
+def unwritable(path: str, factor: Factor, file: str, why: str = "", ranges: bool = False) -> GraphError:
+    """The error for a factor that a format has no line for.
+
+    Parameters
+    ----------
+    path : the file.
+    factor : the factor.
+    file : of which format it would be, such as ``a g2o file``.
+    why : the cause, where the format knows it.
+    ranges : whether the format has lines for ranges.
+    """
+    if not why and isinstance(factor, BearingRange):
+        why = "no line holds a bearing and its range, and two lines would be two independent measurements"
+    advice = other_files(factor)
+    if type(factor) is Range and not ranges and len(factor.keys) == 2 and at_origin(fixed_offsets(factor)):
+        advice = [Advice("pyfg"), *advice]
+    message = f"{path}: {factor!r} cannot be written to {file}" + (f": {why}" if why else "")
+    return GraphError(message, factor.keys, factor.name, advice=advice)
+
+
+def refuse_held(path: str, graph: FactorGraph, file: str) -> None:
+    """Refuse variables that are held fixed, for a format that has no line for it.
+
+    Raises
+    ------
+    GraphError
+    """
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        message = f"{path}: {held[0]!r} is held fixed, which {file} has no line for"
+        raise GraphError(message, held, advice=[NATIVE])
+
+
+def other_files(factor: Factor) -> list[Advice]:
+    """The files that hold a factor: native ones hold all that have a name there."""
+    return [NATIVE if type_name(factor) is not None else Advice("register")]
+
+
+def named(path: str, factor: Factor, error: GraphError) -> GraphError:
+    """The refusal of what a factor holds, with the file."""
+    return GraphError(f"{path}: {error.message}", factor.keys, factor.name, advice=error.advice or other_files(factor))

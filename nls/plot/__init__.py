@@ -4,16 +4,14 @@ Pictures of missions are registered in `OF_MISSIONS`, and imported when they are
 """
 
 from nls.lazy import importer
-from nls.plot.convergence import convergence
-from nls.plot.correlations import correlations
-from nls.plot.ellipses import ellipses
-from nls.plot.factor_graph import factor_graph
-from nls.plot.filters import belief
-from nls.plot.offsets import offsets
-from nls.plot.player import animation
-from nls.plot.report import report
-from nls.plot.sparsity import spy
-from nls.plot.trajectory import before_after, trajectory
+from nls.plot.ellipses import ellipses as ellipses
+from nls.plot.factor_graph import factor_graph as factor_graph
+from nls.plot.filters import belief as belief
+from nls.plot.matrices import correlations as correlations, spy as spy
+from nls.plot.offsets import offsets as offsets
+from nls.plot.player import animation as animation
+from nls.plot.report import report as report
+from nls.plot.trajectory import before_after as before_after, convergence as convergence, trajectory as trajectory
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
@@ -27,23 +25,7 @@ OF_MISSIONS = {
     "nls.missions.pictures.sonar": "fan_image frustum polar_image",
 }
 
-__all__ = [
-    "animation",
-    "before_after",
-    "belief",
-    "convergence",
-    "correlations",
-    "elevation_map",
-    "ellipses",
-    "factor_graph",
-    "fan_image",
-    "frustum",
-    "offsets",
-    "polar_image",
-    "report",
-    "spy",
-    "trajectory",
-]
+NOW = "animation before_after belief convergence correlations ellipses factor_graph offsets report spy trajectory"
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__, _ = importer("nls.plot", OF_MISSIONS)
+    __getattr__, __dir__, __all__ = importer("nls.plot", OF_MISSIONS, *NOW.split())

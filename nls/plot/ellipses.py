@@ -17,7 +17,7 @@ import numpy as np
 from factors.keys import Keys, Kind
 from models.options import check_between, check_whole
 from nls.covariance.frames import outlines
-from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane
 from nls.plot.style import ELLIPSE, LANDMARK
 
 if TYPE_CHECKING:
@@ -98,8 +98,7 @@ def ellipses(
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
     if alone:
-        axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
-        axes.set_aspect("equal", adjustable="datalim")
+        name_plane(axes, *("y [m]", "x [m]") * north_up)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", fontsize=8)
     return figure_of(axes)
@@ -107,12 +106,10 @@ def ellipses(
 
 def _outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:
     if axes.name == "3d":
-        from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
-
         level = np.zeros((len(center), 1, 3))
         level[:, 0, : center.shape[1]] = center
         flat = np.concatenate([around, np.zeros((*around.shape[:2], 1))], axis=2)
-        axes.add_collection3d(Line3DCollection(level + flat, **style))  # type: ignore[attr-defined]
+        add_lines(axes, level + flat, **style)
     else:
         from matplotlib.collections import PolyCollection
         from matplotlib.colors import to_rgba

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.errors import GraphError
-from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.picture import axes_or_new, figure_of
 from nls.plot.style import ESTIMATE, HELD, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:

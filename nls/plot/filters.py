@@ -25,8 +25,8 @@ from nls.covariance.frames import outlines
 from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
-from nls.plot.axes import axes_or_new, figure_of, legend_below
 from nls.plot.ellipses import _outlines, larger, magnification
+from nls.plot.picture import axes_or_new, figure_of, legend_below, name_plane, new_figure
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
@@ -77,9 +77,7 @@ def estimator_figure(
     >>> [axes.get_title() for axes in estimator_figure(track, world.truth, history).axes if axes.get_title()]
     ['map', 'sigma of the vehicle', 'errors and 3 sigma', 'sigma of the landmarks']
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 9), layout="constrained")
+    figure = new_figure(10.5, 9)
     grid = figure.add_gridspec(6, 2)
     estimator_map(track, truth, figure.add_subplot(grid[:3, 0]), sightings)
     vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
@@ -117,9 +115,8 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
             label = f"95 % of the landmarks{larger(scale)}"
             _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
             _named(axes, track.landmarks, L)
-    axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal", adjustable="datalim")
-    legend_below(axes, *axes.get_legend_handles_labels())
+    name_plane(axes, title="map")
+    legend_below(axes)
 
 
 def _named(axes: Axes, landmarks: Keys, places: Array) -> None:
@@ -152,8 +149,7 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
     right.plot(track.x.numbers, sigma[:, 2], color=SERIES[2], linewidth=1.0, linestyle="--", label="heading [deg]")
     axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
     right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
-    (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
-    legend_below(axes, [*handles, *more], [*labels, *names])
+    legend_below(axes, right)
 
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
@@ -194,7 +190,7 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     if walls:
         axes.set_ylabel("sigma of r [m]")
         panels[1].set_ylabel("sigma of alpha [deg], dotted")
-    legend_below(axes, *axes.get_legend_handles_labels())
+    legend_below(axes)
 
 
 def belief(
@@ -264,13 +260,12 @@ def belief(
         axes.plot(*places.T, ".", color=LANDMARK, markersize=4)
         _named(axes, keys, true_landmarks)
     drawn_larger = "" if scale == 1 else f": errors and ellipses × {scale:g}"
-    axes.set(title=f"{pose!r}{drawn_larger}", xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal", adjustable="datalim")
-    figure, (handles, labels) = figure_of(axes), axes.get_legend_handles_labels()
+    name_plane(axes, title=f"{pose!r}{drawn_larger}")
+    figure = figure_of(axes)
     if alone:
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     else:
-        legend_below(axes, handles, labels)
+        legend_below(axes)
     return figure
 
 
@@ -291,9 +286,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 9), layout="constrained")
+    figure = new_figure(10.5, 9)
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
     q = manifold.position(truth[x])
@@ -315,8 +308,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
         nees.plot(x.numbers, e2, **style)
     for bound in consistency.nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
-    places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
-    places.set_aspect("equal", adjustable="datalim")
+    name_plane(places, title="tracks")
     errors.set(title="error of the position", xlabel="step", ylabel="[m], logarithmic")
     sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]", ylim=(0, None))
     nees.set(title=f"NEES, {100 * probability:g} % between the dashed lines", xlabel="step", yscale="log")
@@ -343,9 +335,7 @@ def power_laws(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.8 * len(panels), 4.2), layout="constrained")
+    figure = new_figure(4.8 * len(panels), 4.2)
     for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for color, (n, y, _) in zip(SERIES, lines.values(), strict=False):
             axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)

@@ -19,12 +19,11 @@ import numpy as np
 from models import LINE
 from nls.covariance import frames
 from nls.covariance.frames import outlines
-from nls.plot.axes import legend_below
 from nls.plot.filters import estimator_map
+from nls.plot.picture import add_lines, legend_below, name_plane, new_figure
 from nls.plot.style import ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -62,9 +61,7 @@ def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Ke
     >>> [axes.get_title() for axes in figure.axes][:3]
     ['field', 'heading, estimate minus truth', 'position, estimate minus truth']
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 8.8), layout="constrained")
+    figure = new_figure(10.5, 8.8)
     (field, heading), (position, landmarks) = figure.subplots(2, 2)
     estimator_map(track, truth, field, sightings)
     field.set_title("field")
@@ -81,7 +78,7 @@ def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Ke
         axes.set_xlabel("step")
         axes.axhline(0.0, color=TRUE, linewidth=0.8)
         axes.margins(x=0)
-        legend_below(axes, *axes.get_legend_handles_labels())
+        legend_below(axes)
     _landmarks(track, truth, landmarks)
     figure.suptitle(f"{title}: {track.method}" if title else track.method)
     return figure
@@ -99,7 +96,6 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
 
     Names stand in a column beside the axes, the highest point first, so that those of a heap can be read.
     """
-    from matplotlib.collections import LineCollection
     from matplotlib.text import OffsetFrom
 
     axes.axhline(0.0, color=TRUE, linewidth=0.8)
@@ -108,11 +104,9 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
     unit = np.array([180 / np.pi, 1.0]) if line else np.ones(2)
     e = unit * track.landmark_errors(truth)
     P = unit[:, None] * track.P_landmarks * unit
-    shapes = LineCollection(list(e[:, None] + outlines(P, ONE_SIGMA)), colors=LANDMARK, linewidths=0.8, alpha=0.5)
-    axes.add_collection(shapes)
+    label = f"one sigma of a {'wall' if line else 'landmark'}"
+    add_lines(axes, list(e[:, None] + outlines(P, ONE_SIGMA)), colors=LANDMARK, linewidths=0.8, alpha=0.5, label=label)
     axes.plot(*e.T, "o", color=LANDMARK, markersize=5)
-    handles: list[Artist] = [shapes]
-    labels = [f"one sigma of a {'wall' if line else 'landmark'}"]
     upwards, row = np.argsort(e[:, 1]), min(ROW, 190.0 / max(len(e), 1))
     beside, middle = OffsetFrom(axes.transAxes, (1.0, 0.5), "points"), (len(e) - 1) / 2
     leader = {"arrowstyle": "-", "color": LANDMARK, "linewidth": 0.6, "alpha": 0.6, "relpos": (0, 0.5)}
@@ -122,10 +116,9 @@ def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
     if line:
         axes.set(title="walls, estimate minus truth", xlabel="alpha [deg]", ylabel="r [m]")
     else:
-        axes.set(title="landmarks, estimate minus truth", xlabel="dX [m]", ylabel="dY [m]")
-        axes.set_aspect("equal", adjustable="datalim")
+        name_plane(axes, "dX [m]", "dY [m]", title="landmarks, estimate minus truth")
         common = e.mean(axis=0)
-        handles += axes.plot(*common, "x", color=TRUE, markersize=9, markeredgewidth=2)
         rest = np.sqrt(np.mean(np.sum((e - common) ** 2, axis=1)))
-        labels.append(f"common offset {np.linalg.norm(common):.2g} m, beside it {rest:.2g} m rms")
-    legend_below(axes, handles, labels)
+        label = f"common offset {np.linalg.norm(common):.2g} m, beside it {rest:.2g} m rms"
+        axes.plot(*common, "x", color=TRUE, markersize=9, markeredgewidth=2, label=label)
+    legend_below(axes)

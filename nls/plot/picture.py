@@ -1,4 +1,4 @@
-"""Pictures as files."""
+"""Figures and the axes they are drawn in, a legend that covers nothing, and pictures as files."""
 
 from __future__ import annotations
 
@@ -6,14 +6,66 @@ import textwrap
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from models.visible import CONTROLS, visible
 from nls.io.files import write_bytes
 from nls.plot.style import REJECTED
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size, inch."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def axes_or_new(axes: Axes | None, size: tuple[float, float], **options: Any) -> Axes:
+    """The axes given, or those of a new figure of this size, inch."""
+    return new_figure(*size).add_subplot(**options) if axes is None else axes
+
+
+def name_plane(axes: Axes, x: str = "x [m]", y: str = "y [m]", **options: Any) -> None:
+    """The names of the axes of a map, one scale for both, and what else is set, such as a title."""
+    axes.set(xlabel=x, ylabel=y, **options)
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def add_lines(axes: Axes, segments: Any, **style: Any) -> None:
+    """Draw lines through the places (n, k, 2 or 3) in one piece."""
+    if axes.name == "3d":
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+
+        axes.add_collection3d(Line3DCollection(segments, **style))  # type: ignore[attr-defined]
+    else:
+        from matplotlib.collections import LineCollection
+
+        axes.add_collection(LineCollection(segments, **style))
+
+
+def figure_of(axes: Axes) -> Figure:
+    """The figure that holds the axes."""
+    figure = axes.get_figure()
+    assert figure is not None
+    return figure  # type: ignore[return-value]
+
+
+def legend_below(*panels: Axes) -> None:
+    """A legend under axes and their twins, in as many rows as it needs, where it covers nothing."""
+    axes, pairs = panels[0], [panel.get_legend_handles_labels() for panel in panels]
+    handles, labels = ([entry for entries in column for entry in entries] for column in zip(*pairs, strict=True))
+    # 13 letters of a legend in an inch
+    room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
+    rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))
+    below = (0.5, -0.12)
+    columns = -(-len(labels) // rows)
+    axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
 
 def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:

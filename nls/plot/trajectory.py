@@ -1,15 +1,15 @@
-"""Trajectories and their edges, in the plane or in space."""
+"""Trajectories and their edges, in the plane or in space; before and after an optimization, and how chi2 fell."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors import XYH, ZPR, DvlLeg
 from nls.gauge import placeless_kinds
-from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane, new_figure
 from nls.plot.style import CLOSURE, LANDMARK, SERIES, SIGHT
 
 if TYPE_CHECKING:
@@ -44,9 +44,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
+    figure = new_figure(11.5, 4.2)
     figure.set_layout_engine("constrained", wspace=0.12)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left, middle = (figure.add_subplot(1, 3, k, **space) for k in (1, 2))
@@ -78,7 +76,6 @@ def annotate(axes: Sequence[Axes], chi2: float, result: Result, times: float, ti
     title : of the figure; none where it is empty.
     """
     from models.listing import number
-    from nls.plot.convergence import convergence
 
     left, middle, right = axes
     left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
@@ -88,6 +85,39 @@ def annotate(axes: Sequence[Axes], chi2: float, result: Result, times: float, ti
         right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {number(result.chi2_initial)}")
     if title:
         figure.suptitle(title)
+
+
+def convergence(result: Result, axes: Axes | None = None) -> Figure:
+    """chi2 (left axis) and max |dx| (right axis) per iteration, logarithmic; chi2 that falls by less than 10 is linear.
+
+    Parameters
+    ----------
+    result : of an optimization.
+    axes : where; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    axes = axes_or_new(axes, (5, 4))
+    number = [iteration.number for iteration in result.history]
+    chi2 = np.array([iteration.chi2 for iteration in result.history])
+    # a smaller range has no ticks on a logarithmic axis
+    falls = bool((chi2 > 0).all()) and chi2.max() > 10 * chi2.min()
+    # a smaller part cannot be read off the number itself
+    last = chi2[-1] if np.ptp(chi2) < 1e-3 * chi2.max() else 0.0
+    (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0])
+    axes.set_xlabel("iteration")
+    axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])  # a legend would cover the curves
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if len(number) > 1:
+        twin = axes.twinx()
+        twin.semilogy(number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=SERIES[1])
+        twin.set_ylabel("max |dx|", color=SERIES[1])
+    axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
+    return figure_of(axes)
 
 
 def trajectory(
@@ -128,7 +158,7 @@ def trajectory(
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
         alpha = min(0.3 if points else 0.5, max(0.06, MANY / len(segments)))
-        _lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
+        add_lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
     tracks = [stack.kind for stack in stacks if stack.manifold.dim > dim]
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
@@ -146,8 +176,7 @@ def trajectory(
     if dim == 3:
         space_box(axes, _points(graph, values), _is_down(graph))
     else:
-        axes.set(xlabel="x [m]", ylabel="y [m]")
-        axes.set_aspect("equal", adjustable="datalim")
+        name_plane(axes)
     handles, labels = axes.get_legend_handles_labels()
     if len(segments):  # a line that can be seen, however faint they are
         shown = f", {len(segments)} of {total}" if len(segments) < total else ""
@@ -250,14 +279,3 @@ def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array
         return np.zeros((0, 2, 2)), 0
     segments = np.concatenate(out)
     return segments[:: max(1, -(-len(segments) // MOST))], len(segments)
-
-
-def _lines(axes: Axes, segments: Array, **style: Any) -> None:
-    if segments.shape[2] == 3:
-        from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
-
-        axes.add_collection3d(Line3DCollection(segments, **style))  # type: ignore[attr-defined]
-    else:
-        from matplotlib.collections import LineCollection
-
-        axes.add_collection(LineCollection(segments, **style))  # type: ignore[arg-type]

@@ -18,9 +18,8 @@ from models.listing import some
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph, Singles
 from nls.io.files import ZIP
-from nls.io.native.archive import archived, arrays_of
+from nls.io.native.data import archived, arrays_of, json_of, plain_of, without_arrays
 from nls.io.native.structure import MISMATCHES, decoded, encoded
-from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.io.report import LoadReport, Source
 from nls.values import Values
 

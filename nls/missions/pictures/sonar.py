@@ -19,7 +19,7 @@ from factors.range_azimuth import RangeAzimuth
 from models import SE3
 from models.errors import GraphError
 from models.sensors import ImagingSonar, cartesian, plane_projection, range_azimuth
-from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.picture import axes_or_new, figure_of
 from nls.plot.style import ARC, CONTACT, ECHO, ESTIMATE, LANDMARK
 from nls.plot.trajectory import space_box
 

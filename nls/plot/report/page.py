@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
 from nls.io.files import write_bytes
-from nls.plot.report.data import ReportData
 from nls.plot.report.markup import Html, joined, tag
-from nls.plot.report.sections import SECTIONS, key_figures, verdict
+from nls.plot.report.sections import SECTIONS, ReportData, key_figures, verdict
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
@@ -111,22 +110,9 @@ def report(
             from nls.explanation import explain
 
             explanation = explain(graph, final)
-        data = ReportData(
-            graph,
-            start,
-            result,
-            explanation,
-            init,
-            marginals,
-            certificate,
-            rejected,
-            doubts,
-            facts or {},
-            seconds or {},
-            pictures or {},
-            figures or {},
-            shell,
-        )
+        known = init, marginals, certificate, rejected, doubts
+        by_name = facts or {}, seconds or {}, pictures or {}, figures or {}
+        data = ReportData(graph, start, result, explanation, *known, *by_name, shell)
         body = {link: element for link, make in SECTIONS.items() if (element := make(data)) is not None}
         head = [
             tag("p", title, class_="file"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,21 +15,82 @@ from models.listing import number
 from nls.analysis.inspection import inspect
 from nls.explanation.findings import FindingKind
 from nls.explanation.words import together
-from nls.plot.report.markup import Html, joined, listed, section, table, tag
-from nls.plot.report.pictures import across, bar, picture
+from nls.gauge import choose_gauge, fixed_variables
+from nls.plot.report.markup import Html, across, bar, joined, listed, picture, section, table, tag
 from nls.plot.style import REJECTED
+from nls.system import LinearSystem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-    from nls.explanation import Measurement
-    from nls.plot.report.data import ReportData
+    from nls.certificate import Certificate
+    from nls.covariance import Marginals
+    from nls.explanation import Explanation, Measurement
+    from nls.graph import FactorGraph
+    from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
     from nls.values import Values
 
 # Findings that one should know; an optimum with them is sound.
 NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.UNVERIFIED, FindingKind.SEPARATE_PARTS}
 MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone
 ROWS = 10  # of a table, and of one that shows nothing remarkable
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything the sections take from; the arguments of `nls.plot.report`, and the values they are about."""
+
+    graph: FactorGraph
+    start: Values
+    outcome: Result | UnderconstrainedError
+    explanation: Explanation
+    init: str = ""
+    marginals: Marginals | None = None
+    certificate: Certificate | None = None
+    rejected: Sequence[Rejected] = ()
+    doubts: Sequence[object] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    pictures: Mapping[str, Figure] = field(default_factory=dict)
+    figures: Mapping[str, str] = field(default_factory=dict)
+    shell: bool = False
+
+    @property
+    def result(self) -> Result | None:
+        """Of the optimization; None where it could not be done."""
+        return None if isinstance(self.outcome, UnderconstrainedError) else self.outcome
+
+    @property
+    def values(self) -> Values:
+        """The optimum, or how far one came."""
+        values: Values | None = self.outcome.values
+        return self.start if values is None else values
+
+    @property
+    def size(self) -> int:
+        """Variables and measurements, for what a picture of all costs."""
+        return len(self.values) + len(self.graph)
+
+    @cached_property
+    def system(self) -> LinearSystem:
+        """A and b at the values, one variable of every part held that nothing holds."""
+        values = self.values
+        decided = choose_gauge("first", self.graph.pattern(values), values, fixed_variables(self.graph.fixed, values))
+        return LinearSystem.at(decided.pattern.holding(decided.held), values)
+
+    @cached_property
+    def covariances(self) -> Marginals | UnderconstrainedError | None:
+        """Covariances as given or of the optimum; None where there is none, the error where something is free."""
+        from nls.covariance import Marginals
+
+        if self.marginals is not None or self.result is None or not self.result.converged:
+            return self.marginals
+        try:
+            return Marginals(self.graph, self.values)
+        except UnderconstrainedError as error:
+            return error
 
 
 def verdict(data: ReportData) -> Html:
@@ -199,7 +262,7 @@ def covariances(data: ReportData) -> Html | None:
 
 def convergence(data: ReportData) -> Html | None:
     """chi2 and the step by iteration."""
-    from nls.plot.convergence import convergence
+    from nls.plot.trajectory import convergence
 
     result = data.result
     if result is None:
@@ -222,7 +285,7 @@ def convergence(data: ReportData) -> Html | None:
 
 def sparsity(data: ReportData) -> Html:
     """Where the numbers are, and what a factorization costs."""
-    from nls.plot.sparsity import spy
+    from nls.plot.matrices import spy
 
     cost = inspect(data.graph, data.values)
     upper = (data.system.H.nnz + cost["columns_of_A"]) // 2

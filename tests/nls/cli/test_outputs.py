@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 import nls
 from models.advice import Advice
 from nls.cli import main
-from nls.cli.timing import Clock
+from nls.cli.run import Clock
 from tests.nls.cli.shell import Shell, process, rows
 from tests.nls.io.g2o_files import PLANE
 from tests.nls.io.test_bal import GOOD
@@ -193,7 +193,7 @@ def test_the_table_adds_up(shell: Shell) -> None:
 def test_parts_of_a_stage_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of a solution that --improve left, and the one it ended at."""
     now = iter([1.0, 3.0, 4.0, 9.0])
-    monkeypatch.setattr("nls.cli.timing.perf_counter", lambda: next(now))
+    monkeypatch.setattr("nls.cli.run.perf_counter", lambda: next(now))
     clock = Clock(0.0, 0.0)
     for name in ("optimize", "certify", "optimize", "certify"):
         clock.lap(name)

@@ -82,7 +82,7 @@ def test_ctrl_c_while_nls_sim_is_imported() -> None:
         ("nls.io.table.write_covariances", "while writing o.csv", 1),
         ("nls.plot.picture.write_picture", "while writing o.png", 2),
         ("nls.certify", "while certifying the optimum", 3),
-        ("nls.cli.page._facts", "while writing o.html", 3),
+        ("nls.cli.solve_report._facts", "while writing o.html", 3),
         ("nls.cli.solve.write_json", "while writing the report", 4),
         ("nls.cli.solve.table", "while writing the report", 5),
     ],

@@ -64,4 +64,4 @@ class Page(HTMLParser):
 
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made, but not rendered: that is most of the time of a page."""
-    monkeypatch.setattr(import_module("nls.plot.report.pictures"), "_drawn", lambda figure, kind: b"drawn")
+    monkeypatch.setattr(import_module("nls.plot.report.markup"), "_drawn", lambda figure, kind: b"drawn")

@@ -17,9 +17,8 @@ from models import SE2, SE3, SO3, LieGroup, R
 from models.errors import UnderconstrainedError
 from nls import Values
 from nls.plot import report
-from nls.plot.report.markup import Html
+from nls.plot.report.markup import SMALL, Html, across, picture
 from nls.plot.report.page import STYLE
-from nls.plot.report.pictures import SMALL, across, picture
 from nls.plot.report.sections import number
 from nls.plot.style import REJECTED
 from tests.nls.graphs import l, mixed, pose_graph, x
@@ -192,7 +191,7 @@ def test_a_matrix_of_many_numbers_is_not_even_drawn_as_lines(monkeypatch: pytest
         drawn.append((len(figure.axes), kind))
         return b"drawn"
 
-    monkeypatch.setattr(import_module("nls.plot.report.pictures"), "_drawn", counted)
+    monkeypatch.setattr(import_module("nls.plot.report.markup"), "_drawn", counted)
     for group in (SO3, SE3):
         graph, start, result = solved(group)
         report(graph, start, result)

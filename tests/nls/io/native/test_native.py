@@ -24,7 +24,7 @@ from models import SE2, SE3, R
 from models.errors import GraphError, GraphFileError, LeadlineError, OptionError
 from nls import FactorGraph, Values, kinds
 from nls.incremental.marginal import marginalized
-from nls.io.native.archive import archived
+from nls.io.native.data import archived
 from tests.factors.samples import Sample, full_noise
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES
 from tests.factors.test_conformity import SAMPLES, situation

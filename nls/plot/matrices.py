@@ -1,4 +1,8 @@
-"""Where the numbers are: A, H = A'A and R with H = R'R, with the names of factors and variables."""
+r"""Matrices as pictures, with the names of factors and variables.
+
+spy             where the numbers are: A, H = A'A and R with H = R'R
+correlations    rho_ij = Sigma_ij / (sigma_i sigma_j): red is 1, white 0, blue -1
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from scipy import sparse as sp
 
 from nls.linear import default_solver, factorize
 from nls.linear.factorization import SingularSystemError
+from nls.plot.picture import axes_or_new, figure_of, new_figure
 from nls.plot.style import SERIES
 
 if TYPE_CHECKING:
@@ -17,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from models.algebra import Array, Index
+    from nls.covariance import Joint
     from nls.system import LinearSystem
 
 LABELS = 40  # with more variables than this the axes count columns instead of naming them
@@ -41,15 +47,13 @@ def spy(system: LinearSystem) -> Figure:
     EvaluationError
         Squares of weights or Jacobians overflow.
     """
-    from matplotlib.figure import Figure
-
     H = system.H.copy()
     H.eliminate_zeros()
     R, permutation, D = _triangle(system)
     R.eliminate_zeros()  # CHOLMOD pads its supernodes
     ordered = sp.csc_array((H if D is None else H + sp.diags_array(D))[permutation][:, permutation])
 
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    figure = new_figure(10.5, 4.2)
     axes = figure.subplots(1, 3)
     _dots(axes[0], sp.coo_array(system.A), SERIES[0])
     axes[0].set_title(f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers", fontsize=9)
@@ -99,3 +103,48 @@ def _dots(axes: Axes, M: sp.coo_array, color: str) -> None:
     if M.shape[0] == M.shape[1]:
         axes.set_aspect("equal")
     axes.xaxis.tick_top()
+
+
+def correlations(joint: Joint, axes: Axes | None = None) -> Figure:
+    """The correlation matrix, with lines between the variables.
+
+    Parameters
+    ----------
+    joint : of `nls.Marginals.joint`, or `EKF.joint`. A component of variance 0 has no correlations and stays white.
+    axes : where; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls import Marginals, kinds
+    >>> from nls.plot import correlations
+    >>> (x,) = kinds("x")
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    >>> figure = correlations(Marginals(world.graph, world.truth).joint(x[10:13], frame="world"))
+    >>> [label.get_text() for label in figure.axes[0].get_xticklabels()]
+    ['x10', 'x11', 'x12']
+    """
+    axes = axes_or_new(axes, (5.4, 4.6))
+    sigma = np.sqrt(np.diagonal(joint.matrix))
+    weight = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    rho = joint.matrix * weight * weight[:, None]
+    shades = axes.imshow(rho, cmap="RdBu_r", vmin=-1.0, vmax=1.0, interpolation="none")
+    for part in joint.parts[1:]:
+        axes.axhline(part.start - 0.5, color="0.6", linewidth=0.6)
+        axes.axvline(part.start - 0.5, color="0.6", linewidth=0.6)
+    # the names of 40 variables fit beside the matrix
+    if len(joint.keys) <= 40:
+        middle = [(part.start + part.stop - 1) / 2 for part in joint.parts]
+        names = [f"{key!r}" for key in joint.keys]
+        axes.set_xticks(middle, names, fontsize=8, rotation=90 if len(names) > 10 else 0)
+        axes.set_yticks(middle, names, fontsize=8)
+        axes.tick_params(length=0)
+    axes.set_title("correlations")
+    figure = figure_of(axes)
+    figure.colorbar(shades, ax=axes, shrink=0.6, aspect=25, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
+    return figure
