@@ -32,7 +32,7 @@ from models.algebra import Array, Mask
 from models.dead_reckoning.drop_outs import longest_step
 from nls.missions.checks import alone
 from nls.missions.checks.findings import Cause, Implausible, Reading
-from nls.missions.checks.log import Alternative, Fixes, Log, alternatives, corrected, middle
+from nls.missions.checks.log import Alternative, Fixes, Log, alternatives, corrected, middle, times_of_poses
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.table import Table
 
@@ -260,15 +260,13 @@ def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
     """Steps that are faster than a vehicle, where the poses have times."""
     if poses is None:
         return
-    ids, t = poses.integers("i"), poses.floats("time_s")[:, 0]
-    i, j = (np.searchsorted(np.sort(ids), odometry.integers(name)) for name in ("i", "j"))
-    t = t[np.argsort(ids)]
-    if max(i.max(), j.max()) >= len(t) or not (t[j] != t[i]).all():
+    dt = np.abs(times_of_poses(poses, odometry, "j") - times_of_poses(poses, odometry))
+    if not dt.min() > 0:
         return  # the reader names these
     way = odometry.floats("x_m", "y_m")
     if not np.abs(way).max() < LARGEST:
         return
-    speed = np.linalg.norm(way, axis=1) / np.abs(t[j] - t[i])
+    speed = np.linalg.norm(way, axis=1) / dt
     if (usual := float(np.median(speed))) > alone.FASTEST:
         units = [f for f in (1000.0, 100.0) if usual / f < alone.FASTEST / 2]
         causes = [Reading(Cause.UNIT, "odometry.csv", "x_m, y_m", f) for f in units]
