@@ -91,7 +91,7 @@ class ElevationHinge(Elevation):
     -----
     Inside the aperture nothing is added to the information. A target that only the hinge keeps in place is free there,
     and a covariance says so. One that pushes counts there as a measurement as good as its softness, which is more than
-    a limit knows; for the landmarks of a mission `nls.missions.folder.elevations` puts the aperture in its place. Which
+    a limit knows; for the landmarks of a mission `nls.missions.elevations` puts the aperture in its place. Which
     hinges push changes from step to step, so undamped Gauss-Newton may go in a circle; a graph with one is solved by
     Levenberg-Marquardt unless told otherwise.
 

@@ -45,7 +45,7 @@ SHADOWS = ("factors/__init__.py", "nls.lazy")  # the upward import that refuses 
 ONLY_IN = {
     "sksparse": {"nls/linear/cholesky.py"},
     "sparseqr": {"nls/linear/qr.py"},
-    "pyproj": {"nls/missions/charts/crs.py"},
+    "pyproj": {"nls/missions/charts/chart.py"},
 }
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
 SLOW = {

@@ -18,8 +18,8 @@ from models import SE2
 from models.algebra import Array, Mask, wrap
 from nls import Marginals, kinds
 from nls.missions.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
+from nls.missions.scans.closing import verdicts
 from nls.missions.scans.correlation import match_submap
-from nls.missions.scans.matches import verdicts
 from nls.missions.scans.scans import SUBMAP_HALF, centers, in_world, pairs
 
 GEOMETRIES = ("marina", "quay", "rocks")

@@ -17,7 +17,7 @@ from script import Table, make_page, timed
 from factors.keys import kinds
 from models.algebra import Array
 from nls.metrics import ate
-from nls.missions.checks.scan_mounting import COMPONENTS, Mounting
+from nls.missions.checks.scan_setup import COMPONENTS, Mounting
 from nls.missions.checks.words import LABELS, shown
 from nls.missions.scans.folder import read_scan_mission
 from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting

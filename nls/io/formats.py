@@ -165,7 +165,7 @@ FORMATS = {
         _estimate("tum", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_trajectory"),
         _estimate("kitti", "poses", "nls.io.trajectory:trajectory_text", "nls.io.trajectory:load_trajectory"),
         _estimate("csv", "positions; a table of all values", "nls.io.table:values_text"),
-        _estimate("ply", "positions; a table of all values", "nls.missions.charts.ply:cloud_text"),
+        _estimate("ply", "positions; a table of all values", "nls.missions.charts.writers:cloud_text"),
         _mission("scan mission", "mission with sonar scans", "nls.missions.scans.folder:read_scan_mission")._replace(
             section="scan-missions", looks=_are_scans, options=()
         ),

@@ -4,21 +4,21 @@ from nls.lazy import importer
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
-    from nls.missions.association import associated as associated
+    from nls.missions.contacts.associate import associated as associated
     from nls.missions.folder.dives import DivesReport as DivesReport, read_dives as read_dives
     from nls.missions.folder.read import read_mission as read_mission
-    from nls.missions.folder.report import MissionReport as MissionReport
+    from nls.missions.folder.folder import MissionReport as MissionReport
     from nls.missions.folder.write import write_mission as write_mission
-    from nls.missions.landmarks import Elevations as Elevations, elevations as elevations
+    from nls.missions.sonar.elevation import Elevations as Elevations, elevations as elevations
     from nls.missions.solution import Track as Track, track_of as track_of
 
 _WHERE = {
-    "nls.missions.association": "associated",
+    "nls.missions.contacts.associate": "associated",
     "nls.missions.folder.dives": "DivesReport read_dives",
     "nls.missions.folder.read": "read_mission",
-    "nls.missions.folder.report": "MissionReport",
+    "nls.missions.folder.folder": "MissionReport",
     "nls.missions.folder.write": "write_mission",
-    "nls.missions.landmarks": "Elevations elevations",
+    "nls.missions.sonar.elevation": "Elevations elevations",
     "nls.missions.solution": "Track track_of",
 }
 

@@ -29,7 +29,7 @@ from models.errors import UnderconstrainedError
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.table import EMPTY
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport
 from nls.values import Values
 
 LEFT = 0.9  # of the sigma: 81 % of the variance

@@ -29,8 +29,8 @@ from nls.io.trajectory import trajectory_text
 from nls.metrics import TrajectoryError, ate, circles
 from nls.missions import determination
 from nls.missions.folder.dives import SHARED, Dive, DivesReport
-from nls.missions.folder.report import MissionReport
-from nls.missions.landmarks import Elevations, elevations
+from nls.missions.folder.folder import MissionReport
+from nls.missions.sonar.elevation import Elevations, elevations
 from nls.values import Values
 
 if TYPE_CHECKING:

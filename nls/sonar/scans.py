@@ -1,8 +1,7 @@
 """Closures and maps of scans under their public path; the rooms are `nls.missions.scans` and `nls.missions.checks`."""
 
 from nls.missions.checks.findings import SetupFinding, SetupKind
-from nls.missions.checks.scan_mounting import Mounting, mounting
-from nls.missions.checks.scan_setup import check_setup
+from nls.missions.checks.scan_setup import Mounting, check_setup, mounting
 from nls.missions.scans import (
     Closing,
     Drift,

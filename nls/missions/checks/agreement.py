@@ -19,6 +19,15 @@ A vehicle goes ahead most of the time: the directions c of its way, less its hea
 near 1. Where R is not, and one of its columns read otherwise makes it so, that reading is named. From fix to fix the
 heading is that of a way at an even speed. A heading counted counterclockwise and a longitude of the other side turn c
 against the heading alike, so both are named.
+
+**Clocks**: the times of the tables beside each other, and fixes under water.
+The track (B, E) is that of the table with which the others have most time in common. The times of a table (b, e)
+beside it are in another unit where (e - b) / (E - B) is a thousand or so. They are late by whole weeks, days or hours
+where only that brings them over the track. A sensor that begins some seconds after the others and ends by as much after
+them is late by these.
+
+A receiver of satellites has no fix under water. Where fixes are deep at their times, and all at the surface some leap
+seconds earlier, or the time by which both b and e are late, their clock is off. Fixes by sound stay deep at any time.
 """
 
 from __future__ import annotations
@@ -32,16 +41,104 @@ from models.algebra import Array, Mask
 from models.dead_reckoning.drop_outs import longest_step
 from nls.missions.checks import alone
 from nls.missions.checks.findings import Cause, Implausible, Reading
-from nls.missions.checks.log import Alternative, Fixes, Log, alternatives, corrected, middle
+from nls.missions.checks.log import Alternative, Fixes, Log, alternatives, corrected, middle, times_of_poses
 from nls.missions.folder.columns import ANGLES, VELOCITY
 from nls.missions.folder.table import Table
 
+TRACK = ("dvl", "ahrs", "depth", "pressure", "gyro", "path")
+TIMED = (*TRACK, "fixes", "ranges", "usbl", "contacts", "ship")
+LEAPS = {18.0: "GPS time and not UTC", 37.0: "TAI and not UTC", 19.0: "TAI and not GPS time"}  # s
+PERIODS = {7 * alone.DAY: "week", alone.DAY: "day", 3600.0: "hour", 1800.0: "half-hour"}  # between clocks of two zones
+SAME_CLOCK = 3.0  # s by which two clocks may differ
 LARGEST = 1e9  # m, as the reader has it
 WINDOW = 10.0  # s
 FLOOR = 0.04  # relative misfit of a right log: scale, mounting, drop-outs, lever arms
 DOUBT, CURED, TIE = 3.5, 1 / 3, 1.6
 ARM = 5.0  # m
 SCALED = 0.2  # relative misfit that a reading leaves: a right log had 0.16, by a DVL whose mounting is off
+
+
+def clocks_by_spans(tables: dict[str, Table]) -> list[Implausible]:
+    """Tables whose clock is off, and a depth that has the pressure of the air; lines are rows of the table."""
+    timed = [name for name in TIMED if name in tables and tables[name].has("time_s")]
+    times = {name: tables[name].floats("time_s")[:, 0] for name in timed}
+    every = np.array([[t.min(), t.max()] for t in times.values()])
+    track = every[: len(times.keys() & {*TRACK})]  # its tables come first
+    if not len(track):
+        return []
+    span = max([np.sort(track, axis=0)[len(track) // 2], *track], key=lambda span: _agreement(every, span))
+    out = [entry for name, t in times.items() for entry in _apart(f"{name}.csv", t, span)]
+    if len(track) > 2:
+        out = out or [entry for name in TRACK if name in times for entry in _shifted(f"{name}.csv", times[name], span)]
+    file = next((name for name in ("depth", "path") if name in times and tables[name].has("z_m")), None)
+    if not out and "fixes" in times and file is not None:
+        out += _at_depth(times["fixes"], span, f"{file}.csv", times[file], tables[file].floats("z_m")[:, 0])
+    return out
+
+
+def _agreement(spans: Array, span: Array) -> float:
+    """Of spans (n, 2) with one: the parts that both have of what either has, in all."""
+    both = np.minimum(spans[:, 1], span[1]) - np.maximum(spans[:, 0], span[0])
+    either = np.maximum(spans[:, 1], span[1]) - np.minimum(spans[:, 0], span[0])
+    return float(np.sum(np.maximum(both, 0.0) / np.maximum(either, 1e-9)))
+
+
+def _apart(file: str, t: Array, span: Array) -> Iterator[Implausible]:
+    """Times (n,) that have another unit than the track, or another zone."""
+    own, length = np.array([t.min(), t.max()]), max(float(span[1] - span[0]), 1e-9)
+    ratio = float(np.ptp(own)) / length
+    if factor := next((f for f in (1e3, 1e6, 1e9, 1e-3, 1 / alone.DAY) if abs(ratio / f - 1) < 0.05), None):
+        yield Implausible.of("span", ratio, 1.0, "", Reading(Cause.UNIT, file, "time_s", factor))
+        return
+    if own[0] < span[1] and own[1] > span[0] and np.abs(np.diff(own - span)) > SAME_CLOCK:
+        return
+    for period in PERIODS:
+        late = float(np.round(np.mean(own - span) / period) * period)
+        overlap = min(own[1] - late, span[1]) - max(own[0] - late, span[0])
+        apart = np.abs(own - span - late).max() < SAME_CLOCK or own[0] > span[1] or own[1] < span[0]
+        if late and apart and overlap >= 0.9 * min(np.ptp(own), length):
+            yield Implausible.of("late", own[0] - span[0], 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
+            return
+
+
+def _shifted(file: str, t: Array, span: Array) -> Iterator[Implausible]:
+    """Times (n,) of a sensor that begin and end later than those of most others, by the same time."""
+    apart = np.array([t.min(), t.max()]) - span
+    leaps = (s * leap for leap in LEAPS for s in (1, -1) if np.abs(apart - s * leap).max() <= np.ptp(apart))
+    late = next(leaps, float(apart.mean()))
+    if abs(late) > 15.0 and np.ptp(apart) <= 0.15 * abs(late):  # less: sensors switched on one after the other
+        yield Implausible.of("late", late, 0.0, "s", Reading(Cause.ZONE, file, "time_s", late))
+
+
+def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterator[Implausible]:
+    """Fixes that are under water at their times (n,), and at the surface earlier or later; or all of them at 10 m."""
+    top, few, wet_from, dry_to = float(z.min()), 3, 2.0, 1.0  # m below it: no satellite is seen; it is the surface
+
+    def deep(late: float) -> tuple[Mask, Array]:
+        inside = (t - late >= t_z[0]) & (t - late <= t_z[-1])
+        return inside, np.interp(t - late, t_z, z) - top
+
+    inside, depth = deep(0.0)
+    unit, enough = alone.air_in(top), inside.sum() >= few
+    if unit and enough and (depth[inside] < dry_to * unit).all() and (z - top > wet_from * unit).mean() > 0.2:
+        yield Implausible.of("surface", top, dry_to, "m", Reading(Cause.PRESSURE, file, "z_m", unit))
+    wet = inside & (depth > wet_from)
+    own = np.array([t.min(), t.max()]) - span
+    step = float(np.median(np.diff(np.sort(t)))) if len(t) > 1 else 0.0
+    lags = [*LEAPS, *(-leap for leap in LEAPS)] + [float(own.mean())] * bool(np.ptp(own) <= min(2 * step, SAME_CLOCK))
+    rows = {}
+    for late in lags:
+        shifted, below = deep(late)
+        dry = shifted & (below < dry_to)
+        enough = dry.sum() >= max(few, inside.sum()) or (dry.sum() >= few and 2 * wet.sum() >= inside.sum())
+        if enough and not (shifted & ~dry).any():
+            rows[late] = int(dry.sum())
+    if wet.sum() >= few and rows:
+        late = max(rows, key=lambda late: (rows[late], -abs(late)))
+        at = np.flatnonzero(wet)
+        of_depth = np.abs(np.array([t_z.min(), t_z.max()]) - span + late).max() < SAME_CLOCK  # it is that clock
+        reading = Reading(Cause.ZONE, *((file, "time_s", -late) if of_depth else ("fixes.csv", "time_s", late)))
+        yield Implausible.of("under water", len(at), 0.0, "", reading, row=0 if of_depth else at[0])
 
 
 def of_way_down(log: Log) -> list[Implausible]:
@@ -260,15 +357,13 @@ def _steps(odometry: Table, poses: Table | None) -> Iterator[Implausible]:
     """Steps that are faster than a vehicle, where the poses have times."""
     if poses is None:
         return
-    ids, t = poses.integers("i"), poses.floats("time_s")[:, 0]
-    i, j = (np.searchsorted(np.sort(ids), odometry.integers(name)) for name in ("i", "j"))
-    t = t[np.argsort(ids)]
-    if max(i.max(), j.max()) >= len(t) or not (t[j] != t[i]).all():
+    dt = np.abs(times_of_poses(poses, odometry, "j") - times_of_poses(poses, odometry))
+    if not dt.min() > 0:
         return  # the reader names these
     way = odometry.floats("x_m", "y_m")
     if not np.abs(way).max() < LARGEST:
         return
-    speed = np.linalg.norm(way, axis=1) / np.abs(t[j] - t[i])
+    speed = np.linalg.norm(way, axis=1) / dt
     if (usual := float(np.median(speed))) > alone.FASTEST:
         units = [f for f in (1000.0, 100.0) if usual / f < alone.FASTEST / 2]
         causes = [Reading(Cause.UNIT, "odometry.csv", "x_m, y_m", f) for f in units]

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from models.geodesy import LocalPlane
-from nls.missions.checks.agreement import jumping, of_fixes, of_heading, of_track, of_way_down
+from nls.missions.checks.agreement import clocks_by_spans, jumping, of_fixes, of_heading, of_track, of_way_down
 from nls.missions.checks.alone import alone, attitude_of, sound_speeds
-from nls.missions.checks.clocks import clocks_by_spans
 from nls.missions.checks.findings import Cause, Implausible
 from nls.missions.checks.log import Log, read_fixes, read_log
 from nls.missions.checks.special import repeated, special_values, stale, without

@@ -141,14 +141,16 @@ def middle(y: Array) -> Array:
 def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     """The raw log of a mission, calibrated; None without one, of a short one, or with a number that the reader refuses.
 
-    None also with gyro.csv and pressure.csv, whose mistakes are others.
+    None also with gyro.csv and pressure.csv, whose mistakes are others, and without a sigma that the reader asks for.
 
     Raises
     ------
     GraphFileError
         A cell that is no number, a time that does not rise.
     """
-    if "dvl" not in tables or {"gyro", "pressure"} & tables.keys() or not tables["ahrs"].has("yaw_rad"):
+    if "dvl" not in tables or {"gyro", "pressure"} & tables.keys():
+        return None
+    if not tables["ahrs"].has("yaw_rad") or not tables["noise"].has("sigma_yaw_rad"):
         return None
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
@@ -225,7 +227,7 @@ class Alternative:
             log = read_log(tables, None)
             return tables | {"dvl": tables["dvl"].with_numbers(VELOCITY, self.on_log(log).v)} if log else {}
         if self.reading == FROM_NORTH:
-            return _from_the_bow(tables) if {"usbl", "ship"} <= tables.keys() else {}
+            return _from_the_bow(tables)
         columns = self.reading.columns
         names = tables if columns[0] in GEODETIC else [self.reading.file.removesuffix(".csv")]
         own = {name: tables[name] for name in names if name in tables and tables[name].has(*columns)}
@@ -236,11 +238,26 @@ class Alternative:
         return np.asarray(y @ self.A.T + self.c)
 
 
+def times_of_poses(poses: Table, rows: Table, column: str = "i") -> Array:
+    """The times (n,) by poses.csv of the poses that a column of rows names; nan beyond the last one."""
+    numbers = poses.integers("i")
+    order = np.argsort(numbers)
+    return np.append(poses.floats("time_s")[order, 0], np.nan)[np.searchsorted(numbers[order], rows.integers(column))]
+
+
 def _from_the_bow(tables: dict[str, Table]) -> dict[str, Table]:
-    """Bearings of a USBL less the heading of the ship."""
+    """Bearings of a USBL less the heading of the ship; empty where nothing says the times of its rows."""
+    if not {"usbl", "ship"} <= tables.keys():
+        return {}
     ship, usbl = tables["ship"], tables["usbl"]
-    t, yaw = ship.floats("time_s", "yaw_rad").T
-    bearing = usbl.floats("bearing_rad")[:, 0] - np.interp(usbl.floats("time_s")[:, 0], t, np.unwrap(yaw))
+    if usbl.has("time_s"):
+        t = usbl.floats("time_s")[:, 0]
+    elif "poses" in tables:
+        t = times_of_poses(tables["poses"], usbl)
+    else:
+        return {}
+    t_s, yaw = ship.floats("time_s", "yaw_rad").T
+    bearing = usbl.floats("bearing_rad")[:, 0] - np.interp(t, t_s, np.unwrap(yaw))
     return tables | {"usbl": usbl.with_numbers(("bearing_rad",), wrap(bearing)[:, None])}
 
 

@@ -34,7 +34,7 @@ from nls.linear import factorize
 from nls.linear.factorization import SingularSystemError
 from nls.missions.checks.findings import Cause, Reading, TableError
 from nls.missions.folder.calibration import NAMES
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.timeline import CLOCKED, rates_by_time, total, twists
 from nls.sparse.pattern import Batch, Pattern
 from nls.sparse.threads import single_thread

@@ -30,16 +30,15 @@ from nls.analysis.calibrations import explains
 from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.association import associated
 from nls.missions.checks.alone import ROBUST
 from nls.missions.checks.findings import Cause, Explained, Implausible, Reading, TableError, Trial
 from nls.missions.checks.log import Alternative, corrected, readings
+from nls.missions.contacts.associate import associated
 from nls.missions.determination import LEFT
 from nls.missions.folder.calibration import NAMES, wide
 from nls.missions.folder.columns import COLUMNS, GEODETIC
-from nls.missions.folder.folder import report_of
+from nls.missions.folder.folder import MissionReport, report_of
 from nls.missions.folder.read import graph_of
-from nls.missions.folder.report import MissionReport
 from nls.missions.folder.table import Table, csv_text
 from nls.missions.folder.timeline import TIMED
 from nls.optimizers.fit import TWICE

@@ -11,7 +11,7 @@ import numpy as np
 from models.findings import Sentences, Stated
 from models.listing import several
 from nls.explanation.findings import FindingKind
-from nls.missions.checks.clocks import LEAPS, PERIODS
+from nls.missions.checks.agreement import LEAPS, PERIODS
 from nls.missions.checks.findings import Cause, Reading, SetupKind, Trial
 from nls.missions.checks.special import meant
 from nls.missions.folder.calibration import NAMES, wide

@@ -31,8 +31,7 @@ from models.algebra import Array, Index, apply, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
 from nls.missions.contacts import partition
-from nls.missions.contacts.estimate import KERNEL
-from nls.missions.contacts.gates import quadratic
+from nls.missions.contacts.estimate import KERNEL, quadratic
 
 LEAST_MATCHES = 10
 MOST_MOTIONS = 500_000  # pairs times turns; a motion that is known so poorly waits for that of other maps

@@ -6,13 +6,13 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
 3. A track whose sightings fit the landmark of another is joined with it (`nls.missions.contacts.partition`), and
    sightings alone with one another. A track with two answers waits. A sighting that its landmark does not explain is
    alone again.
-   Pieces without which chi2 is much less are a landmark of their own again (`nls.missions.contacts.splitting`). Of a
+   Pieces without which chi2 is much less are a landmark of their own again (`nls.missions.contacts.decisions`). Of a
    track in one piece, whose chi2 no noise explains, the worst sighting is alone.
 
 2 and 3 again, from the better estimate, until next to nothing changes. First gates are narrow, where poses are known
 well beside each other. Then they are twice as wide, until no pair that fits is wider. The narrow ones correct the
 poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
-(`nls.missions.contacts.compatibility`).
+(`nls.missions.contacts.decisions`).
 
 A mission of many pings has stretches of its own before (`nls.missions.contacts.partition`). Their rounds join sightings
 where dead reckoning has drifted little. Then all landmarks of a stretch together tell where it lies on another one
@@ -26,25 +26,38 @@ Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from factors.keys import Keys, Kind, kinds
 from factors.sighting import Sighting
 from models.algebra import Array, Index
+from models.errors import GraphFileError, UnderconstrainedError
 from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.missions.contacts import gates, partition
-from nls.missions.contacts.compatibility import resolved
-from nls.missions.contacts.estimate import FIRST_KERNEL, KERNEL, Estimate, estimated
-from nls.missions.contacts.gates import Anchored, Pairs
+from nls.missions.contacts import partition
+from nls.missions.contacts.decisions import Cuts, resolved
+from nls.missions.contacts.estimate import (
+    FIRST_KERNEL,
+    KERNEL,
+    Anchored,
+    Estimate,
+    Pairs,
+    estimated,
+    landmark_distances,
+    near_landmarks,
+    near_pings,
+    near_sightings,
+    sighting_distances,
+)
 from nls.missions.contacts.loops import closed, local_maps
 from nls.missions.contacts.pings import Pings, bounds, stretch_of_ping, stretches, without
-from nls.missions.contacts.splitting import Cuts
-from nls.stages import announce
+from nls.missions.folder.contacts import sonar_parts
+from nls.missions.folder.folder import MissionReport
+from nls.stages import announce, stage
 from nls.values import Values
 
 STRETCH_PINGS = 150  # of a stretch, at most
@@ -200,8 +213,8 @@ def _rounds(
         poses, cuts = estimate.values, Cuts(pings, graph, estimate, pieces)
         open_ = np.flatnonzero(expelled < MOST_EXPELLED)
         alone = open_[partition.sizes(tracks)[open_] == 1]
-        near = gates.near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
-        pairs = gates.near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
+        near = near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
+        pairs = near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
         anchored = Anchored(pings, cuts.tied, near[::-1], pairs)
         Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
@@ -230,8 +243,8 @@ def _rounds(
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
     """Tracks (n,) of sightings in pings that follow one another, up to the third after one."""
-    c, d, motions = gates.near_pings(pings, graph, values, 3, gate)
-    d2, _ = gates.sighting_distances(pings, values, c, d, motions)
+    c, d, motions = near_pings(pings, graph, values, 3, gate)
+    d2, _ = sighting_distances(pings, values, c, d, motions)
     tracks = partition.linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
     return partition.once_per_ping(tracks, pings.ping)
 
@@ -245,8 +258,8 @@ def _joined(
     pairs : of sightings (q,) that are alone.
     """
     tracks, (d, landmarks), (c, e) = estimate.tracks, near, pairs
-    of_landmarks = gates.landmark_distances(pings, estimate, anchored, d, landmarks)
-    of_one = gates.sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
+    of_landmarks = landmark_distances(pings, estimate, anchored, d, landmarks)
+    of_one = sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
     d2, width = (np.concatenate([a, b, b]) for a, b in zip(of_landmarks, of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
@@ -273,3 +286,70 @@ def _associated(
     d2 = np.where(decided, estimate.d2, np.nan)
     rounds = tuple(int(np.count_nonzero(partition.sizes(tracks) >= least)) for tracks in history)
     return Associated(numbers, sightings, values, rounds, settled, cost, d2, tuple(history))
+
+
+def associated(graph: FactorGraph, values: Values, report: MissionReport) -> tuple[FactorGraph, Values, MissionReport]:
+    """The graph of a mission with the contacts that its file gives no names, once their landmarks are found.
+
+    Reading a mission leaves such contacts out of the graph, and counts them. Association solves the graph several
+    times. Landmarks are numbered from 0 in the order of their first contacts. Undecided contacts become no factors.
+
+    Parameters
+    ----------
+    graph, values, report : of `nls.load` or `read_mission`. All three stay as they are.
+
+    Returns
+    -------
+    graph, values, report : with the factors of the decided contacts, their landmarks ``l``, and the lines of both; a
+        note says how many contacts landmarks explain. The same three where no contact is without a name.
+
+    Raises
+    ------
+    GraphFileError
+        The track is not determined without the contacts.
+
+    Notes
+    -----
+    See the page on the theory of association, and `nls.sonar.contacts.associate`, which takes any graph.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import nls, sim
+    >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=1, per_leg=8)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = nls.missions.write_mission(folder, mission.graph, mission.sonar, mission.offset)
+    ...     file = Path(folder, "contacts.csv")
+    ...     rows = [row.split(",") for row in file.read_text().splitlines()]
+    ...     _ = file.write_text("".join(",".join(row[:1] + row[2:]) + "\\n" for row in rows))
+    ...     graph, values, report = nls.load(folder)
+    >>> report.counts["contacts_without_names"], list(values.stacks)
+    (265, ['x'])
+    >>> graph, values, report = nls.missions.associated(graph, values, report)
+    >>> report.counts, list(values.stacks)
+    ({}, ['x', 'l'])
+    >>> graph.optimize(values).converged
+    True
+    """
+    if (unnamed := report.unnamed) is None:
+        return graph, values, report
+    assert report.sonar is not None
+    with stage("associate"):
+        announce(f"{len(unnamed):,} contacts without names")
+        try:
+            answer = associate(graph, values, unnamed.contacts, report.sonar.aperture)
+        except UnderconstrainedError as error:
+            needed = "names no landmarks, so that the track must be determined without them"
+            raise GraphFileError(f"{needed}: {error.message}", unnamed.table.path, advice=error.advice) from error
+    remark, replaced = f"contacts.csv names no landmarks: {answer}", unnamed.note(report.path)
+    notes = [remark if note == replaced else note for note in report.notes]
+    factors, sources = list(graph.factors), list(report.sources)
+    if answer.landmarks:
+        rows = unnamed.rows[answer.numbers >= 0]
+        for factor, own in sonar_parts(answer.sightings, unnamed.table, rows, report, unnamed.elevation):
+            factors.append(factor)
+            sources.append(own)
+        values = Values.of([*values.stacks.values(), answer.values.stack(l)])
+    return FactorGraph(factors, graph.fixed), values, replace(report, notes=notes, sources=sources, unnamed=None)

@@ -43,8 +43,7 @@ from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
 from nls.missions.contacts import partition
 from nls.missions.contacts.alignment import LEAST_MATCHES, Points, aligned
-from nls.missions.contacts.estimate import FIRST_KERNEL, Estimate
-from nls.missions.contacts.gates import largest_variances, quadratic
+from nls.missions.contacts.estimate import FIRST_KERNEL, Estimate, largest_variances, quadratic
 from nls.missions.contacts.pings import Pings, bounds, middles, stretch_of_ping
 from nls.stages import announce
 from nls.values import Values

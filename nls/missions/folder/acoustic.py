@@ -24,7 +24,7 @@ from nls.io.report import Source
 from nls.missions.folder.calibration import Spaces
 from nls.missions.folder.columns import ANGLES, PLACE, USBL, suffixed
 from nls.missions.folder.fixes import horizontal
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.rows import Assembly, arms, columns_together
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline, leave_out, one_of

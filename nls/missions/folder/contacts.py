@@ -16,7 +16,7 @@ from models.errors import OptionError
 from models.sensors import ImagingSonar
 from nls.io.report import Source
 from nls.missions.folder.columns import ANGLES, CONTACT, PLACE, suffixed
-from nls.missions.folder.report import MissionReport, Unnamed
+from nls.missions.folder.folder import MissionReport, Unnamed
 from nls.missions.folder.rows import Assembly
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline

@@ -29,8 +29,8 @@ from nls.missions.folder.acoustic import refuse_moved_beacons, without_known_bea
 from nls.missions.folder.calibration import Calibrations, Spaces
 from nls.missions.folder.columns import LEVEL
 from nls.missions.folder.fixes import closures
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.read import read_mission
-from nls.missions.folder.report import MissionReport
 from nls.missions.folder.rows import Assembly
 from nls.missions.starts.placing import turn_to
 from nls.values import Values

@@ -60,9 +60,17 @@ from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from models.sensors import levelled
-from nls.missions.folder.attitude import CLOCK, Attitude, attitude_of, gyro_biases, headings, holes_of, turn_covariance
+from nls.missions.folder.attitude import (
+    CLOCK,
+    Attitude,
+    attitude_of,
+    depths_of,
+    gyro_biases,
+    headings,
+    holes_of,
+    turn_covariance,
+)
 from nls.missions.folder.columns import ANGLES, GYRO, PLACE, VELOCITY, WATER_TRACK
-from nls.missions.folder.depth import depths_of
 from nls.missions.folder.rows import Assembly, noise_of, one_row
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import poses_of_log, poses_of_rows

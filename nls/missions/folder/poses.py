@@ -1,10 +1,12 @@
-"""Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, CSV with a head, graphs.
+r"""Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, CSV with a head, graphs.
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
 yaw_rad. It has i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
 Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A column of empty cells
 is none, as of what nothing measures. A scan mission calls its
 columns keyframe, time, x, y and yaw.
+
+**The truth** of a mission, truth.csv and landmarks.csv: the true poses and landmarks that a solution is judged by.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from models import euler
+from factors.keys import kinds
+from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
 from models.errors import OptionError
 from models.options import did_you_mean
@@ -25,8 +28,11 @@ from nls.io import load
 from nls.io.files import GRAPH_FILES
 from nls.io.formats import Reading, suffix_of, suffixes
 from nls.io.trajectory import lifted, track_of
+from nls.missions.folder.calibration import Spaces
 from nls.missions.folder.columns import ANGLES, PLACE, UPRIGHT, suffixed
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.table import Table
+from nls.values import Values
 
 NEEDED = (*ANGLES, *PLACE)
 SIGMAS = suffixed(PLACE)
@@ -34,6 +40,7 @@ OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)
 COLUMNS = ("x_m", "y_m", *OPTIONAL)
 FILES, TRUE_FILES = ("trajectory.csv",), ("truth.csv", "truth.npz", "trajectory.csv")  # of a solution; a mission
 ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
+x, l = kinds("x", "l")
 
 
 @dataclass(frozen=True)
@@ -129,3 +136,63 @@ def _where_filled(table: Table, name: str) -> Array:
     numbers, filled = np.full(len(table), np.nan), table.filled(name)[:, 0]
     numbers[filled] = table.part(filled).floats(name)[:, 0]
     return numbers
+
+
+def true_values(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
+    """True poses and landmarks, where there are files of them."""
+    true: Spaces = {}
+    if (table := tables.get("truth")) is not None and not table.has("i"):
+        true[x] = _truth_at_times(table, numbers, report)
+    elif table is not None:
+        if table.has("time_s"):
+            raise table.at(0, "truth.csv has both i and time_s; leave one of the two columns out")
+        ids = table.unique("i", "pose")
+        true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
+        if not np.isin(ids, numbers).any():
+            raise table.at(0, f"pose {ids[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
+        _compare("truth.csv", "poses", ids, numbers, report)
+    if (table := tables.get("landmarks")) is not None:
+        true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
+    return Values(true)
+
+
+def _truth_at_times(table: Table, numbers: Numbers, report: MissionReport) -> tuple[Manifold, Array, Numbers]:
+    """True poses at the times of those of the track: on the line between two rows, position and angles."""
+    if not table.has("time_s"):
+        raise table.at(0, "truth.csv has neither i nor time_s; say of which pose, or of which time, each row is")
+    if (times := report.vertex_times.get("x")) is None:
+        raise table.at(0, "truth.csv has times and the poses have none; give i instead, or the times in poses.csv")
+    t, state = table.rising("time_s"), table.attitude(*ANGLES, *PLACE)
+    inside = (times >= t[0]) & (times <= t[-1])
+    if not inside.any():
+        rest = f"s and the poses of {float(times.min())!r} to {float(times.max())!r} s: no time in common"
+        raise table.at(0, f"the truth is of {float(t[0])!r} to {float(t[-1])!r} {rest}")
+    if outside := int((~inside).sum()):
+        reason = f"errors are of {inside.sum()} poses, not of {outside} before or after it"
+        report.notes.append(f"truth.csv does not last as long as the track: {reason}")
+    state[:, :3] = np.unwrap(state[:, :3], axis=0)
+    at_poses = np.column_stack([np.interp(times[inside], t, column) for column in state.T])
+    return SE3, euler.to_se3(at_poses), numbers[inside]
+
+
+def compare_landmarks(report: MissionReport, points: Numbers) -> None:
+    """Say which landmarks cannot be judged by landmarks.csv, and which of its rows judge none."""
+    if "l" not in report.truth.stacks:
+        return
+    known = report.truth.stack("l").numbers
+    if not len(points):
+        report.notes.append("landmarks.csv is not used: there is no contacts.csv")
+    elif not np.isin(points, known).any():
+        rest = f"{known[0]} the first, is in contacts.csv, where {points[0]} is; their errors are not known"
+        report.notes.append(f"landmarks.csv is not used: none of its landmarks, {rest}")
+    else:
+        _compare("landmarks.csv", "landmarks", known, points, report)
+
+
+def _compare(file: str, noun: str, known: Numbers, measured: Numbers, report: MissionReport) -> None:
+    """Say how many of those measured have no truth, and how many truths nothing measures."""
+    if missing := len(np.setdiff1d(measured, known)):
+        rest = "errors are of the others"
+        report.notes.append(f"{file} has no row for {missing} of {len(measured)} {noun}: {rest}")
+    if more := len(np.setdiff1d(known, measured)):
+        report.notes.append(f"{file} has {more} {noun} nothing measures: not used")

@@ -16,13 +16,12 @@ from nls.missions.folder.calibration import Calibrations, Compass, Spaces
 from nls.missions.folder.contacts import add_contacts, leave_contacts
 from nls.missions.folder.dvl import integrated
 from nls.missions.folder.fixes import Pose, add_anchor, add_closures, add_fixes, plane_of
-from nls.missions.folder.folder import read_tables
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport, read_tables
+from nls.missions.folder.poses import compare_landmarks, true_values
 from nls.missions.folder.rows import Assembly
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import Timeline, measured_times, shift_clocks
 from nls.missions.folder.tracks import odometry, reckoned, walking
-from nls.missions.folder.truth import compare_landmarks, true_values
 from nls.missions.starts.placing import along_measurements, place_beacons, turn_to, turn_to_measurements
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting

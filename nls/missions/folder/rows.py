@@ -14,7 +14,7 @@ from nls.graph import FactorGraph
 from nls.io.report import Source
 from nls.missions.folder.calibration import Calibrations
 from nls.missions.folder.columns import ARM, MAY_BE_0
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.table import Table
 
 NO_KERNEL = "none"

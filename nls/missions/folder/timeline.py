@@ -26,7 +26,7 @@ from models.algebra import Array, Mask, Numbers, apply
 from models.errors import GraphFileError
 from nls.missions.folder.calibration import NAMES as CALIBRATIONS
 from nls.missions.folder.calibration import Calibrations
-from nls.missions.folder.report import MissionReport
+from nls.missions.folder.folder import MissionReport
 from nls.missions.folder.rows import Assembly, Times
 from nls.missions.folder.table import Table
 from nls.values import Values

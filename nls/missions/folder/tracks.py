@@ -34,9 +34,8 @@ from models.algebra import Array, Numbers, wrap
 from models.dead_reckoning.drop_outs import longest_step
 from models.sensors import levelled
 from nls.io.report import Source
-from nls.missions.folder.attitude import CLOCK, attitude_of, headings, holes_of
+from nls.missions.folder.attitude import CLOCK, attitude_of, depths_of, headings, holes_of
 from nls.missions.folder.columns import ANGLES, ARM, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
-from nls.missions.folder.depth import depths_of
 from nls.missions.folder.rows import Assembly, Times, columns_together, noise_of, one_row
 from nls.missions.folder.table import Table
 from nls.missions.folder.timeline import SAME, poses_of_rows, united

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
-    from nls.missions.landmarks import Elevations
     from nls.missions.solution import Track
+    from nls.missions.sonar.elevation import Elevations
     from nls.optimizers import Result
     from nls.values import Values
 
@@ -122,7 +122,7 @@ def landmark_map(
     Parameters
     ----------
     values : poses ``x`` and landmarks ``l``.
-    elevations : `nls.missions.folder.elevations` at these values; without sigmas the landmarks alone are drawn.
+    elevations : `nls.missions.elevations` at these values; without sigmas the landmarks alone are drawn.
     truth : true landmarks.
     aperture : of the sonar, rad: the colors end at aperture / sqrt(12), what it says of an elevation by itself; at the
         largest sigma when omitted.

@@ -24,9 +24,8 @@ from models.options import check_positive
 from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
-from nls.missions.scans.closing import chosen
+from nls.missions.scans.closing import Matches, chosen
 from nls.missions.scans.dead_reckoning import Drift, Reckoning
-from nls.missions.scans.matches import Matches
 from nls.missions.scans.scans import FOOTPRINT_CELL, SUBMAP_HALF, SUBMAP_STEP, Scans, centers, half_widths, pairs
 from nls.values import Values
 

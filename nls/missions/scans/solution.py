@@ -17,7 +17,7 @@ from factors.keys import kinds
 from models.algebra import distance_along
 from models.errors import SingularGeometryError
 from nls.metrics import TrajectoryError, circles
-from nls.missions.charts.ply import ply_text
+from nls.missions.charts.writers import ply_text
 from nls.missions.checks.findings import SetupFinding
 from nls.missions.checks.scan_setup import BENDING
 from nls.missions.determination import or_empty
@@ -34,12 +34,6 @@ SIGMAS = tuple(f"sigma_{name}" for name in POSE)
 TRAJECTORY = ("keyframe", "time_s", *POSE, *SIGMAS, "correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
 MAP = ("x_m", "y_m", "keyframe", "intensity")
 CLOSURES = ("keyframe_i", "keyframe_j", *POSE, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
-WORDS = {
-    Verdict.NO_FIT: "no fit",
-    Verdict.AMBIGUOUS: "ambiguous",
-    Verdict.AT_THE_RIM: "at the rim",
-    Verdict.WIDE: "wide",
-}
 x = kinds("x")[0]
 
 
@@ -69,8 +63,8 @@ class SolvedScans(Solution):
     def verdicts(self) -> list[str]:
         """The fate of every candidate: kept, contradicted by the others, or why it was no closure."""
         accepted = ["kept" if kept else "contradicted" for kept in self.matches.kept.tolist()]
-        verdicts = zip(self.matches.verdict.tolist(), accepted, strict=True)
-        return [WORDS.get(Verdict(verdict), word) for verdict, word in verdicts]
+        verdicts = zip(map(Verdict, self.matches.verdict.tolist()), accepted, strict=True)
+        return [word if verdict is Verdict.ACCEPTED else verdict.words for verdict, word in verdicts]
 
     @cached_property
     def errors(self) -> dict[str, TrajectoryError]:

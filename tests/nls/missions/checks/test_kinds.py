@@ -10,9 +10,8 @@ import pytest
 
 import nls
 from models.algebra import Array
-from nls.missions.checks.agreement import of_fixes
+from nls.missions.checks.agreement import clocks_by_spans, of_fixes
 from nls.missions.checks.alone import tilt_of
-from nls.missions.checks.clocks import clocks_by_spans
 from nls.missions.checks.findings import Cause
 from nls.missions.checks.log import Fixes, Log
 from tests.combinations import for_all

@@ -11,11 +11,14 @@ import pytest
 import sim
 from nls.cli import main
 from nls.missions import read_mission, write_mission
+from nls.missions.checks.log import FROM_NORTH, readings
+from nls.missions.folder.folder import read_tables
 from tests.combinations import for_all
 from tests.nls.missions.checks.missions import files_of, findings
 from tests.nls.missions.checks.spoils import SPOILS
 from tests.nls.missions.checks.vehicle import clean
 from tests.nls.missions.folder.mission_files import TINY, folder
+from tests.nls.missions.folder.test_damaged import WHOLE
 
 ZPR, POSES, DEEP = TINY["zpr"], "i,time_s\n0,0\n1,{0}1\n2,{0}2\n3,{0}3\n", "zpr.csv:2: z_m is implausible: a depth of "
 SPEEDS = "z_m,sound_speed_m_s\n0,1490\n10,{}\n"
@@ -46,6 +49,18 @@ def test_speeds_of_sound_and_integrated_tracks(case: tuple[dict[str, str], str, 
 @for_all(files=[{"sound-speed": SPEEDS.format(1500.0)}, {"poses": POSES.format("")}])
 def test_right_ones_are_plausible(files: dict[str, str]) -> None:
     assert findings(TINY | files) == []
+
+
+@for_all(name=WHOLE)
+def test_every_reading_is_tried_on_whatever_columns_there_are(name: str, tmp_path: Path) -> None:
+    """Rows of usbl.csv with `i` have the times of poses.csv; without that file no bearing is read from the bow."""
+    tables = read_tables(folder(tmp_path / name, WHOLE[name]))[0]
+    tried = {a.reading: a.on_tables(tables) for a in readings(tables)}
+    assert any(tried.values())
+    if name == "placed":
+        assert tried[FROM_NORTH]["usbl"].floats("bearing_rad") == pytest.approx(np.array([[0.5 - 0.1 * 3 / 60]]))
+        (alone,) = (a for a in readings(tables) if a.reading == FROM_NORTH)
+        assert alone.on_tables({k: table for k, table in tables.items() if k != "poses"}) == {}
 
 
 def test_a_simulated_sonar_mission_is_plausible(tmp_path: Path) -> None:

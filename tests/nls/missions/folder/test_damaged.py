@@ -139,6 +139,7 @@ raw.pressure | * | time_s,pressure_pa\n0,1 | - | has depth.csv and pressure.csv,
 gyro.ahrs | * | time_s,roll_rad,pitch_rad,yaw_rad\n0,0,0,0\n40,0,0,0 | gyro:- | gives the yaw, and ahrs.csv has
 gyro.gyro | * | - | ahrs:- | has no column 'yaw_rad', and there is no gyro.csv
 gyro.noise | ,sigma_w_rad_s_sqrt_hz | ,gate_v_m_s | 2 | there is no column sigma_w_rad_s_sqrt_hz, which gyro
+raw.noise | sigma_yaw_rad | gate_v_m_s | 2 | there is no column sigma_yaw_rad, which ahrs.csv needs
 gyro.gyro | 0,0,0,0 | 0,0,0,300 | 2 | wz_rad_s is 300.0; expected radians per second, within 100
 gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission has a declination_ra
 water.water | * | - | pressure:2 | nothing says how heavy the water is; add water.csv

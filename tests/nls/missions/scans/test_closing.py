@@ -115,7 +115,7 @@ def test_where_no_loop_closes_dead_reckoning_is_the_answer(monkeypatch: pytest.M
     corridor = Scene(walls=[[[-50.0, 5.0], [300.0, 5.0]], [[-50.0, -5.0], [300.0, -5.0]]])
     way = drive(np.column_stack([2 * k, 0 * k, 0 * k]), corridor)
     empty = Scans(np.empty((0, 2)), np.empty(0, dtype=int), 80)
-    monkeypatch.setattr("nls.missions.scans.matches.verdicts", lambda score, *_: np.full(len(score), Verdict.NO_FIT))
+    monkeypatch.setattr("nls.missions.scans.closing.verdicts", lambda score, *_: np.full(len(score), Verdict.NO_FIT))
     for reckoned, scans in ((way.reckoned, way.scans), (way.reckoned, empty), (ROOM.reckoned, ROOM.scans)):
         graph, values = dead_reckoning(reckoned)
         closing = close(graph, values, scans, sequential=False)

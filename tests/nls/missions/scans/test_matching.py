@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls.missions.scans import Field, Match, Verdict, match
+from nls.missions.scans.closing import verdicts
 from nls.missions.scans.correlation import YAW_STEP, scores
-from nls.missions.scans.matches import verdicts
 from tests.factors.evaluated import Array, refused, same
 
 FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas of any match, m m rad
