@@ -1,4 +1,4 @@
-"""Sensor equations against numbers done by hand, where they have no value, and presets of a DVL."""
+"""Sensor equations against numbers done by hand, where they have no value, presets of a DVL, depth from pressure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 
 from models import SE2, SE3, euler
 from models.algebra import Array
-from models.errors import OptionError
+from models.errors import LeadlineError, OptionError
+from models.pressure import GRAVITY, depth_by_density, depth_unesco
 from models.sensors import (
     SingularAt,
     direction,
@@ -124,3 +125,24 @@ def test_a_dvl_is_a_value_that_can_be() -> None:
         for bad in bads:
             with pytest.raises(OptionError, match=f"{name}: "):
                 DVL(**{"name": "mine", "sigma": 0.01, name: bad})
+
+
+def test_the_check_value_of_the_source() -> None:
+    assert float(depth_unesco(1e8, 30.0)) == pytest.approx(9712.653, abs=5e-4)
+
+
+def test_teos_10_has_the_same_but_for_a_hundredth_of_a_percent() -> None:
+    gsw = pytest.importorskip("gsw")
+    for latitude in (-60.0, 0.0, 45.0):
+        for dbar, most in ((10.0, 3e-6), (1000.0, 3e-6), (10000.0, 1.3e-4)):
+            assert float(depth_unesco(dbar * 1e4, latitude)) == pytest.approx(-gsw.z_from_p(dbar, latitude), rel=most)
+
+
+def test_a_column_of_water_weighs_its_pressure() -> None:
+    assert float(depth_by_density(1025.0 * GRAVITY * 37.0, 1025.0)) == pytest.approx(37.0)
+    assert float(depth_by_density(0.0, 1025.0)) == 0.0
+    for density in (0.0, -1.0, np.nan, "sea"):
+        with pytest.raises(LeadlineError, match="density"):
+            depth_by_density(1e5, density)  # type: ignore[arg-type]
+    with pytest.raises(LeadlineError, match="latitude"):
+        depth_unesco(1e5, 91.0)

@@ -13,8 +13,23 @@ from models import SE2, SE3, LieGroup, Manifold, R
 from nls import FactorGraph, Kind, Values, kinds
 from nls.io.variable_names import renumbered
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same
-from tests.nls.io.robots import LABEL, ROBOTS, STEP, A, B, L, X, numbers, renamed, without
+from tests.nls.io.g2o_files import (
+    LABEL,
+    PLANE,
+    ROBOTS,
+    STEP,
+    A,
+    B,
+    L,
+    X,
+    again,
+    assert_refused,
+    numbers,
+    read,
+    renamed,
+    same,
+    without,
+)
 
 
 def test_a_file_of_two_robots_has_their_names_and_comes_back_byte_for_byte(tmp_path: Path) -> None:

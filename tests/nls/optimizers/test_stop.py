@@ -31,8 +31,7 @@ from nls import (
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS, automatic, stop
 from nls.optimizers.step import Thresholds
-from tests.nls.explanation.wrong import WrongSign
-from tests.nls.graphs import GROUPS, circle, never_worse, p, pose_graph, scalar
+from tests.nls.graphs import GROUPS, WrongSign, circle, never_worse, p, pose_graph, scalar
 
 ALL = pytest.mark.parametrize("name", OPTIMIZERS)
 
