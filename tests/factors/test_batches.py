@@ -9,20 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 import factors as f
-from factors import (
-    Bearing,
-    BearingRange,
-    Between,
-    Cauchy,
-    Diagonal,
-    Factor,
-    Information,
-    Isotropic,
-    Position,
-    Prior,
-    Robust,
-    Wheels,
-)
+from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Information, Isotropic, Prior, Robust, Wheels
 from factors.base import Model
 from factors.joined import joined
 from factors.keys import Keys, Kind
@@ -103,11 +90,11 @@ def test_one_measurement_shared_by_all_stays_one() -> None:
 def test_plain_lists_of_numbers() -> None:
     """z (n,): told from one measurement of n numbers by what the factor measures."""
     i, z, unit = np.arange(3), [1.0, 2.0, 3.0], Isotropic(1)
-    for factor in (f.Range(x[i], l[0], z, unit), f.Heading(x[i], z, unit), Position(x[i], z, unit, ("z",))):
+    for factor in (f.Range(x[i], l[0], z, unit), f.Heading(x[i], z, unit), f.Position(x[i], z, unit, ("z",))):
         assert factor[1:].z.tolist() == [2.0, 3.0]
-    assert Bearing(x[i], l[0], z, unit)[1:].z.tolist() == [2.0, 3.0]
-    assert f.Landmark(x[i], l[0], z, unit)[1:].z.tolist() == Position(x[i], z, unit)[1:].z.tolist() == z
-    refused(lambda: Bearing(x[i[:2]], l[0], z[:2], unit)[0], GraphError, r"\(2,\) may be 2 measurements or one of 2")
+    assert f.Bearing(x[i], l[0], z, unit)[1:].z.tolist() == [2.0, 3.0]
+    assert f.Landmark(x[i], l[0], z, unit)[1:].z.tolist() == f.Position(x[i], z, unit)[1:].z.tolist() == z
+    refused(lambda: f.Bearing(x[i[:2]], l[0], z[:2], unit)[0], GraphError, r"\(2,\) may be 2 measurements or one of 2")
     flat = Prior(x[i], z, unit)
     flat.bind(R(1))
     assert flat[1:].z.tolist() == [2.0, 3.0]

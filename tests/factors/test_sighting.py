@@ -10,21 +10,7 @@ import pytest
 
 import factors as f
 import models
-from factors import (
-    Bearing,
-    BearingRange,
-    Elevation,
-    ElevationHinge,
-    EpipolarArc,
-    Huber,
-    Isotropic,
-    Landmark,
-    Line,
-    Range,
-    RangeAzimuth,
-    Sighting,
-    sonar_factors,
-)
+from factors import Bearing, BearingRange, EpipolarArc, Huber, Isotropic, Range, RangeAzimuth, Sighting, sonar_factors
 from factors.keys import Keys
 from models import LINE, SE2, SE3, LieGroup, Manifold, R, euler
 from models.errors import GraphError, OptionError
@@ -35,14 +21,14 @@ from tests.factors.evaluated import error, linearized, refused, same
 
 x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
-NUMBERS = {Landmark: 3, Range: 1, Bearing: 2, BearingRange: 3, RangeAzimuth: 2}  # of a measurement in space
+NUMBERS = {f.Landmark: 3, Range: 1, Bearing: 2, BearingRange: 3, RangeAzimuth: 2}  # of a measurement in space
 
 
-@for_all(case=[(Landmark, SE2), (Landmark, SE3), (BearingRange, SE2), (BearingRange, SE3), (Line, SE2)])
+@for_all(case=[(f.Landmark, SE2), (f.Landmark, SE3), (BearingRange, SE2), (BearingRange, SE3), (f.Line, SE2)])
 def test_locate_is_the_inverse_of_the_prediction(case: tuple[type[Sighting], LieGroup]) -> None:
     (kind, group), rng = case, np.random.default_rng(3)
     X, O = group.exp(rng.normal(size=(2, 6, group.dim)))
-    points: Manifold = LINE if kind is Line else R(group.point_dim)
+    points: Manifold = LINE if kind is f.Line else R(group.point_dim)
     for offset, more in ((None, ()), (O, ()), (O[0], ()), (o[0:6], (O,))):
         z = rng.uniform(0.3, 1.2, size=(6, group.point_dim))
         factor = kind(x[0:6], l[0:6], z, UNIT, offset)
@@ -124,7 +110,7 @@ def test_mounted_elsewhere(kind: type[Sighting]) -> None:
 
 
 def test_mounted_keeps_what_else_a_factor_holds() -> None:
-    hinge = ElevationHinge(x[0], l[[0, 1]], 0.1, 0.02).mounted(o[0])
+    hinge = f.ElevationHinge(x[0], l[[0, 1]], 0.1, 0.02).mounted(o[0])
     assert (hinge.limit, hinge.noise.sigma, hinge.slots[0]) == (0.1, 0.02, SE3)
     robust = Range(x[0], l[0], 1.0, UNIT).robust(Huber(2.0)).mounted([1.0, 0.0, 0.0])
     assert robust.kernel == Huber(2.0)
@@ -145,10 +131,10 @@ def test_treatments_of_the_elevation() -> None:
     (contacts,) = made(elevation="free")
     same(contacts.noise.sqrt_information(3, ("range", "azimuth")), 1 / DIDSON_HIGH.noise_sigmas[None])
     hinge = made(softness=0.05)[1]
-    assert isinstance(hinge, ElevationHinge)
+    assert isinstance(hinge, f.ElevationHinge)
     assert (hinge.limit, hinge.keys, hinge.noise.sigma) == (LIMIT, contacts.keys, 0.05)
     prior = made(elevation="prior")[1]
-    assert type(prior) is Elevation
+    assert type(prior) is f.Elevation
     assert prior.keys == (x[[2, 1]], l[[5, 8]]), "of the first contact of each landmark"
     same(prior.noise.sigma, radians(14) / sqrt(12))
     for factor in (contacts, hinge, prior):
@@ -199,14 +185,14 @@ def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones(
 
 def test_a_hinge_pushes_until_the_target_is_inside_again() -> None:
     """Beyond by d, one measurement of sigma s: chi2 is (d / s)^2, and its derivative is that of the elevation."""
-    factor = ElevationHinge(x[[0, 0, 0, 0]], l[0:4], LIMIT, softness=radians(1))
+    factor = f.ElevationHinge(x[[0, 0, 0, 0]], l[0:4], LIMIT, softness=radians(1))
     el = np.array([LIMIT + radians(2), -LIMIT - radians(3), LIMIT - 1e-9, -LIMIT / 2])
     values = Values({x: (SE3, SE3.identity()), l: (R(3), cartesian(np.stack([[4.0] * 4, [0.1] * 4, el], axis=1))[0])})
     same(factor.chi2(values), [4.0, 9.0, 0.0, 0.0], atol=1e-12)
     A, b = linearized(factor, values)
     assert (b[0] < 0).all()  # back, towards 0
     assert (b[1] > 0).all()
-    known = Elevation(x[[0, 0, 0, 0]], l[0:4], 0.0, Isotropic(radians(1)))
+    known = f.Elevation(x[[0, 0, 0, 0]], l[0:4], 0.0, Isotropic(radians(1)))
     for A_k, of_elevation in zip(A, linearized(known, values)[0], strict=True):
         same(A_k[:2], of_elevation[:2], atol=1e-12)
         same(A_k[2:], 0.0)

@@ -8,19 +8,10 @@ from math import atan, cos, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from models import SE3
+from models import SE3, sensors
 from models.algebra import Array
 from models.errors import OptionError
-from models.sensors import (
-    DIDSON_HIGH,
-    DIDSON_LOW,
-    cartesian,
-    elevation,
-    plane_projection,
-    point_in_frame,
-    range_azimuth,
-    spherical,
-)
+from models.sensors import DIDSON_HIGH, DIDSON_LOW, cartesian, elevation, plane_projection, range_azimuth, spherical
 
 same = np.testing.assert_allclose
 
@@ -156,7 +147,7 @@ TABLE = {  # information on el, 1/rad^2, of a point at 4 m and 0.2 rad: at eleva
 def second_view(step: str, h: Array) -> tuple[Array, Array]:
     """(r, az) (n, 2) of the second view and their derivative (n, 2, 3) by (r, az, el) of the first."""
     p, dp = cartesian(h)
-    q, (_, R_inv) = point_in_frame(SE3, np.tile(SE3.exp(STEP[step]), (len(h), 1)), p)
+    q, (_, R_inv) = sensors.point_in_frame(SE3, np.tile(SE3.exp(STEP[step]), (len(h), 1)), p)
     z, J = range_azimuth(q)
     return z, J @ R_inv @ dp
 

@@ -9,25 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from factors import (
-    XYH,
-    ZPR,
-    Bearing,
-    BearingRange,
-    Between,
-    BetweenSensors,
-    Cauchy,
-    Diagonal,
-    Factor,
-    Heading,
-    Information,
-    Isotropic,
-    Landmark,
-    Position,
-    Prior,
-    RangeAzimuth,
-    Wheels,
-)
+import factors as f
+from factors import XYH, ZPR, Between, Diagonal, Factor, Heading, Information, Isotropic, Position, Prior, Wheels
 from factors.keys import Keys
 from factors.replaced import replaced
 from models import SE2, SE3, Manifold, Measured, R
@@ -43,19 +26,9 @@ from nls.analysis.misread import READINGS, MisreadMeasurement, misread_kinds, mi
 from nls.analysis.scales import outsized
 from nls.analysis.swapped_landmarks import swapped_landmarks
 from tests.combinations import for_all
+from tests.nls import misreadings
 from tests.nls.graphs import walk
-from tests.nls.misreadings import (
-    PUBLIC,
-    WORLDS,
-    checked,
-    clean,
-    doubted,
-    misread,
-    misread_one,
-    optimum,
-    public,
-    wrong_closure,
-)
+from tests.nls.misreadings import PUBLIC, WORLDS, checked, clean, doubted, misread, misread_one, optimum, public
 from tests.nls.misreadings import read as reread
 
 x, l = kinds("x", "l")
@@ -90,12 +63,12 @@ def meanings(factor: Factor, values: Values) -> dict[str, Factor]:
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "transposed", [1, 2, -0.5]),
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "y flipped", [1, -2, -0.5]),
         (Prior(x[0], [1, 2, 0.5], ONE), "x, y exchanged", [2, 1, np.pi / 2 - 0.5]),
-        (Bearing(x[0], l[0], 0.4, ONE), "mirrored", [-0.4]),
+        (f.Bearing(x[0], l[0], 0.4, ONE), "mirrored", [-0.4]),
         (Heading(x[0], 0.4, ONE), "transposed", [-0.4]),
         (Heading(x[0], 0.4, ONE), "x, y exchanged", [np.pi / 2 - 0.4]),
         (Position(x[0], [1, 2], ONE), "y flipped", [1, -2]),
         (Position(x[0], [1, 2], ONE), "x, y exchanged", [2, 1]),
-        (Landmark(x[0], l[0], [1, 2], ONE), "y flipped", [1, -2]),
+        (f.Landmark(x[0], l[0], [1, 2], ONE), "y flipped", [1, -2]),
         (Wheels(x[0], x[1], [1.1, 0.9], ONE, base=0.5), "y flipped", [0.9, 1.1, 0]),
     ]
 )
@@ -116,7 +89,7 @@ def test_reflections_and_a_transposed_rotation_in_space(case: tuple[str, list[fl
 
 
 def test_variables_exchanged() -> None:
-    meant = reread(BetweenSensors(x[0], x[1], [1, 2, 0.5], ONE, ([0.1, 0, 0], [0.2, 0, 0])), "exchanged", PLANE)
+    meant = reread(f.BetweenSensors(x[0], x[1], [1, 2, 0.5], ONE, ([0.1, 0, 0], [0.2, 0, 0])), "exchanged", PLANE)
     assert meant.keys == (x[[1]], x[[0]])
     assert vars(meant)["offset"][0].tolist() == [[0.2, 0, 0]]
 
@@ -126,7 +99,7 @@ def test_variables_exchanged() -> None:
         (SPACE, Between(x[0], x[1], POSE, ONE), {"exchanged", "transposed", "y flipped", "z flipped"}),
         (SPACE, XYH(x[0], x[1], [1, 0, 0.1], ONE), {"exchanged", "transposed", "y flipped"}),
         (SPACE, ZPR(x[0], [1, 0, 0.1], ONE), {"z flipped"}),
-        (SPACE, RangeAzimuth(x[0], l[0], [1, 0.1], Diagonal(range=0.1, azimuth=0.1)), {"mirrored"}),
+        (SPACE, f.RangeAzimuth(x[0], l[0], [1, 0.1], Diagonal(range=0.1, azimuth=0.1)), {"mirrored"}),
         (SPACE, Position(x[0], 3.0, ONE, components=("z",)), {"z flipped"}),
         (SPACE, Prior(l[0], [1, 2, 3], ONE), {"y flipped", "z flipped", "x, y exchanged"}),
         (PLANE, Prior(x[0], [1, 2, 0.5], ONE, components=("x", "y")), {"transposed", "y flipped"}),
@@ -253,7 +226,7 @@ def test_a_measurement_is_named(name: str, k: int, reading: str) -> None:
 @for_all(name=["ring", "manhattan", "sphere"], seed=range(3))
 def test_a_wrong_closure_fits_under_no_reading(name: str, seed: int) -> None:
     graph, start, _ = clean(name, seed)
-    assert fitting(wrong_closure(graph, np.random.default_rng(seed)), start)[1] == ()
+    assert fitting(misreadings.wrong_closure(graph, np.random.default_rng(seed)), start)[1] == ()
 
 
 def alarms(graph: FactorGraph, values: Values) -> tuple[object, ...]:
@@ -302,7 +275,7 @@ def survey(seed: int, dt: float, sensor: str) -> tuple[FactorGraph, Values]:
         Between(x[k[:-1]], x[k[1:]], odometry, Diagonal(sigmas)),
         Position(x[k], X["fix"][:, :2] + 0.1 * rng.normal(size=(POSES, 2)), Isotropic(0.1)),
         Heading(x[k], X["heading"][:, 2] + 0.02 * rng.normal(size=POSES), Isotropic(0.02)),
-        BearingRange(x[i], l[j], z, Diagonal(bearing=0.01, range=0.1)),
+        f.BearingRange(x[i], l[j], z, Diagonal(bearing=0.01, range=0.1)),
     ]
     return FactorGraph(factors), Values({x: (SE2, weaving(k)), l: (R(2), L)})
 
@@ -338,7 +311,7 @@ def test_other_mistakes_and_none_are_no_offset() -> None:
         FactorGraph([odometry, Position(fixes.keys[0], fixes.z, Isotropic(0.02)), headings, sights]),
         FactorGraph([odometry, replaced(fixes, z=far), headings, sights]),
         FactorGraph([odometry, fixes, replaced(headings, z=headings.z + 0.2), sights]),
-        FactorGraph([odometry, fixes.robust(Cauchy(1)), headings, sights]),
+        FactorGraph([odometry, fixes.robust(f.Cauchy(1)), headings, sights]),
         misread(graph, start, 3, "mirrored"),
     ):
         assert offsets(wrong, optimum(wrong, start)) == ()

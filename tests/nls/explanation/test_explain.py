@@ -8,22 +8,10 @@ import re
 import numpy as np
 import pytest
 
+import factors as f
 import nls
 import sim
-from factors import (
-    Bearing,
-    BearingRange,
-    Between,
-    Cauchy,
-    Diagonal,
-    Factor,
-    Isotropic,
-    Landmark,
-    Prior,
-    Range,
-    RangeAzimuth,
-    Tukey,
-)
+from factors import Bearing, Between, Cauchy, Diagonal, Factor, Isotropic, Landmark, Prior, Range, RangeAzimuth, Tukey
 from factors.replaced import replaced
 from factors.robust import Kernel
 from models import SE2, SE3, R
@@ -105,7 +93,7 @@ def test_one_landmark_under_two_numbers() -> None:
     start = world.start.extended(l[[50, 60]], world.start[l[[0, 1]]])
     for shift, expected in ((0.0, [(l[0], l[50])]), (1.0, [])):
         z = seen.z + shift * late[:, None] * [0, 1]
-        numbered = BearingRange(pose, l[np.where(late, 50, point.numbers)], z, seen.noise)
+        numbered = f.BearingRange(pose, l[np.where(late, 50, point.numbers)], z, seen.noise)
         graph = FactorGraph([*others, numbered, replaced(again, [again.keys[0], l[[60] * len(again)]])])
         values = graph.optimize(start).values
         found = [finding for finding in nls.explain(graph, values).findings if finding.kind == "twins"]

@@ -11,22 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import factors as f
 import nls
-from factors import (
-    XYH,
-    ZPR,
-    BearingRange,
-    Between,
-    Cauchy,
-    Diagonal,
-    Factor,
-    Heading,
-    Isotropic,
-    Landmark,
-    Position,
-    Prior,
-    Shifted,
-)
+from factors import XYH, ZPR, BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Position, Prior, Shifted
 from models import SE2, SE3, R
 from models.advice import ACTIONS, Advice
 from nls import FactorGraph, Values
@@ -44,7 +31,7 @@ ROOT = Path(__file__).parents[3]
 x, l, c = nls.kinds("x", "l", "c")
 STEPS = Between(x[0:5], x[1:6], [1.0, 0.0, 0.2], Isotropic(0.1))
 CLOSURES = Between(x[[0, 1]], x[[4, 5]], [3.5, 1.6, 0.8], Isotropic(0.1))
-SEEN = Landmark(x[0:6], l[0], np.ones((6, 2)), Isotropic(0.1))
+SEEN = f.Landmark(x[0:6], l[0], np.ones((6, 2)), Isotropic(0.1))
 VALUES = Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
 
 
@@ -160,7 +147,7 @@ DEPTHS = ZPR(x[I], np.zeros((N, 3)), Diagonal([0.1, 0.01, 0.01]))
 AGAIN = ZPR(x[I], np.full((N, 3), 0.005), Diagonal([0.1, 0.01, 0.01]))  # by a second sensor
 ANCHOR = (
     Position(x[0], [0.0, 0.0], Diagonal([0.01, 0.01]), components=("x", "y")),
-    Heading(x[0], 0.0, Diagonal([0.001])),
+    f.Heading(x[0], 0.0, Diagonal([0.001])),
 )
 
 

@@ -17,25 +17,9 @@ from models.manifolds.euler import quaternion_from_angles, to_se3
 from nls import GraphWarning, OptionError, Values, kinds, load
 from nls.io import DIALECTS
 from tests.combinations import for_all
+from tests.nls.io import io_files
 from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, PLANE, again, assert_refused, read, same, write
-from tests.nls.io.io_files import (
-    COVARIANCE_2,
-    EDGES_2,
-    FILES,
-    GTSAM_2,
-    ISAM_2,
-    ISAM_3,
-    ISAM_APART_2,
-    ISAM_APART_3,
-    POSES_3,
-    RTABMAP_3,
-    SWITCHED_2,
-    SWITCHED_3,
-    TORO_2,
-    TORO_3,
-    UPPER_3,
-    C,
-)
+from tests.nls.io.io_files import COVARIANCE_2, EDGES_2, GTSAM_2, ISAM_3, RTABMAP_3, SWITCHED_2, SWITCHED_3, UPPER_3, C
 
 x, l = kinds("x", "l")
 EDGE2 = "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3\n"
@@ -45,9 +29,9 @@ ODOMETRY = "ODOMETRY 0 1 1 0 0.05 20 1 2 30 3 40\n"
 def test_the_tags_decide_and_the_report_names_them() -> None:
     for text, dialect, reason in (
         (EDGES_2, "g2o", "by its tags"),
-        (TORO_2, "toro", "VERTEX2 lines are TORO's; name the dialect graph if its numbers are covariances"),
-        (TORO_3, "toro", "by its tag VERTEX3"),
-        (ISAM_2, "isam", "by its tag Constraint2"),
+        (io_files.TORO_2, "toro", "VERTEX2 lines are TORO's; name the dialect graph if its numbers are covariances"),
+        (io_files.TORO_3, "toro", "by its tag VERTEX3"),
+        (io_files.ISAM_2, "isam", "by its tag Constraint2"),
         (ISAM_3, "isam", "by its tag POINT3"),
         (ODOMETRY + "SOLVE\n", "isam", "by its tag SOLVE"),
     ):
@@ -91,7 +75,7 @@ def test_what_only_steers_isam_is_kept_with_a_count() -> None:
 @for_all(number=[0, 1])
 def test_points_of_isam_are_numbered_apart(number: int) -> None:
     """A pose and a point of one number are two variables; with another number the same graph."""
-    text = (ISAM_APART_2, ISAM_APART_3)[number]
+    text = (io_files.ISAM_APART_2, io_files.ISAM_APART_3)[number]
     graph, values, _ = read(text)
     assert values.stacks["x"].numbers.tolist() == [0, 1, 2]
     assert number in values.stacks["l"].numbers
@@ -110,7 +94,7 @@ def test_entries_in_the_order_of_each_dialect() -> None:
     toro = read(EDGE2, dialect="toro")[0].factors[0].noise
     assert isinstance(toro, Information)
     assert toro.matrix[0].tolist() == [[500, 1, 2], [1, 400, 3], [2, 3, 300]]
-    graph = read(FILES["graph"][1], dialect="graph")[0].factors[0].noise
+    graph = read(io_files.FILES["graph"][1], dialect="graph")[0].factors[0].noise
     assert isinstance(graph, Covariance)
     assert graph.matrix[0].tolist() == [[0.02, 0.001, 0.002], [0.001, 0.03, 0.003], [0.002, 0.003, 0.01]]
     isam = read(ODOMETRY, dialect="isam")[0].factors[0].noise
@@ -309,7 +293,7 @@ def test_a_tag_of_edges_is_left_out_only_where_that_is_asked_for(tmp_path: Path)
 
 def test_edges_to_absent_vertices_are_left_out_only_where_that_is_asked_for(tmp_path: Path) -> None:
     edge = f"EDGE_SE3:QUAT 2 77 1 0 0 {C} {UPPER_3}\n"
-    text = f"{POSES_3}{edge}EDGE_POINTXYZ_PRIOR 78 0 0 0 1 0 0 1 0 1\nEDGE_SE3:QUAT 0 1 1 0 0 {C} {UPPER_3}\n"
+    text = f"{io_files.POSES_3}{edge}EDGE_POINTXYZ_PRIOR 78 0 0 0 1 0 0 1 0 1\nEDGE_SE3:QUAT 0 1 1 0 0 {C} {UPPER_3}\n"
     text += "".join(f"{line}\n" for line in SWITCHED_3.splitlines()[5:]).replace("0 2 3", "79 2 3")
     error = assert_refused(4, "vertex 77", read, text)
     assert [piece.words(shell=True) for piece in error.advice] == ["leave such edges out: --drop-absent"]

@@ -20,21 +20,11 @@ from nls.io.unused_lines import refuse_misspelt
 from nls.io.weights import repaired
 from nls.missions.folder.table import Table
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import (
-    INFORMATION_2,
-    PLANE,
-    UPPER_3,
-    again,
-    assert_refused,
-    cases,
-    read,
-    same,
-    same_factors,
-    write,
-)
+from tests.nls.io import g2o_files
+from tests.nls.io.g2o_files import PLANE, UPPER_3, again, assert_refused, cases, read, same, same_factors, write
 from tests.nls.io.io_files import ALL, FILES, ISAM_3, PYFG, TORO_2, TORO_3, read_any
 
-EDGE = f"0 3 1.05 2.05 3.1 {INFORMATION_2}"
+EDGE = f"0 3 1.05 2.05 3.1 {g2o_files.INFORMATION_2}"
 SPACES = {
     "\u00a0": r"no-break space \(U\+00A0\)",
     "\u2003": r"em space \(U\+2003\)",

@@ -15,19 +15,7 @@ from factors import Between, Information, Isotropic, Prior
 from models import SE2, SE3
 from models.algebra import Array
 from models.errors import EvaluationError, UnderconstrainedError
-from nls import (
-    Dogleg,
-    FactorGraph,
-    GaussNewton,
-    Iteration,
-    LevenbergMarquardt,
-    Optimizer,
-    Result,
-    SingularGeometryError,
-    Status,
-    Stop,
-    Values,
-)
+from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop, Values
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS, automatic, stop
 from nls.optimizers.step import Thresholds
@@ -280,7 +268,7 @@ def test_a_function_that_raises(name: str) -> None:
 def test_no_trial_step_can_be_evaluated(name: str, singular: bool) -> None:
     def hole(X: Array) -> Array:
         if X[0, 0] != 1.0 and singular:
-            raise SingularGeometryError("hole(p0): the range is zero")
+            raise nls.SingularGeometryError("hole(p0): the range is zero")
         return np.where(X == 1.0, 1.0, np.nan)
 
     graph, start = scalar(hole, 1.0, lambda X: np.ones((1, 1, 1)))
