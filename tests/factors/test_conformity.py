@@ -23,8 +23,7 @@ from tests.combinations import for_all
 from tests.factors import samples
 from tests.factors.evaluated import error, linearized, refused, same, same_rows
 from tests.factors.samples import CASES, Sample, derivative, full_noise, innovation_by_hand, situation, whiteners
-from tests.factors.samples_plane import PLANE_SAMPLES
-from tests.factors.samples_sensors import SENSOR_SAMPLES
+from tests.factors.samples_sensors import PLANE_SAMPLES, SENSOR_SAMPLES
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES, SONAR_SAMPLES
 
 SAMPLES = [*samples.SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *PLANE_SAMPLES]

@@ -10,18 +10,7 @@ import numpy as np
 import pytest
 
 import factors as f
-from factors import (
-    DriftingStep,
-    ElevationHinge,
-    EpipolarArc,
-    Factor,
-    Heading,
-    Isotropic,
-    Position,
-    Prior,
-    Range,
-    Wheels,
-)
+from factors import DriftingStep, ElevationHinge, EpipolarArc, Factor, Heading, Position, Prior, Range, Wheels
 from factors.bundle import CAMERA, LENS
 from factors.replaced import replaced
 from models import SE2, SE3, R, euler
@@ -31,7 +20,7 @@ from tests.combinations import for_all
 from tests.factors.evaluated import error, linearized, refused, same
 
 x, p, l, q, c, d = kinds("x", "p", "l", "q", "c", "d")
-UNIT, HERE, STEP, PAIR = Isotropic(), SE3.identity()[0], [1.0, 0.0, 0.0], [4.0, 0.1, 3.9, 0.0]
+UNIT, HERE, STEP, PAIR = f.Isotropic(), SE3.identity()[0], [1.0, 0.0, 0.0], [4.0, 0.1, 3.9, 0.0]
 VALUES = Values(
     {
         x: (SE3, SE3.identity(5)),

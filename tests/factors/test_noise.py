@@ -7,19 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factors import (
-    Cauchy,
-    Covariance,
-    Diagonal,
-    Factor,
-    Huber,
-    Information,
-    Isotropic,
-    Noise,
-    Prior,
-    Robust,
-    SqrtInformation,
-)
+import factors as f
+from factors import Covariance, Diagonal, Factor, Huber, Information, Isotropic, Noise, Prior, Robust, SqrtInformation
 from factors.noise import square, whiten
 from factors.rescaled import rescaled
 from models import SE2, SE3, R
@@ -295,7 +284,7 @@ NOISES = [
     Information(np.stack([S, 2 * S])),
     Information(np.diag([1.0, 0.0, 4.0])),
     SqrtInformation(np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 0.5], [0.3, 0.0, 2.0]])),
-    Robust(Covariance(S), Cauchy(2.0)),
+    Robust(Covariance(S), f.Cauchy(2.0)),
 ]
 
 

@@ -1,32 +1,34 @@
-"""Landmark, Range, Bearing, BearingRange and Line: where targets are, which numbers are none, other mountings."""
+"""Sightings: where targets are, which numbers are none, other mountings; what is done about a sonar's elevation."""
 
 from __future__ import annotations
 
 import re
+from math import radians, sqrt
 
 import numpy as np
 import pytest
 
+import factors as f
 import models
-from factors import Bearing, BearingRange, ElevationHinge, Isotropic, Landmark, Line, Range, RangeAzimuth, Sighting
+from factors import Bearing, BearingRange, EpipolarArc, Huber, Isotropic, Range, RangeAzimuth, Sighting, sonar_factors
 from factors.keys import Keys
-from factors.robust import Huber
-from models import LINE, SE2, SE3, LieGroup, Manifold, R
-from models.errors import GraphError
-from nls import Values, kinds
+from models import LINE, SE2, SE3, LieGroup, Manifold, R, euler
+from models.errors import GraphError, OptionError
+from models.sensors import DIDSON_HIGH, cartesian
+from nls import FactorGraph, Values, kinds
 from tests.combinations import for_all
-from tests.factors.evaluated import error, refused, same
+from tests.factors.evaluated import error, linearized, refused, same
 
 x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
-NUMBERS = {Landmark: 3, Range: 1, Bearing: 2, BearingRange: 3, RangeAzimuth: 2}  # of a measurement in space
+NUMBERS = {f.Landmark: 3, Range: 1, Bearing: 2, BearingRange: 3, RangeAzimuth: 2}  # of a measurement in space
 
 
-@for_all(case=[(Landmark, SE2), (Landmark, SE3), (BearingRange, SE2), (BearingRange, SE3), (Line, SE2)])
+@for_all(case=[(f.Landmark, SE2), (f.Landmark, SE3), (BearingRange, SE2), (BearingRange, SE3), (f.Line, SE2)])
 def test_locate_is_the_inverse_of_the_prediction(case: tuple[type[Sighting], LieGroup]) -> None:
     (kind, group), rng = case, np.random.default_rng(3)
     X, O = group.exp(rng.normal(size=(2, 6, group.dim)))
-    points: Manifold = LINE if kind is Line else R(group.point_dim)
+    points: Manifold = LINE if kind is f.Line else R(group.point_dim)
     for offset, more in ((None, ()), (O, ()), (O[0], ()), (o[0:6], (O,))):
         z = rng.uniform(0.3, 1.2, size=(6, group.point_dim))
         factor = kind(x[0:6], l[0:6], z, UNIT, offset)
@@ -108,9 +110,90 @@ def test_mounted_elsewhere(kind: type[Sighting]) -> None:
 
 
 def test_mounted_keeps_what_else_a_factor_holds() -> None:
-    hinge = ElevationHinge(x[0], l[[0, 1]], 0.1, 0.02).mounted(o[0])
+    hinge = f.ElevationHinge(x[0], l[[0, 1]], 0.1, 0.02).mounted(o[0])
     assert (hinge.limit, hinge.noise.sigma, hinge.slots[0]) == (0.1, 0.02, SE3)
     robust = Range(x[0], l[0], 1.0, UNIT).robust(Huber(2.0)).mounted([1.0, 0.0, 0.0])
     assert robust.kernel == Huber(2.0)
     with pytest.raises(GraphError, match="joins l0 to itself"):
         Range(x[0], l[0], 1.0, UNIT).mounted(l[0])
+
+
+LIMIT = DIDSON_HIGH.aperture / 2
+MOUNTED = euler.to_se3(np.array([0.0, -0.6, 0.0, 0.3, 0.0, 0.1]))
+
+
+def test_treatments_of_the_elevation() -> None:
+    pose, target, z = x[[3, 1, 2]], l[[8, 8, 5]], [[5.0, 0.1], [4.0, 0.2], [3.0, -0.1]]
+
+    def made(**more: object) -> list[f.Factor]:
+        return sonar_factors(pose, target, z, None, DIDSON_HIGH, offset=SE3.identity()[0], **more)
+
+    (contacts,) = made(elevation="free")
+    same(contacts.noise.sqrt_information(3, ("range", "azimuth")), 1 / DIDSON_HIGH.noise_sigmas[None])
+    hinge = made(softness=0.05)[1]
+    assert isinstance(hinge, f.ElevationHinge)
+    assert (hinge.limit, hinge.keys, hinge.noise.sigma) == (LIMIT, contacts.keys, 0.05)
+    prior = made(elevation="prior")[1]
+    assert type(prior) is f.Elevation
+    assert prior.keys == (x[[2, 1]], l[[5, 8]]), "of the first contact of each landmark"
+    same(prior.noise.sigma, radians(14) / sqrt(12))
+    for factor in (contacts, hinge, prior):
+        assert np.array_equal(factor.offset, SE3.identity())
+    with pytest.raises(OptionError, match=r"elevation: 'bounded' .* free, hinge, prior or search"):
+        made(elevation="bounded")
+
+
+def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones() -> None:
+    """Targets 8, 5 and 6 from poses in any order; 6 is seen once."""
+    pose, target = x[[3, 1, 2, 4, 7, 2]], l[[8, 8, 5, 6, 8, 8]]
+    z = np.array([[5.0, 0.1], [4.0, 0.2], [3.0, -0.1], [6.0, 0.0], [5.5, 0.05], [4.5, 0.15]])
+    sigmas = np.arange(1.0, 13.0).reshape(6, 2) / 100
+
+    def made(noise: f.Noise | None = None, offset: object = None) -> EpipolarArc:
+        (factor,) = sonar_factors(pose, target, z, noise, DIDSON_HIGH, offset, elevation="search")
+        assert isinstance(factor, EpipolarArc)
+        return factor
+
+    arcs = made(f.Diagonal(sigmas), MOUNTED)
+    assert arcs.keys == (x[[1, 1, 1]], x[[3, 7, 2]])
+    same(arcs.z, np.hstack([z[[1, 1, 1]], z[[0, 4, 5]]]))
+    W = arcs.noise.sqrt_information(3, EpipolarArc.measures)
+    same(W, np.eye(4) / np.hstack([np.sqrt(3) * sigmas[[1, 1, 1]], sigmas[[0, 4, 5]]])[:, None])  # divided by 3 pairs
+    assert arcs.limit == LIMIT
+    same(arcs.offset, MOUNTED[None])
+    same(
+        made().noise.sqrt_information(3, EpipolarArc.measures)[-1],
+        np.diag(1 / np.tile(DIDSON_HIGH.noise_sigmas, 2) / np.sqrt([3, 3, 1, 1])),
+    )
+    assert made(f.Robust(Isotropic(0.1), Huber(2.0))).kernel == Huber(2.0)
+    each = np.tile(MOUNTED, (6, 1))
+    same(made(offset=each).offset, each[:3])
+    each[4] = SE3.identity()[0]
+    two, three = [[4, 0.1], [4, 0.2]], [1, 2, 3]
+    for make, named in (
+        (lambda: made(offset=each), r"RangeAzimuth\(x\[1, 7\], l\[8, 8\]\): two offsets"),
+        (lambda: made(offset=o[0]), "the offset o0 is a variable"),
+        (lambda: sonar_factors(x[[0, 1]], l[0], three, None, DIDSON_HIGH, elevation="search"), r"RangeAz.* \(3,\)"),
+        (lambda: sonar_factors(x[[2, 2]], l[0], two, None, DIDSON_HIGH, elevation="search"), "x2 to itself"),
+    ):
+        refused(make, GraphError, named)
+    (none,) = sonar_factors(x[0:3], l[0:3], z[:3], None, DIDSON_HIGH, elevation="search")
+    assert len(none) == 0
+    graph = FactorGraph([none, f.Prior(x[0], SE3.identity()[0], UNIT)])
+    assert graph.optimize(Values({x: (SE3, SE3.identity())})).dof == 0
+
+
+def test_a_hinge_pushes_until_the_target_is_inside_again() -> None:
+    """Beyond by d, one measurement of sigma s: chi2 is (d / s)^2, and its derivative is that of the elevation."""
+    factor = f.ElevationHinge(x[[0, 0, 0, 0]], l[0:4], LIMIT, softness=radians(1))
+    el = np.array([LIMIT + radians(2), -LIMIT - radians(3), LIMIT - 1e-9, -LIMIT / 2])
+    values = Values({x: (SE3, SE3.identity()), l: (R(3), cartesian(np.stack([[4.0] * 4, [0.1] * 4, el], axis=1))[0])})
+    same(factor.chi2(values), [4.0, 9.0, 0.0, 0.0], atol=1e-12)
+    A, b = linearized(factor, values)
+    assert (b[0] < 0).all()  # back, towards 0
+    assert (b[1] > 0).all()
+    known = f.Elevation(x[[0, 0, 0, 0]], l[0:4], 0.0, Isotropic(radians(1)))
+    for A_k, of_elevation in zip(A, linearized(known, values)[0], strict=True):
+        same(A_k[:2], of_elevation[:2], atol=1e-12)
+        same(A_k[2:], 0.0)
+    assert factor.damped

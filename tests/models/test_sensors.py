@@ -1,4 +1,4 @@
-"""Sensor equations against numbers done by hand, where they have no value, and presets of a DVL."""
+"""Sensor equations against numbers done by hand, where they have no value, presets of a DVL, depth from pressure."""
 
 from __future__ import annotations
 
@@ -10,22 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models import SE2, SE3, euler
+from models import SE2, SE3, euler, sensors
 from models.algebra import Array
-from models.errors import OptionError
-from models.sensors import (
-    SingularAt,
-    direction,
-    distance,
-    heading,
-    levelled,
-    point_from_direction_range,
-    point_in_frame,
-    point_on_body,
-    project,
-    relative_xyh,
-    zpr,
-)
+from models.errors import LeadlineError, OptionError
+from models.pressure import GRAVITY, depth_by_density, depth_unesco
+from models.sensors import direction, distance, levelled, point_in_frame, point_on_body, project, relative_xyh, zpr
 from models.sensors.dvl import DVL, HOLOOCEAN_DVL, dvl_velocity
 from models.sensors.singular import CLOSE
 
@@ -42,7 +31,9 @@ def test_by_hand_and_back() -> None:
     same(angles, [[pi / 4, pi / 4], [atan2(4, -3), -pi / 4]])
     for d in (2, 3):
         p = np.random.default_rng(2).uniform(1, 6, size=(20, d)) * np.random.default_rng(3).choice([-1, 1], (20, d))
-        same(point_from_direction_range(np.concatenate([direction(p)[0], distance(p)[0]], axis=1)), p, atol=1e-13)
+        same(
+            sensors.point_from_direction_range(np.concatenate([direction(p)[0], distance(p)[0]], axis=1)), p, atol=1e-13
+        )
     for near in (CLOSE * 2, CLOSE * 1e3, CLOSE * 1e6):
         r, direct = distance(np.array([[near, 0.0]])), direction(np.array([[near, 0.0]]))
         same(r[0], [[near]])
@@ -85,7 +76,7 @@ SINGULAR: list[tuple[Callable[..., object], list[Any], str]] = [  # of three mea
     *((distance, [[np.ones(len(p)), p, p]], "zero range") for p in ([0, 0], [0, 0, 1e-10], [1e-200, 1e-200, 0])),
     (direction, [[[1, 1], [0, 0], [0, 0]]], "its bearing"),
     (direction, [[[1, 1, 1], [0, 0, 7], [1e-10, 0, -7]]], "z axis"),
-    (lambda X: heading(SE3, X), [LOCKED], "gimbal lock"),
+    (lambda X: sensors.heading(SE3, X), [LOCKED], "gimbal lock"),
     (zpr, [LOCKED], "gimbal lock"),
     (levelled, [LOCKED, LEVEL], "gimbal lock"),
     (levelled, [LEVEL, LOCKED], "gimbal lock"),
@@ -97,7 +88,7 @@ SINGULAR: list[tuple[Callable[..., object], list[Any], str]] = [  # of three mea
 
 def test_measurements_without_a_value_are_named() -> None:
     for f, arguments, named in SINGULAR:
-        with pytest.raises(SingularAt, match=named) as caught:
+        with pytest.raises(sensors.SingularAt, match=named) as caught:
             f(*(np.array(argument, dtype=float) for argument in arguments))
         assert caught.value.index == 1
     up = euler.to_se3([[0.0, pi / 2, 0.0, 0.0, 0.0, 0.0]])  # a relative step between two such poses has a value
@@ -124,3 +115,24 @@ def test_a_dvl_is_a_value_that_can_be() -> None:
         for bad in bads:
             with pytest.raises(OptionError, match=f"{name}: "):
                 DVL(**{"name": "mine", "sigma": 0.01, name: bad})
+
+
+def test_the_check_value_of_the_source() -> None:
+    assert float(depth_unesco(1e8, 30.0)) == pytest.approx(9712.653, abs=5e-4)
+
+
+def test_teos_10_has_the_same_but_for_a_hundredth_of_a_percent() -> None:
+    gsw = pytest.importorskip("gsw")
+    for latitude in (-60.0, 0.0, 45.0):
+        for dbar, most in ((10.0, 3e-6), (1000.0, 3e-6), (10000.0, 1.3e-4)):
+            assert float(depth_unesco(dbar * 1e4, latitude)) == pytest.approx(-gsw.z_from_p(dbar, latitude), rel=most)
+
+
+def test_a_column_of_water_weighs_its_pressure() -> None:
+    assert float(depth_by_density(1025.0 * GRAVITY * 37.0, 1025.0)) == pytest.approx(37.0)
+    assert float(depth_by_density(0.0, 1025.0)) == 0.0
+    for density in (0.0, -1.0, np.nan, "sea"):
+        with pytest.raises(LeadlineError, match="density"):
+            depth_by_density(1e5, density)  # type: ignore[arg-type]
+    with pytest.raises(LeadlineError, match="latitude"):
+        depth_unesco(1e5, 91.0)

@@ -121,6 +121,16 @@ class Seen(Factor):
         return h, (H, Rt)
 
 
+class WrongSign(Between):
+    """Between with both Jacobians negated: what a user's mistake looks like."""
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        h, H = super().predict(manifolds, *X)
+        assert H is not None
+        assert H[0] is not None
+        return h, (-H[0], -np.eye(manifolds[0].dim)[None])
+
+
 def in_frame(pose: Array, point: Array) -> Array:
     """The point as seen from the pose, R'(l - t), as a user would write it."""
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])

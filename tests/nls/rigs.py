@@ -4,17 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import (
-    Between,
-    BetweenSensors,
-    Diagonal,
-    Factor,
-    Isotropic,
-    Projection,
-    Range,
-    RangeAzimuth,
-    SqrtInformation,
-)
+import factors
+from factors import Between, BetweenSensors, Diagonal, Factor, Isotropic, Projection, Range, RangeAzimuth
 from factors.replaced import predicted
 from models import SE3, R
 from models.algebra import Array
@@ -35,7 +26,7 @@ def rig(sensors: str, seed: int = 0, poses: int = 6, points: int = 40) -> tuple[
     values = Values({x: (SE3, X), l: (R(3), L), s: (SE3, SONAR)})
     i, j = np.divmod(np.arange(poses * points), points)
     zeros, sigma_az = np.zeros((len(i), 2)), np.radians(5) / np.sqrt(3)
-    noise = {"sonar": Diagonal([0.03, sigma_az]), "azimuth": SqrtInformation(np.diag([0.0, 1 / sigma_az]))}
+    noise = {"sonar": Diagonal([0.03, sigma_az]), "azimuth": factors.SqrtInformation(np.diag([0.0, 1 / sigma_az]))}
     graph = FactorGraph()
     for name in sensors.split(" + "):
         factor: Factor

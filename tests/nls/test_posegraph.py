@@ -6,21 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+import factors as f
 import nls
 import sim
-from factors import (
-    Between,
-    BetweenSensors,
-    Diagonal,
-    Factor,
-    Information,
-    Isotropic,
-    Noise,
-    Prior,
-    SequentialMatch,
-    SqrtInformation,
-    Wheels,
-)
+from factors import Between, BetweenSensors, Diagonal, Factor, Information, Isotropic, Noise, Prior, Wheels
 from factors.base import Jacobians, Model
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, Manifold, Measured
@@ -141,7 +130,7 @@ def test_an_edge_turned_forward_says_the_same(group: LieGroup) -> None:
 def test_weights_are_means_of_information_and_of_covariance(group: LieGroup) -> None:
     D, d, rng = group.dim, group.point_dim, RNG(4)
     I, z = informations(2, D, rng), walk(group, 2, rng)
-    noises = [Information(I), Diagonal(np.arange(1.0, D + 1)), SqrtInformation(np.linalg.cholesky(I[0]).T)]
+    noises = [Information(I), Diagonal(np.arange(1.0, D + 1)), f.SqrtInformation(np.linalg.cholesky(I[0]).T)]
     graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], z, noise) for noise in noises])
     (poses,) = pose_graphs(graph, Values({x: (group, walk(group, 3, rng))}))
     Omega = np.array([*I, *2 * [np.diag(np.arange(1.0, D + 1) ** -2)], I[0], I[0]])
@@ -229,7 +218,7 @@ def test_sequential_matches_are_neither_odometry_nor_closures() -> None:
     k = np.arange(0, 117, 2)
     near = SE2.compose(SE2.compose(z[k], z[k + 1]), z[k + 2])
     near = SE2.compose(near, SE2.exp(0.02 * RNG(2).normal(size=near.shape)))
-    poses, matches = Between(x[i], x[j], z, Isotropic(0.01)), SequentialMatch(x[k], x[k + 3], near, Isotropic(0.02))
+    poses, matches = Between(x[i], x[j], z, Isotropic(0.01)), f.SequentialMatch(x[k], x[k + 3], near, Isotropic(0.02))
     for order in (1, -1):
         graph, values = FactorGraph([poses, matches][::order]), Values({x: (SE2, np.zeros((121, 3)))})
         pattern = graph.pattern(values)

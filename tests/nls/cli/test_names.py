@@ -14,8 +14,7 @@ import nls
 import sim
 from nls import kinds
 from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.io.g2o_files import PLANE
-from tests.nls.io.robots import ROBOTS, A, L, X, renamed, without
+from tests.nls.io.g2o_files import PLANE, ROBOTS, A, L, X, renamed, without
 from tests.nls.missions.charts.charted import charted
 
 x, l = kinds("x", "l")

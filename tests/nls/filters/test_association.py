@@ -14,23 +14,13 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
-from nls.filters.association import (
-    Assignment,
-    Association,
-    JointCompatibility,
-    Nearest,
-    assignment,
-    identified,
-    jcbb,
-    nearest,
-    pair_precision_recall,
-    precision_recall,
-)
+from nls.filters import association
+from nls.filters.association import JointCompatibility, Nearest, jcbb, nearest, pair_precision_recall, precision_recall
 from nls.filters.ekf import EKF
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")
-EVERY = (Nearest(), Assignment(), JointCompatibility(0.99))
+EVERY = (Nearest(), association.Assignment(), JointCompatibility(0.99))
 
 
 @for_all(seed=range(20))
@@ -48,13 +38,13 @@ def test_assignment_is_the_best_of_all(seed: int) -> None:
         if len({j for j in c if j >= 0}) == sum(j >= 0 for j in c)
         and all(j < 0 or d2[i, j] <= gate for i, j in enumerate(c))
     ]
-    found = assignment(d2, gate)
+    found = association.assignment(d2, gate)
     assert tuple(found.tolist()) in every
     assert cost(tuple(found.tolist())) == pytest.approx(min(map(cost, every)))
 
 
 def test_without_landmarks_nothing_is_found() -> None:
-    for find in (nearest, assignment):
+    for find in (nearest, association.assignment):
         assert find(np.zeros((3, 0)), 9.0).tolist() == [-1, -1, -1]
         assert find(np.zeros((0, 4)), 9.0).tolist() == []
     assert jcbb(np.zeros((0, 2), dtype=int), np.zeros((0, 2)), np.zeros((0, 0)), 3, 0.95).tolist() == [-1, -1, -1]
@@ -128,13 +118,13 @@ def test_neighbors_deceive_the_nearest_but_not_all_together() -> None:
         score = precision_recall(ekf.associations, true)
         found[type(associate)] = score, float(np.abs(track.X[1] - truth[x[1]]).max())
     assert found[JointCompatibility] == (pytest.approx((1.0, 1.0)), pytest.approx(0.0, abs=0.01))
-    for deceived in (Nearest, Assignment):
+    for deceived in (Nearest, association.Assignment):
         assert found[deceived][0].precision == 0.0
         assert found[deceived][1] > 0.2
 
 
 @pytest.mark.parametrize("associate", EVERY, ids=lambda a: type(a).__name__)
-def test_landmarks_are_found_without_their_names(associate: Association) -> None:
+def test_landmarks_are_found_without_their_names(associate: association.Association) -> None:
     """Six landmarks 20 m apart and a known start: all are found, no pairing is wrong, some sightings left out."""
     world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
     names = np.random.default_rng(0).integers(0, 6, size=len(world.sightings))  # what the graph says does not matter
@@ -148,7 +138,7 @@ def test_landmarks_are_found_without_their_names(associate: Association) -> None
     assert 0.95 < score.recall <= 1.0
     assert track.ate(world.truth).rmse < 0.2
 
-    numbered = identified(seen, ekf.associations, l)  # and a graph of what it found
+    numbered = association.identified(seen, ekf.associations, l)  # and a graph of what it found
     start = Values({x: (SE2, track.X), l: (R(2), track.values[l], track.landmarks.numbers)})
     best = FactorGraph([*world.graph.factors[:2], numbered]).optimize(start)
     assert best.converged
@@ -180,7 +170,7 @@ def test_options_that_are_none_are_refused() -> None:
     with pytest.raises(OptionError, match="associate"):
         EKF(associate=nearest)  # type: ignore[arg-type]
     with pytest.raises(GraphError, match=r"\(2,\) landmarks found for 9 sightings"):
-        identified(row_of_posts()[0].factors[2], [0, 1], l)  # type: ignore[arg-type]
+        association.identified(row_of_posts()[0].factors[2], [0, 1], l)  # type: ignore[arg-type]
 
 
 @for_all(seed=range(10))

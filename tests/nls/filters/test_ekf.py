@@ -7,21 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import factors as f
 import sim
-from factors import (
-    BearingRange,
-    Between,
-    Diagonal,
-    Factor,
-    Heading,
-    Huber,
-    Information,
-    Isotropic,
-    Landmark,
-    Position,
-    Prior,
-    Range,
-)
+from factors import BearingRange, Between, Diagonal, Factor, Heading, Isotropic, Landmark, Position, Prior, Range
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
@@ -202,7 +190,7 @@ def run(*factors: Factor, count: int = 2, **options: object) -> EKF:
 
 
 def test_what_cannot_be_filtered_is_named() -> None:
-    flat, thin = Information(np.diag([1.0, 0.0, 1.0])), Information(np.diag([1.0, 0.0]))
+    flat, thin = f.Information(np.diag([1.0, 0.0, 1.0])), f.Information(np.diag([1.0, 0.0]))
     free, wrong = UnderconstrainedError, GraphError
     cases: list[tuple[list[Factor], type[LeadlineError], str]] = [
         ([WALK], wrong, r"x0: .*Prior"),
@@ -211,7 +199,7 @@ def test_what_cannot_be_filtered_is_named() -> None:
         ([START, WALK, Range(x[[1, 2]], l[[1, 1]], [2.0, 2.0], ONE)], wrong, r"Range\(x1, l1\) .*Prior of l1"),
         ([START, WALK, BearingRange(x[1], l[0], [0.1, 2.0], thin)], free, r"l0: .*BearingRange"),
         ([START, WALK, Between(x[0], x[2], [2, 0, 0], ONE)], wrong, r"EKF at x2: Between\(x0, x2\) needs x0"),
-        ([START, WALK, Landmark(x[1], l[0], [1, 0], ONE).robust(Huber(1.0))], wrong, r"Landmark.*robust"),
+        ([START, WALK, Landmark(x[1], l[0], [1, 0], ONE).robust(f.Huber(1.0))], wrong, r"Landmark.*robust"),
         ([START, WALK, Between(l[0], l[1], [1, 0], ONE)], wrong, r"Between\(l0, l1\)"),
         ([START, WALK, Prior(l[0], [[1.0, 0.0]], ONE, components=("x",))], free, r"l0: .*Prior"),
     ]

@@ -10,21 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import factors as f
 import nls
 import sim
-from factors import (
-    Between,
-    BetweenSensors,
-    DriftingStep,
-    Factor,
-    GemanMcClure,
-    Huber,
-    Isotropic,
-    Position,
-    Prior,
-    Range,
-    Shifted,
-)
+from factors import Between, DriftingStep, Factor, GemanMcClure, Huber, Isotropic, Position, Prior, Range, Shifted
 from factors.function import FunctionFactor
 from factors.keys import Keys
 from models import SE2, SE3, R
@@ -223,7 +212,7 @@ Z = np.array([[1.0, 0.1, 0.3], [0.9, 0.0, 0.1], [1.1, -0.1, 0.0]])
 
 MADE: dict[str, Callable[[Index], Factor]] = {
     "numbers": lambda k: DriftingStep(x[k], x[k + 1], c[0], Z[k], NOISE, k + 1.0),
-    "pairs": lambda k: BetweenSensors(x[k], x[k + 1], Z[k], NOISE, (OFFSETS[k], OFFSETS[k - 1])),
+    "pairs": lambda k: f.BetweenSensors(x[k], x[k + 1], Z[k], NOISE, (OFFSETS[k], OFFSETS[k - 1])),
     "within": lambda k: Shifted(Position(x[k + 1], Z[k, :2], NOISE, offset=OFFSETS[k, :2]), np.eye(2), c[0]),
 }
 

@@ -7,23 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import factors as f
 import nls
 import sim
-from factors import (
-    ZPR,
-    BearingRange,
-    Between,
-    BetweenSensors,
-    Diagonal,
-    Factor,
-    Huber,
-    Information,
-    Isotropic,
-    Landmark,
-    Line,
-    Prior,
-    Range,
-)
+from factors import ZPR, Between, Diagonal, Factor, Huber, Information, Isotropic, Landmark, Line, Prior, Range
 from factors.keys import Kind
 from models import LINE, SE2, SE3, LieGroup, Manifold, R, euler, wrap
 from models.algebra import Array
@@ -123,7 +110,7 @@ def test_the_place_of_a_sensor_stays() -> None:
         u = SE2.compose(turn, [0, 0, 0.3 * np.sin(k)])
         seen = SE2.compose(SE2.compose(SE2.inverse(mount), u), mount)
         z = SE2.compose(seen, SE2.exp(rng.normal(0, 0.001, 3)))
-        seen_from = BetweenSensors(x[k], x[k + 1], z, Isotropic(0.001), s[0])
+        seen_from = f.BetweenSensors(x[k], x[k + 1], z, Isotropic(0.001), s[0])
         smoother.update([Between(x[k], x[k + 1], u, Isotropic(0.001)), seen_from])
     assert (kept(smoother), kept(smoother, "s")) == ([27, 28, 29, 30], [0])
     np.testing.assert_allclose(smoother[s[0]], mount, atol=0.005)
@@ -161,7 +148,7 @@ def around(x: Kind, l: Kind, seed: int, turn: float, n: int = 40) -> tuple[list[
     factors = [
         Prior(x[0], first, Diagonal([0.01, 0.01, 0.1])),
         Between(x[k], x[k + 1], SE2.retract(step, rng.normal(0, noise, (n, 3))), Diagonal(noise)),
-        BearingRange(x[i], l[j], np.column_stack([wrap(seen[:, 0]), seen[:, 1]]), Diagonal([0.01, 0.1])),
+        f.BearingRange(x[i], l[j], np.column_stack([wrap(seen[:, 0]), seen[:, 1]]), Diagonal([0.01, 0.1])),
     ]
     return factors, Values({x: (SE2, truth), l: (R(2), p)})
 

@@ -14,19 +14,8 @@ from nls import GraphFileError, GraphWarning, OptionError, kinds, load
 from nls.io.read import read_graph
 from nls.plot.trajectory import closures
 from tests.combinations import for_all
-from tests.nls.io.g2o_files import (
-    CONVENTIONS,
-    INFORMATION_2,
-    PLANE,
-    SPACE,
-    UPPER_3,
-    again,
-    assert_refused,
-    cases,
-    read,
-    same,
-    write,
-)
+from tests.nls.io import g2o_files
+from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, PLANE, SPACE, UPPER_3, again, cases, read, same, write
 
 x, l = kinds("x", "l")
 
@@ -107,7 +96,7 @@ EDGE_SE2 0 1 1e308 0 0 {INFORMATION_2}\nEDGE_SE2 1 2 1e308 0 0 {INFORMATION_2}\n
 @for_all(case=WRONG)
 def test_every_mistake_has_its_line(case: list[str]) -> None:
     line = int(case[1])
-    assert str(assert_refused(line, case[2], read, case[0])).startswith(f"f.g2o:{line}: ")
+    assert str(g2o_files.assert_refused(line, case[2], read, case[0])).startswith(f"f.g2o:{line}: ")
 
 
 # ---- what is unusual and right

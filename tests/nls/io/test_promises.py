@@ -1,10 +1,15 @@
-"""Promises that hold for every reader: bytes in, a graph that evaluates or one error with file and line out."""
+"""Promises of every reader: a graph that evaluates or one error with its line; no more memory than stated (P9)."""
 
 from __future__ import annotations
 
 import gzip
+import io
+import re
+import tracemalloc
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +18,16 @@ from hypothesis import strategies as st
 
 from models.errors import LeadlineError, SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, OptionError, ResourceLimitError, load
-from nls.io import DIALECTS
+from nls.io import DIALECTS, bounded_text, files
+from nls.io.bounded_text import PER_BYTE, PER_WORD
+from nls.io.files import read_bytes, read_stream
+from nls.io.text import Text
+from nls.io.trajectory import read_kitti, read_tum
+from nls.linear import limits
+from nls.missions.folder.table import Table
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import again, assert_refused, read, same, write
-from tests.nls.io.io_files import ALL, FILES, read_any
+from tests.nls.io.io_files import ALL, FILES, ISAM_2, PLANE, PYFG, SPACE, read_any
 
 NUMBERS = ["0", "-1", "9", "1e308", "-1e308", "1e-308", "3.5", "007", "9223372036854775807", "1e160"]
 WORDS = ["", *f"nan inf 1_0 \uff11 0x1 # FIX EDGE2 VERTEX_XY EDGE_SE3:QUAT {2**63} 1e999".split()]
@@ -145,3 +156,197 @@ def test_empty_files(tmp_path: Path) -> None:
         for data in (b"", b"\n \n", gzip.compress(b"")):
             with pytest.raises(GraphFileError, match=r"graph\.g2o(:\d)?: .*"):
                 load(write(tmp_path, data), dialect=dialect)
+
+
+N = 1 << 15
+CHUNK, BASE = 1 << 12, 1 << 17  # bytes read at once here; that any call takes: messages, short arrays
+READERS: dict[str, Callable[[Path], Any]] = {
+    "graph": load,
+    "isam": lambda path: load(path, dialect="isam"),
+    "pyfg": lambda path: load(path, dialect="pyfg"),
+    "bal": lambda path: load(path, dialect="bal"),
+    "tum": read_tum,
+    "kitti": read_kitti,
+    "table of a mission": lambda path: Table(path, ["time_s", "z_m"]).floats("z_m"),
+}
+IDLE = {
+    "newlines": b"\n" * N,
+    "carriage returns": b"\r" * N,
+    "pairs": b"\r\n" * (N // 2),
+    "spaces": b" " * N,
+    "commas": b"," * N,
+    "rows of nothing": b",\n" * (N // 2),
+    "one comment": b"#" + b"x" * (N - 2) + b"\n",
+    "one comment of words": b"#" + b" a" * (N // 2) + b"\n",
+    "comments": b"#\n" * (N // 2),
+    "comments of words": b"  # a b\n" * (N // 8),
+}
+FULL = {
+    "one word": b"x" * N,
+    "one number": b"1" * N,
+    "quotation marks": b'"' * N,
+    "words on one line": b"1 " * (N // 2),
+    "a word a line": b"1\n" * (N // 2),
+    "unknown tags": b"T\n" * (N // 2),
+    "blanks that are none": b"\xc2\xa0" * (N // 2),
+    "a graph": PLANE.encode() * (N // len(PLANE)),
+    "in space": SPACE.encode() * (N // len(SPACE)),
+    "a graph with names": PYFG.encode() * (N // len(PYFG)),
+    "a graph of iSAM": ISAM_2.encode() * (N // len(ISAM_2)),
+    "what is held": PLANE.encode() + b"FIX 0\n" * (N // 6),
+    "poses": b"".join(b"%d 1 2 3 0 0 0 1\n" % k for k in range(N // 20)),
+    "rows": b"time_s,z_m\n" + b"1,2\n" * (N // 4),
+}
+PARTS = IDLE | FULL
+
+
+def peak(read: Callable[[Path], Any], path: Path) -> tuple[int, str]:
+    """The most memory a reader takes, and its error."""
+    message = ""
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        patch.setattr(files, "CHUNK", CHUNK)
+        warnings.simplefilter("ignore")
+        tracemalloc.start()
+        try:
+            read(path)
+        except LeadlineError as error:
+            message = str(error)
+        finally:
+            used = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+    return used, message
+
+
+def stated(data: bytes) -> int:
+    """The memory that reading may take, counted another way than the reader counts."""
+    lines = len(re.findall(rb"\r\n|\r|\n", data)) + 1
+    return PER_BYTE * len(data) + PER_WORD * (len(data.split()) + lines + data.count(b",") + data.count(b'"')) + BASE
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warm(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Modules are loaded before memory is counted."""
+    path = tmp_path_factory.mktemp("warm") / "f.g2o"
+    for text in (PLANE, SPACE, PYFG, ISAM_2):
+        path.write_text(text)
+        for reading in READERS.values():
+            peak(reading, path)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "f.g2o"
+
+
+@for_all(reader=READERS)
+def test_every_reader_keeps_to_what_is_stated(reader: str, file: Path) -> None:
+    reading = READERS[reader]
+    behind = {"behind: " + name: PLANE.encode() + data for name, data in IDLE.items()} if reader == "graph" else {}
+    for name, data in (PARTS | behind).items():
+        file.write_bytes(data)
+        used, _ = peak(reading, file)
+        assert used < stated(data), (name, used, stated(data))
+
+
+@for_all(reader=READERS)
+def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blanks and comments of 25 times what is allowed, packed or not: no more is read than that."""
+    monkeypatch.setattr(bounded_text, "SLACK", 1 << 15)
+    for name, part in IDLE.items():
+        data = PLANE.encode() * (len(name) % 2) + part * 25
+        for content in (data, gzip.compress(data, 1)):
+            file.write_bytes(content)
+            used, message = peak(READERS[reader], file)
+            verb = "has" if content is data else "unpacks to"
+            assert re.search(rf"f\.g2o: {verb} [0-9,]+ bytes or more of blanks, commas and comments", message), name
+            assert used < PER_BYTE * bounded_text.SLACK + 32 * CHUNK, (name, used)
+
+
+@given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
+def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.DataObject) -> None:
+    text = b"".join(words)
+    pieces, rest, content, count = bounded_text.BoundedText("f: has"), text, 0, 0
+    while rest:
+        size = data.draw(st.integers(1, len(rest)))
+        content += pieces._content(rest[:size])
+        count += bounded_text._words(rest[:size])
+        rest = rest[size:]
+    lines = [line for line in re.split(rb"[\r\n]", text) if not line.lstrip().startswith(b"#")]
+    assert content == sum(1 for line in lines for byte in line if byte > 0x20 and byte != ord(","))
+    assert count >= len(text.split())
+
+
+def test_the_limits_to_the_byte(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_text, "SLACK", 1000)
+    file.write_bytes(b"EDGE" + b"\n" * (1000 + 4 * 4))
+    assert len(read_bytes(file)) == 1020
+    file.write_bytes(b"EDGE" + b"\n" * (1001 + 4 * 4))
+    with pytest.raises(ResourceLimitError, match=r"f\.g2o: has 1,017 bytes .* beside 4 others, the limit is 1,016"):
+        read_bytes(file)
+    file.write_bytes(b"EDGE\n" + b"1 " * 500)
+    needed = PER_BYTE * 1005 + PER_WORD * (501 + 1 + 1)
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed)
+    assert len(read_bytes(file)) == 1005
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: needed - 1)
+    for data in (file.read_bytes(), gzip.compress(file.read_bytes())):
+        file.write_bytes(data)
+        with pytest.raises(
+            ResourceLimitError, match=r"f\.g2o: .* 1,005 bytes or more, .* takes 0\.0000583 GB"
+        ) as caught:
+            read_bytes(file)
+        assert (caught.value.needed, caught.value.limit) == (needed, needed - 1)
+
+
+def test_a_large_file_is_refused_by_its_size(file: Path) -> None:
+    with file.open("wb") as hole:
+        hole.truncate(1 << 42)  # without a block on the disk
+    used, message = peak(load, file)
+    assert "has 4,398,046,511,104 bytes or more, to read them takes" in message
+    assert used < BASE
+
+
+def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = b"".join(b"T%d\n" % k for k in range(2000))
+    tracemalloc.start()
+    assert len(Text(data).tags) == 2000
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used < PER_BYTE * len(data) + (700 + PER_WORD) * 2000
+    monkeypatch.setattr("nls.io.text.default_limit", lambda: 1e6)
+    with pytest.raises(ResourceLimitError, match=r"<text>: 1,984 lines with first words of many kinds, .* 0\.00139 GB"):
+        assert Text(data).tags
+
+
+def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused while it is unpacked: one of 2 GB is a file of 2 MB."""
+    monkeypatch.setattr(bounded_text, "WORD", 4 * CHUNK)
+    for data in (b"x" * (1 << 20), gzip.compress(b"x" * (1 << 20)), PLANE.encode() + b"1" * (1 << 20)):
+        file.write_bytes(data)
+        for reading in READERS.values():
+            used, message = peak(reading, file)
+            assert f"a word of {5 * CHUNK:,} bytes or more, the limit is {4 * CHUNK:,}" in message
+            assert used < 16 * CHUNK + BASE
+
+
+@for_all(line=[b"\n", b"# a\n", b"EDGE_SE2 0 1\n"])
+def test_a_stream_without_end(line: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_text, "SLACK", 1 << 14)
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: 1e6)
+
+    class Endless(io.BytesIO):
+        def read(self, size: int | None = -1, /) -> bytes:
+            return line * CHUNK
+
+    with pytest.raises(ResourceLimitError, match=r"pipe: has [0-9,]+ bytes or more"):
+        read_stream(Endless(), "pipe")
+
+
+def test_the_limit_is_that_of_every_solve(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert bounded_text.default_limit is limits.default_limit
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: 1e4)
+    file.write_bytes(PLANE.encode() * 10)
+    for reading in READERS.values():
+        with pytest.raises(ResourceLimitError, match=r"the limit is 0\.0000100 GB"):
+            reading(file)
+    with pytest.raises(GraphFileError, match="has a zero byte"):
+        read_bytes(Path("/dev/zero"))

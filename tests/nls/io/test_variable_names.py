@@ -13,8 +13,8 @@ from models import SE2, SE3, LieGroup, Manifold, R
 from nls import FactorGraph, Kind, Values, kinds
 from nls.io.variable_names import renumbered
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import PLANE, again, assert_refused, read, same
-from tests.nls.io.robots import LABEL, ROBOTS, STEP, A, B, L, X, numbers, renamed, without
+from tests.nls.io import g2o_files
+from tests.nls.io.g2o_files import LABEL, PLANE, ROBOTS, STEP, A, B, L, X, again, numbers, read, renamed, same, without
 
 
 def test_a_file_of_two_robots_has_their_names_and_comes_back_byte_for_byte(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_graphs_made_in_python_get_keys_where_g2o_has_no_ids(tmp_path: Path) -> 
     ],
 )
 def test_refusals_name_the_keys(line: str, words: str) -> None:
-    assert_refused(15, words, read, ROBOTS + line + "\n")
+    g2o_files.assert_refused(15, words, read, ROBOTS + line + "\n")
 
 
 def test_the_tracks_of_two_robots_are_told_apart_in_a_picture() -> None:

@@ -1,4 +1,4 @@
-"""Whether noise explains chi2: one rule for plain and robust results."""
+"""What every optimization promises, and whether noise explains its chi2: one rule for plain and robust results."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from factors import DCS, Between, Cauchy, GemanMcClure, Huber, Isotropic, Prior,
 from factors.robust import Kernel
 from models import R
 from models.advice import listed
+from nls import FactorGraph, GaussNewton, GraphError, Stop
 from nls.optimizers.fit import Fit, fit, shares
-
-(x,) = nls.kinds("x")
+from tests.nls.graphs import circle, p, pose_graph, scalar, x
 
 
 def result(chi2: float, dof: int, robust: bool = False) -> nls.Result:
@@ -100,3 +100,43 @@ def test_closures_that_a_kernel_silences_are_not_hidden_among_odometry() -> None
     ]
     assert robust.fit is Fit.IMPLAUSIBLE
     assert "the kernel ignored 5 of 5 Between closures (100 %)" in str(robust)
+
+
+def test_a_start_that_is_kept_can_be_changed_without_harm() -> None:
+    graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
+    result = graph.optimize(start)
+    start[p[0]] = [99.0]
+    assert result.values[p[0]].tolist() == [3.0]
+
+
+def test_history_timings_and_table() -> None:
+    sample = pose_graph(R(2))
+    result = sample.graph.optimize(sample.values)
+    assert [it.number for it in result.history] == list(range(result.iterations + 1))
+    assert np.isnan(result.history[0].update)
+    assert result.history[0].chi2 == result.chi2_initial
+    assert {"build", "analyze", "linearize", "retract"} <= set(result.timings)
+    assert all(seconds >= 0 for seconds in result.timings.values())
+    text = str(result)
+    assert f"CONVERGED: {result.reason}" in text
+    assert f"{result.dof} degrees of freedom" in text
+    assert len(text.splitlines()) == 1 + len(result.history) + 2
+
+
+def test_an_optimizer_is_not_changed_by_a_run() -> None:
+    graph, start = circle()
+    optimizer = GaussNewton()
+    first, second = graph.optimize(start, optimizer), graph.optimize(start, optimizer)
+    assert first.values[p[0]].tobytes() == second.values[p[0]].tobytes()
+    with pytest.raises(AttributeError):
+        optimizer.stop = Stop()  # type: ignore[misc]
+
+
+def test_nothing_left_to_move() -> None:
+    sample = pose_graph(R(2))
+    sample.graph.fix(x[0:8])
+    result = sample.graph.optimize(sample.values)
+    assert result.converged
+    assert np.array_equal(result.values[x], sample.values[x])
+    with pytest.raises(GraphError):
+        FactorGraph().optimize(sample.values)

@@ -7,20 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import (
-    Bearing,
-    BearingRange,
-    Between,
-    Elevation,
-    Information,
-    Isotropic,
-    Landmark,
-    Prior,
-    Projection,
-    Range,
-    RangeAzimuth,
-    Sighting,
-)
+import factors as f
+from factors import Bearing, BearingRange, Between, Information, Isotropic, Landmark, Prior, Projection, Range, Sighting
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, Manifold, Measured, R
 from models.algebra import Array
@@ -146,7 +134,7 @@ def test_a_pixel_without_a_ray_is_named() -> None:
 def test_sightings_that_place_no_point_are_passed_over() -> None:
     truth, _ = filmed()
     n = np.arange(3)
-    arcs = [exact(kind, truth, x[n], l[np.zeros(3, dtype=int)]) for kind in (RangeAzimuth, Elevation)]
+    arcs = [exact(kind, truth, x[n], l[np.zeros(3, dtype=int)]) for kind in (f.RangeAzimuth, f.Elevation)]
     others = FactorGraph([*arcs, Range(x[0], x[1], 1.0, ONE), Prior(l[1], [1.0, 2.0, 3.0], ONE)])
     assert np.array_equal(locate_points(others, forgotten(truth))[l], forgotten(truth)[l])
 

@@ -7,21 +7,8 @@ from math import radians
 import numpy as np
 import pytest
 
-from factors import (
-    XYH,
-    ZPR,
-    Between,
-    Cauchy,
-    Diagonal,
-    Elevation,
-    ElevationHinge,
-    Factor,
-    Heading,
-    Isotropic,
-    Position,
-    RangeAzimuth,
-    sonar_factors,
-)
+import factors as f
+from factors import XYH, ZPR, Between, Cauchy, Diagonal, Elevation, ElevationHinge, Factor, Isotropic, RangeAzimuth
 from factors.base import Jacobians, Model
 from factors.keys import Keys
 from models import SE2, SE3, Manifold, Measured, R, euler
@@ -211,7 +198,7 @@ def dive(n: int = 12, k: int = 60, seed: int = 0) -> tuple[Values, Array, Array,
 
 
 def contacts(i: Array, k: Array, z: Array, **more: object) -> list[Factor]:
-    return sonar_factors(x[i], l[k], z[:, :2], Diagonal(range=0.01, azimuth=0.005), DIDSON_HIGH, MOUNT, **more)  # type: ignore[arg-type]
+    return f.sonar_factors(x[i], l[k], z[:, :2], Diagonal(range=0.01, azimuth=0.005), DIDSON_HIGH, MOUNT, **more)  # type: ignore[arg-type]
 
 
 def first_of(i: Array, k: Array) -> Array:
@@ -346,8 +333,8 @@ def test_the_method_odometry_reckons_and_searches() -> None:
     """From nothing but the first pose; auto comes as near as that. The solve ends at the truth."""
     truth, i, k, z = dive()
     e = euler.from_se3(truth[x])
-    here = Position(x[0], truth[x[0]][:2], Isotropic(1e-3), components=("x", "y"))
-    north = Heading(x[0], e[0, 2], Isotropic(1e-4))
+    here = f.Position(x[0], truth[x[0]][:2], Isotropic(1e-3), components=("x", "y"))
+    north = f.Heading(x[0], e[0, 2], Isotropic(1e-4))
     graph = FactorGraph([*navigation(e, np.arange(len(e))), here, north, *contacts(i, k, z)])
     nothing = lost(forgotten(truth), x[0])
     expected = search_elevation(graph, dead_reckoning(graph, nothing))
