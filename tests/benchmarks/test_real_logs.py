@@ -1,7 +1,9 @@
-"""Dead reckoning on public logs against their truth, and what their readers refuse."""
+"""Dead reckoning on public logs against their truth, what their readers refuse, and that every log has its mapping."""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -67,3 +69,17 @@ def test_caves(data: Path, evidence: Any) -> None:
     for a, b, tape, found, published, _ in evidence.cones(log):
         assert abs(found - published) < 2.0, (a, b)
         assert abs(found - tape) < 3.2, (a, b)
+
+
+def test_every_log_has_its_mapping_and_its_origin(script: Callable[[str], Any]) -> None:
+    evidence = script("public_logs")
+    text = (evidence.FOLDER / "logs.toml").read_text(encoding="utf-8")
+    logs = [evidence.Log(**entry) for entry in tomllib.loads(text)["log"]]
+    assert len({log.repository for log in logs}) >= 10
+    mappings = {path.stem for path in evidence.FOLDER.glob("*.toml")} - {"logs"}
+    assert mappings == {log.name for log in logs}
+    for log in logs:
+        clone, *shows = log.commands()
+        assert log.repository in clone
+        assert len(log.commit) == 40
+        assert all(log.commit in show for show in shows)

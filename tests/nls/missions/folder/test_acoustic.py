@@ -13,8 +13,7 @@ from models import SE3, euler
 from models.sensors import direction
 from nls.missions.folder.columns import ANGLES, COLUMNS, PLACE, USBL, suffixed
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import folder
-from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
+from tests.nls.missions.folder.mission_files import BEACONS, Positioned, csv, folder
 from tests.nls.missions.folder.test_fixes import solved
 
 x, b, s = nls.kinds("x", "b", "s")

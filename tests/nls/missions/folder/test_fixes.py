@@ -13,8 +13,7 @@ from models import SE3, euler
 from models.geodesy import LocalPlane
 from nls.missions.folder.columns import COLUMNS
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import TINY, folder
-from tests.nls.missions.folder.positioned import Positioned, csv
+from tests.nls.missions.folder.mission_files import TINY, Positioned, csv, folder
 
 (x,) = nls.kinds("x")
 T = np.array([10.4, 30.2, 55.55, 71.0])
