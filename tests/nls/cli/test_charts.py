@@ -17,7 +17,7 @@ from models.geodesy import LocalPlane
 from nls.missions.folder.table import Table
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.folder.mission_files import BEACONS, TINY, Positioned, csv, folder
-from tests.nls.missions.folder.test_acoustic import HEARD, KNOWN, RANGE, SIGMA, T
+from tests.nls.missions.folder.test_positions import HEARD, KNOWN, RANGE, SIGMA, T
 
 x, l = nls.kinds("x", "l")
 ORIGIN = "lat_deg,lon_deg\n{},{}\n"

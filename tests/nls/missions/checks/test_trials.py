@@ -269,8 +269,8 @@ def test_solve_and_explain_print_it_and_a_right_mission_is_not_tried(
 def test_large_tables_begin_with_few_rows_and_end_with_all(
     scene: Callable[[str], Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, _, result, tables, whole = scene("ranges 3 % long")
-    monkeypatch.setattr("nls.missions.checks.trials.MOST_ROWS", 60)  # of 111
+    _, _, result, tables, whole = scene("USBL 18 s late")
+    monkeypatch.setattr("nls.missions.checks.trials.MOST_ROWS", 60)  # of 84
     few = explained(tables, result.chi2_final, result.dof)
     (a,), (b,) = whole.trials, few.trials
     assert (b.reading.column, b.dof) == (a.reading.column, a.dof)
