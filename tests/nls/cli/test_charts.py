@@ -16,9 +16,8 @@ from models.algebra import Array
 from models.geodesy import LocalPlane
 from nls.missions.folder.table import Table
 from tests.nls.cli.shell import Shell, row, rows
-from tests.nls.missions.folder.mission_files import TINY, folder
-from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
-from tests.nls.missions.folder.test_acoustic import HEARD, KNOWN, RANGE, SIGMA, T
+from tests.nls.missions.folder.mission_files import BEACONS, TINY, Positioned, csv, folder
+from tests.nls.missions.folder.test_positions import HEARD, KNOWN, RANGE, SIGMA, T
 
 x, l = nls.kinds("x", "l")
 ORIGIN = "lat_deg,lon_deg\n{},{}\n"

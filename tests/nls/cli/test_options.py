@@ -1,4 +1,4 @@
-"""Options of ``nls solve`` that change the problem: kernels, methods, what is held, how lines read."""
+"""Options of ``nls solve`` that change the problem: kernels, gnc, estimated sigmas, methods, what is held."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 import nls
+import sim
 from factors import BundleProjection, Cauchy, Huber, Isotropic
 from factors.bundle import CAMERA, LENS
+from factors.rescaled import rescaled
 from models import R
-from tests.nls.cli.shell import Shell, rows
+from nls.missions.folder.write import write_mission
+from tests.nls.cli.shell import RING, SPOILED, Shell, rows
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
 from tests.nls.missions.folder.mission_files import TINY, folder
+from tests.nls.robust.test_graduated import names, wrong_closures
 
 OUTLIER = PLANE + f"EDGE_SE2 1 3 5 5 0 {INFORMATION_2}\n"
 
@@ -123,3 +127,121 @@ def test_lines_are_left_out_as_the_refusals_advise(shell: Shell) -> None:
             assert re.search(
                 r"warning: .*(EDGE_A,B\$x \(1, first on line 9|1 edge to .* left out, first on line 9)", err
             )
+
+
+def too_sure(path: Path) -> None:
+    """A file of three laps of a ring of poses that states a third of the sigmas of its errors."""
+    world = sim.ring(np.random.default_rng(0), laps=3, per_lap=20)
+    models = [world.start.gather(factor)[0] for factor in world.graph.factors]
+    nls.save(path, nls.FactorGraph([rescaled(model, np.full((1, model.dim), 1 / 3)) for model in models]), world.start)
+
+
+def test_the_table_has_a_row_a_kind_and_files_the_estimated_sigmas(shell: Shell) -> None:
+    too_sure(shell / "graph.g2o")
+    report = shell.report("solve graph.g2o --sigmas estimate -o solved.g2o --covariance c.csv")
+    kinds = report["sigmas"]["kinds"]
+    assert [kind["kind"] for kind in kinds] == ["Between, steps", "Between, closures"]
+    assert all(abs(kind["scale"] - 3) < 3 * kind["scale_sigma"] for kind in kinds)
+    assert "solved.g2o holds the estimated sigmas, not the stated ones" in report["notes"]
+    again = shell.report("solve solved.g2o --init file")
+    assert again["chi2_final"] == pytest.approx(report["chi2_final"], rel=1e-5)
+    assert report["chi2_final"] == pytest.approx(report["dof"], rel=0.01)
+    stated = shell("solve graph.g2o --covariance stated.csv --allow-doubtful")
+    assert not rows(stated, "sigmas")
+    ratio = largest(shell / "c.csv") / largest(shell / "stated.csv")
+    assert 2.5**2 < ratio < 3.5**2
+    table = rows(shell("solve graph.g2o --sigmas estimate:units"), "sigmas")
+    assert [row.split(": stated")[0] for row in table][:2] == ["Between, steps: x, y", "Between, steps: yaw"]
+
+
+def largest(path: Path) -> float:
+    """Largest number of a file of covariances."""
+    text = path.read_text().splitlines()
+    return max(float(word) for line in text[1:] for word in line.split(",")[-6:] if word[:1].isdigit())
+
+
+def test_a_kernel_and_a_chain_that_nothing_checks(shell: Shell) -> None:
+    shell.file(SPOILED)
+    out, _ = shell.both("solve graph.g2o --sigmas estimate --robust cauchy:2")
+    assert len(rows(out, "sigmas")) == 2
+    shell.file("\n".join(RING.splitlines()[:5]) + "\n")
+    (row,) = rows(shell("solve graph.g2o --sigmas estimate"), "sigmas")
+    assert row == "Between: stated sigmas kept, no other measurement checks them (redundancy 0 of 15 numbers)"
+
+
+def test_a_mission_has_the_sigmas_of_the_estimated_noise(shell: Shell, undrawn: None) -> None:
+    mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
+    write_mission(shell / "m", mission.graph, mission.sonar, mission.offset, mission.truth)
+    report = shell.report("solve m --sigmas estimate -o out")
+    assert report["sigmas"]["settled"]
+    known = [kind for kind in report["sigmas"]["kinds"] if kind["known"]]
+    assert len(known) >= 2
+    assert all(abs(np.log(k["scale"])) < 4 * k["scale_sigma"] / k["scale"] + 0.1 for k in known)
+    assert (shell / "out" / "trajectory.csv").exists()
+
+
+@pytest.fixture(scope="module")
+def spoiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, set[str]]:
+    """A city with twenty wrong closures in two groups, and their names."""
+    world = sim.manhattan(np.random.default_rng(3), n_poses=300)
+    wrong = wrong_closures(world, 20, np.random.default_rng(4), 10)
+    path = tmp_path_factory.mktemp("spoiled") / "city.g2o"
+    nls.save(path, nls.FactorGraph([*world.graph.factors, wrong]), world.truth)
+    return path, names(wrong)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_was_rejected_is_said_and_left_out(spoiled: tuple[Path, set[str]], shell: Shell) -> None:
+    path, wrong = spoiled
+    out, record = shell.told(f"solve {path} --robust gnc-tls --certify --report p.html -o out.g2o")
+    rejected = {each["factor"] for each in record["rejected"]}
+    assert wrong <= rejected
+    lines = path.read_text().splitlines()
+    for each in record["rejected"]:
+        assert each["file"] == str(path)
+        assert lines[each["line"] - 1].split()[1:3] == re.findall(r"x(\d+)", each["factor"])
+    assert (record["init"], record["certificate"]["verdict"]) == ("gnc-tls", "certified")
+    assert f"{len(rejected)} of {record['doubted']} doubted measurements rejected" in out
+    assert f"about {record['expected_by_chance']:.0f} are expected by chance at 99 %" in out
+    assert record["rejected"][0]["factor"] in out
+    assert "without the" in out
+    assert sum(name in (shell / "p.html").read_text() for name in wrong) >= 5
+    before, (graph, values, _) = nls.load(path)[0], nls.load("out.g2o")
+    written = {factor.describe(k) for factor in graph.factors for k in range(len(factor))}
+    assert not written & wrong
+    assert len(before) - len(graph) == len(rejected)
+    assert graph.chi2(values) == pytest.approx(record["chi2_final"])
+
+
+def test_other_losses_and_plain_least_squares(spoiled: tuple[Path, set[str]], shell: Shell) -> None:
+    path, wrong = spoiled
+    record = shell.report(f"solve {path} --robust gnc-gm:0.999")
+    assert wrong <= {each["factor"] for each in record["rejected"]}
+    assert record["init"] == "gnc-gm:0.999"
+    assert "rejected" not in shell.report(f"solve {path}", 1)
+
+
+def test_what_is_left_keeps_its_times(shell: Shell) -> None:
+    lines = [f"VERTEX_SE2 {k}.5 A{k} {k} 0 0" for k in range(8)]
+    pairs = [(i, i + step) for step in (1, 2) for i in range(8 - step)]
+    good = [f"EDGE_SE2 {i}.{j} A{i} A{j} {j - i} 0 0 0.01 0 0 0.01 0 0.01" for i, j in pairs]
+    wrong = "EDGE_SE2 9.25 A1 A6 9 9 0 0.01 0 0 0.01 0 0.01"
+    file = shell.file("\n".join([*lines, *good[:9], wrong, *good[9:]]), "a.pyfg")
+    shell(f"solve {file} --robust gnc-tls -o b.pyfg --quiet --allow-doubtful")  # with sigmas larger than the map
+    ((_, times),) = nls.load("b.pyfg")[2].factor_times
+    assert times.tolist() == [float(line.split()[1]) for line in good]
+
+
+def test_lines_that_stay_keep_their_digits(shell: Shell) -> None:
+    """Weights of angles are turned while they are read; what is kept is written as the file had it."""
+    world = sim.sphere(np.random.default_rng(1), rings=8, per_ring=12)
+    wrong = wrong_closures(world, 5, np.random.default_rng(4))
+    nls.save("ball.graph", nls.FactorGraph([*world.graph.factors, wrong]), world.truth, dialect="toro")
+    rejected = len(shell.report("solve ball.graph --robust gnc-tls -o out.toro --allow-doubtful")["rejected"])
+    before, after = (
+        [line for line in (shell / name).read_text().splitlines() if line.startswith("EDGE3")]
+        for name in ("ball.graph", "out.toro")
+    )
+    assert rejected >= len(wrong) > 0
+    assert len(after) == len(before) - rejected
+    assert set(after) < set(before)

@@ -26,7 +26,7 @@ def table(file: Path) -> tuple[list[str], list[list[str]]]:
     return head, body
 
 
-def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
+def test_a_room_is_solved_with_all_files(shell: Shell, undrawn: None) -> None:
     write(shell / "m", room())
     out, report = shell.told("solve m -o out --plot p.png --report page.html --covariance c.csv")
     record = report["scans"]

@@ -18,6 +18,7 @@ from tests.combinations import for_all
 from tests.nls.missions.checks.missions import (
     Change,
     changed,
+    clean,
     dive,
     files_of,
     findings,
@@ -26,7 +27,6 @@ from tests.nls.missions.checks.missions import (
     tables_of,
     with_fixes,
 )
-from tests.nls.missions.checks.vehicle import clean
 from tests.nls.missions.folder.mission_files import folder
 
 HOUR = 3600.0

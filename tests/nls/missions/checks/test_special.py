@@ -12,8 +12,7 @@ from nls.missions.checks.findings import Cause
 from nls.missions.checks.special import repeated
 from nls.missions.folder.table import csv_text
 from tests.combinations import for_all
-from tests.nls.missions.checks.missions import FIXES, Change, changed, dive, findings, kinds, tables_of
-from tests.nls.missions.checks.vehicle import clean
+from tests.nls.missions.checks.missions import FIXES, Change, changed, clean, dive, findings, kinds, tables_of
 
 V, DEG = ["vx_m_s", "vy_m_s", "vz_m_s"], np.pi / 180
 SPOILS: dict[str, tuple[str, str, list[str], float]] = {  # kind of mission, table, columns, number

@@ -16,8 +16,7 @@ from nls.missions import MissionReport, read_mission
 from nls.missions.checks import table_errors
 from nls.missions.checks.findings import Cause, TableError
 from tests.nls.missions.checks.missions import changed
-from tests.nls.missions.folder.mission_files import folder
-from tests.nls.missions.folder.positioned import BEACONS, Positioned, csv
+from tests.nls.missions.folder.mission_files import BEACONS, Positioned, csv, folder
 from tests.nls.missions.folder.test_motion import ARM, T, fixes, logs, state
 
 (X,) = nls.kinds("x")

@@ -14,8 +14,7 @@ from models.algebra import Array
 from nls import GraphFileError, Marginals, kinds
 from nls.missions.folder import columns
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.missions.folder.mission_files import folder
-from tests.nls.missions.folder.positioned import csv
+from tests.nls.missions.folder.mission_files import csv, folder
 
 (x,) = kinds("x")
 MOTION = "sigma_walk_m_sqrt_s\n0.3\n"

@@ -1,4 +1,4 @@
-"""Sonar pictures: every cell where its range and azimuth put it, arcs that pass through their landmarks."""
+"""Sonar pictures: every cell where its range and azimuth put it, arcs through landmarks, corners of the frustum."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from math import radians
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 import sim
 from models import SE3
 from models.errors import GraphError
-from models.sensors import DIDSON_LOW, cartesian, plane_projection
+from models.sensors import DIDSON_HIGH, DIDSON_LOW, cartesian, plane_projection, range_azimuth
 from nls import kinds
 from nls.missions.pictures.sonar import arcs, fan_image, polar_image
+from nls.plot import frustum
 
 x, l = kinds("x", "l")
 SONAR = replace(DIDSON_LOW, bins=64, window=(2.0, 6.0))
@@ -109,3 +111,28 @@ def test_mistakes_are_named(mission: sim.Mission, image: np.ndarray) -> None:
             draw(image.T, SONAR)
     with pytest.raises(GraphError, match="x999 has no contact among"):
         arcs(mission.contacts, mission.truth, x[999], mission.sonar)
+
+
+HIGH = replace(DIDSON_HIGH, window=(1.0, 6.0))
+POSE = SE3.exp(np.array([1.0, 2.0, 3.0, 0.1, -0.3, 0.5]))
+POINTS = SE3.act(POSE[None], np.array([[4.0, 0.5, 0.2], [3.0, -0.4, -0.1], [4.0, 3.0, 0.0]]))
+
+
+def test_frustum_and_arcs() -> None:
+    axes = frustum(HIGH, POSE, POINTS).axes[0]
+    assert axes.zaxis.get_inverted()
+    rims, arcs = (c for c in axes.collections if isinstance(c, Line3DCollection))
+    local = [SE3.act(SE3.inverse(POSE[None]), np.array(rim)) for rim in rims._segments3d]
+    r = np.linalg.norm(np.concatenate(local[:4]), axis=1)
+    np.testing.assert_allclose(r, 6.0)
+    far = np.concatenate(local[:4])
+    assert np.isclose(np.ptp(range_azimuth(far)[0][:, 1]), HIGH.fan)
+    assert np.isclose(2 * np.arcsin(far[:, 2].max() / 6.0), HIGH.aperture)
+    for arc, point in zip(arcs._segments3d, POINTS[:2], strict=True):  # the third is beside the fan
+        both = SE3.act(SE3.inverse(POSE[None]), np.vstack([arc, point]))
+        z, _ = range_azimuth(both)
+        np.testing.assert_allclose(z, np.tile(z[-1], (len(z), 1)), atol=1e-12)
+        assert np.linalg.norm(np.array(arc) - point, axis=1).min() < 0.03  # and passes through the point
+    drawn = {line.get_label(): np.stack(line.get_data_3d(), axis=1) for line in axes.lines}
+    np.testing.assert_allclose(drawn["out of view"], POINTS[2:])
+    np.testing.assert_allclose(drawn["sonar"], POSE[None, :3])
