@@ -28,8 +28,7 @@ from models.errors import GraphError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
 from nls.linear import LinearSolver, factorize
 from nls.linear.factorization import Factorization, SingularSystemError
-from nls.linear.free_gauge import free_directions, gauge_columns
-from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths
+from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths, free_directions, gauge_columns
 from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem

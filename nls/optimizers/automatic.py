@@ -13,11 +13,11 @@ from __future__ import annotations
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
 from nls.optimizers.base import Optimizer, Watch
-from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.problem import Problem
 from nls.optimizers.result import Status
 from nls.optimizers.step import Step
+from nls.optimizers.trust_region import Dogleg
 from nls.system import LinearSystem
 from nls.values import Values
 

@@ -12,8 +12,7 @@ from models import SE2, R
 from models.algebra import Array, Index
 from nls import FactorGraph, Values
 from nls.analysis.chi_squared import chi2_log_tail
-from nls.analysis.leave_one_out import checks
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import Checked, Linearization, checks
 from nls.analysis.suspects import GroupTests
 from tests.combinations import for_all
 

@@ -11,9 +11,8 @@ from factors import Between, Covariance, Diagonal, Isotropic
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from nls import FactorGraph, Values
-from nls.certificate.newton import Optimum, _second_order, newton, rotations
+from nls.certificate.optimum import Optimum, _second_order, newton, rotations, spectrum, staircase
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import spectrum, staircase
 from nls.linear import default
 from nls.linear.factorization import SingularSystemError
 from nls.linear.lu import SuperLU
