@@ -20,8 +20,8 @@ from nls.linear.default import chosen_solver
 from nls.linear.null_space import FreeGauge
 from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
-from nls.optimizers.fit import shares
 from nls.optimizers.problem import Problem
+from nls.optimizers.result import shares
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread

@@ -36,7 +36,7 @@ from models.algebra import Array, Mask, apply, dot, product
 from models.errors import GraphError
 from models.sensors.arcs import second_view
 from nls.graph import FactorGraph
-from nls.starts.elevation import Arcs, aperture_of, misfit_of
+from nls.starts.landmarks import Arcs, aperture_of, misfit_of
 from nls.values import Values
 
 

@@ -13,7 +13,7 @@ from factors import DCS, Between, Cauchy, GemanMcClure, Huber, Isotropic, Prior,
 from factors.robust import Kernel
 from models import R
 from models.advice import listed
-from nls.optimizers.fit import Fit, fit, shares
+from nls.optimizers.result import Fit, fit, shares
 
 (x,) = nls.kinds("x")
 
