@@ -24,12 +24,13 @@ from scipy import sparse as sp
 
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
-from models.errors import GraphError, ResourceLimitError, UnderconstrainedError
+from models.errors import GraphError, UnderconstrainedError
 from models.listing import some
 from nls.linear import LinearSolver, factorize
 from nls.linear.factorization import Factorization, SingularSystemError
 from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths, free_directions, gauge_columns
 from nls.linear.underconstrained import underconstrained
+from nls.sparse.fill import refuse_larger
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
@@ -198,14 +199,8 @@ def free_part(
     gauge, complement = gauge_columns(held, free)
     count = len(gauge) + (0 if others is None else others.shape[1])
     needed = 6 * 8.0 * free.n * count
-    if needed > memory_limit:
-        raise ResourceLimitError(
-            f"gauge 'free': {count} free directions of {free.n} unknowns need {needed / 1e9:.1f} GB, the limit is "
-            f"{memory_limit / 1e9:.1f} GB; use gauge 'first'",
-            needed,
-            memory_limit,
-            "free gauge",
-        )
+    words = f"gauge 'free': {count} free directions of {free.n} unknowns need"
+    refuse_larger(needed, memory_limit, "free gauge", words, "use gauge 'first'")
     A = LinearSystem.at(free, values).A
     try:
         unheld = factorization.solve((A[:, complement].T @ A[:, gauge]).toarray())
