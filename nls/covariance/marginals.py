@@ -20,8 +20,15 @@ from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.listing import some
 from nls.covariance.frames import Joint, axes, of_motions, turned
-from nls.covariance.free import FreePart, Undetermined, anchored_factorization, free_part, used_components
-from nls.covariance.selected import SelectedInverse, paired
+from nls.covariance.inverse import (
+    FreePart,
+    SelectedInverse,
+    Undetermined,
+    anchored_factorization,
+    free_part,
+    paired,
+    used_components,
+)
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by

@@ -7,7 +7,7 @@ some can be used, some wait for a variable, and some make variables join.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Literal
 
@@ -178,14 +178,6 @@ class Window:
         return Values.of(stacks)
 
 
-@dataclass(frozen=True)
-class Ready:
-    """Measurements all of whose variables are in the estimate, and the factor as it was given."""
-
-    given: Factor
-    factor: Factor
-
-
 class Arrivals:
     """Measurements of variables that are not in the estimate yet.
 
@@ -216,14 +208,14 @@ class Arrivals:
             spaces, starts = self._known.spaces | {kind: space}, self._known.starts | new
             self._known = replace(self._known, spaces=spaces, starts=starts)
 
-    def take(self, factors: Sequence[Factor]) -> Iterator[New | Ready]:
+    def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
         self._pending += [(factor, factor) for factor in factors]
         self.reach()
         progress = bool(factors)
         while progress and self._pending:
             progress = False
-            arrivals: Iterator[New | Ready] = chain(self._usable(), self._joining())
+            arrivals: Iterator[New | tuple[Factor, Factor]] = chain(self._usable(), self._joining())
             for arrival in arrivals:
                 progress = True
                 yield arrival
@@ -237,8 +229,8 @@ class Arrivals:
         within = [(given, self._window.reached(factor)) for given, factor in self._pending]
         self._pending = [(given, factor) for given, factor in within if factor is not None]
 
-    def _usable(self) -> Iterator[Ready]:
-        """Measurements all of whose variables are in the estimate; the others wait on."""
+    def _usable(self) -> Iterator[tuple[Factor, Factor]]:
+        """Factors as given, and their measurements all of whose variables are in the estimate; the others wait on."""
         pending, self._pending = self._pending, []
         for given, factor in pending:
             ready: Mask = np.logical_and.reduce([self._known.has(keys) for keys in factor.keys])
@@ -246,7 +238,7 @@ class Arrivals:
             if not ready.all():
                 self._pending.append((given, factor if usable is None else factor[~ready]))
             if usable is not None:
-                yield Ready(given, usable)
+                yield given, usable
 
     def _joining(self) -> Iterator[New]:
         """Variables that their measurements to the estimate determine, and the first of all."""

@@ -206,8 +206,9 @@ class Incremental:
                 exact = arrival.measurement
                 self._system.join(arrival.key, arrival.space, arrival.value)
             else:
-                self._system.enter(arrival.factor, arrival.given)
-                residuals = residuals or arrival.factor is not exact
+                given, factor = arrival
+                self._system.enter(factor, given)
+                residuals = residuals or factor is not exact
         if residuals:
             self.gap += self._system.catch_up()
         if self.gap > self._allowed(1.0):
