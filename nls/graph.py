@@ -17,11 +17,11 @@ from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver
 from nls.linear.default import chosen_solver
-from nls.linear.free_gauge import FreeGauge
+from nls.linear.null_space import FreeGauge
 from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
-from nls.optimizers.fit import shares
 from nls.optimizers.problem import Problem
+from nls.optimizers.result import shares
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread

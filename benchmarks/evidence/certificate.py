@@ -32,9 +32,8 @@ from factors import Between, Diagonal
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from nls import Certificate, FactorGraph, Values
-from nls.certificate.newton import newton
+from nls.certificate.optimum import newton, spectrum, staircase
 from nls.certificate.problem import certifiable
-from nls.certificate.spectrum import spectrum, staircase
 
 PUBLISHED = {  # the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, where it is there
     **{"sphere2500": "1687", "torus3D": "24230", "parking-garage": "1.263", "manhattan": "6432", "city10000": "638.6"},

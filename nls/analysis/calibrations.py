@@ -34,7 +34,7 @@ from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.freedom import Freedom, freedom
-from nls.analysis.linearization import Checked
+from nls.analysis.leave_one_out import Checked
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph

@@ -19,7 +19,7 @@ from scipy import sparse as sp
 from factors.bundle import CAMERA
 from models import SO3, Manifold
 from models.algebra import Array, Index, apply
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import Checked, Linearization
 from nls.linear.factorization import SingularSystemError
 from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths
 from nls.sparse.pattern import Pattern

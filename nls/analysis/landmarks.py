@@ -35,7 +35,7 @@ from nls.linear.factorization import SINGULAR, SingularSystemError
 from nls.linear.limits import default_limit
 from nls.linear.null_space import own_information
 from nls.linear.underconstrained import underconstrained
-from nls.starts.elevation import first_arcs
+from nls.starts.landmarks import first_arcs
 from nls.system import LinearSystem
 from nls.values import Values
 

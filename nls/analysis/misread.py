@@ -42,8 +42,7 @@ from models.algebra import Array, Index, wrap
 from models.manifolds.units import unit
 from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, solved, supported
 from nls.analysis.chi_squared import chi2_tail, mahalanobis
-from nls.analysis.leave_one_out import kinds_of, middle_variance
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import Checked, Linearization, kinds_of, middle_variance
 from nls.analysis.suspects import weights_without
 from nls.graph import FactorGraph
 from nls.sparse.pattern import Batch, Pattern, measuring

@@ -14,8 +14,7 @@ from factors.robust import Kernel
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError
 from models.manifolds.units import unit
-from nls.analysis.leave_one_out import kinds_of
-from nls.analysis.linearization import Checked
+from nls.analysis.leave_one_out import Checked, kinds_of
 from nls.sparse.pattern import Batch, Pattern, measuring
 
 GROUPS = ("kinds", "units", "components")

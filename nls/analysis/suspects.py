@@ -29,8 +29,18 @@ import numpy as np
 from models.algebra import Array, Index
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
 from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
-from nls.analysis.leave_one_out import UNCHECKED, Tested, checks, kinds_of, left_out, spoiled
-from nls.analysis.linearization import Checked, Linearization, Together, stacked
+from nls.analysis.leave_one_out import (
+    UNCHECKED,
+    Checked,
+    Linearization,
+    Tested,
+    Together,
+    checks,
+    kinds_of,
+    left_out,
+    spoiled,
+    stacked,
+)
 from nls.analysis.redundancy import closure_groups
 from nls.graph import FactorGraph
 from nls.linear.factorization import SingularSystemError

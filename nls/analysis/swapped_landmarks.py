@@ -152,7 +152,7 @@ def swapped_landmarks(
     >>> import numpy as np
     >>> import sim
     >>> from factors.replaced import replaced
-    >>> from nls.analysis.linearization import Checked, Linearization
+    >>> from nls.analysis.leave_one_out import Checked, Linearization
     >>> from nls.analysis.leave_one_out import checks
     >>> world = sim.subsea(np.random.default_rng(0), laps=1, known_start=True)
     >>> pose, target = world.sightings.keys

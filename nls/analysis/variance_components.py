@@ -50,8 +50,7 @@ from factors.rescaled import rescaled
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from nls.analysis.freedom import freedom
-from nls.analysis.leave_one_out import UNCHECKED
-from nls.analysis.linearization import Checked
+from nls.analysis.leave_one_out import UNCHECKED, Checked
 from nls.analysis.residual_groups import GROUPS, Parts, Residuals, residual_groups
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph

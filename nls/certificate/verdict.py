@@ -10,9 +10,8 @@ import numpy as np
 from models.advice import Advice, listed
 from models.algebra import Array
 from models.errors import GraphWarning, UnderconstrainedError
-from nls.certificate.newton import Optimum, newton
+from nls.certificate.optimum import BOUND, Optimum, Spectrum, negligible, newton, placed, spectrum, staircase
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import BOUND, Spectrum, negligible, placed, spectrum, staircase
 from nls.graph import FactorGraph
 from nls.optimizers import Result, Stop, default_optimizer
 from nls.optimizers.step import Thresholds

@@ -22,7 +22,7 @@ from nls.io.formats import format_of, suffixes
 from nls.missions import MissionReport
 from nls.missions.checks.table_errors import table_errors
 from nls.missions.summary import lines, of_tables
-from nls.optimizers.fit import TWICE, shares
+from nls.optimizers.result import TWICE, shares
 from nls.stages import listened
 
 if TYPE_CHECKING:

@@ -112,7 +112,7 @@ def _gnc_applies(kind: GraphFile, solved: Solved) -> list[str]:
 
 
 def doubtful(kind: GraphFile, result: nls.Result, written: Sequence[str] = (), cures: Sequence[str] = ()) -> list[str]:
-    """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.fit`.
+    """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.result`.
 
     Parameters
     ----------

@@ -17,16 +17,24 @@ import numpy as np
 from factors.keys import Keys, Kind
 from models import LieGroup
 from models.algebra import Array, Index
-from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
+from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.listing import some
 from nls.covariance.frames import Joint, axes, of_motions, turned
-from nls.covariance.free import FreePart, Undetermined, anchored_factorization, free_part, used_components
-from nls.covariance.selected import SelectedInverse, paired
+from nls.covariance.inverse import (
+    FreePart,
+    SelectedInverse,
+    Undetermined,
+    anchored_factorization,
+    free_part,
+    paired,
+    used_components,
+)
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
 from nls.linear.factorization import SingularSystemError
 from nls.linear.limits import checked_limit
+from nls.sparse.fill import refuse_larger
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
@@ -343,14 +351,9 @@ class Marginals:
         """Rows and columns (k,) of Sigma, axes of the tangent spaces: a few columns of it are solved for at a time."""
         k, n = len(columns), self._pattern.n
         needed = 8.0 * (4 * k * k + 3 * n * min(k, ONE_BLOCK))
-        if needed > self.memory_limit:
-            raise ResourceLimitError(
-                f"the joint covariance of {k} unknowns needs {needed / 1e9:.1f} GB, the limit is "
-                f"{self.memory_limit / 1e9:.1f} GB; ask for fewer variables, or for marginals with all()",
-                needed,
-                self.memory_limit,
-                "joint covariance",
-            )
+        words = f"the joint covariance of {k} unknowns needs"
+        cure = "ask for fewer variables, or for marginals with all()"
+        refuse_larger(needed, self.memory_limit, "joint covariance", words, cure)
         Sigma, a = np.zeros((k, k)), self._column[columns]
         free = np.flatnonzero(a >= 0)
         for begin in range(0, len(free), ONE_BLOCK):

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from models.algebra import Index
     from nls.analysis.calibrations import Calibration
-    from nls.analysis.leave_one_out import Tested
-    from nls.analysis.linearization import Checked
+    from nls.analysis.leave_one_out import Checked, Tested
     from nls.analysis.misread import MisreadKind
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph

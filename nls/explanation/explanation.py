@@ -15,8 +15,7 @@ from nls.analysis.alternatives import expected
 from nls.analysis.calibrations import calibrations
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
-from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
-from nls.analysis.linearization import Checked
+from nls.analysis.leave_one_out import Checked, Tested, checks, kinds_of, spoiled
 from nls.analysis.redundancy import unverified_groups
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned

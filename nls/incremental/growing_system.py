@@ -24,7 +24,7 @@ from nls.linear import best_decomposition
 from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.linear.updatable import Preconditioner
-from nls.optimizers.fit import Fit, fit
+from nls.optimizers.result import Fit, fit
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

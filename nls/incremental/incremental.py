@@ -40,11 +40,10 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.incremental.arrivals import Arrivals, Decision, Window, blame, factors_of, refuse_others
 from nls.incremental.growing import part
 from nls.incremental.growing_system import HONEST, GrowingSystem
-from nls.incremental.leaving import Decision, Window
 from nls.incremental.new_variables import LIMIT, New, lower_start
-from nls.incremental.pending import Arrivals, blame, factors_of, refuse_others
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt
 from nls.robust import Robustified
@@ -207,8 +206,9 @@ class Incremental:
                 exact = arrival.measurement
                 self._system.join(arrival.key, arrival.space, arrival.value)
             else:
-                self._system.enter(arrival.factor, arrival.given)
-                residuals = residuals or arrival.factor is not exact
+                given, factor = arrival
+                self._system.enter(factor, given)
+                residuals = residuals or factor is not exact
         if residuals:
             self.gap += self._system.catch_up()
         if self.gap > self._allowed(1.0):

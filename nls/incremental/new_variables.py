@@ -23,8 +23,7 @@ from nls.graph import FactorGraph
 from nls.incremental.growing import Variables, part
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import odometry
-from nls.starts.elevation import search_elevation
-from nls.starts.landmarks import DETERMINED, locate_points
+from nls.starts.landmarks import DETERMINED, locate_points, search_elevation
 from nls.values import Stack, Values
 
 LIMIT = Stop(max_iterations=30)  # of a batch solution; the next update goes on

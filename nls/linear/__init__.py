@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, NormalEquations
-from nls.linear.cholesky import Cholesky, openmp_capped
+from nls.linear.cholesky import Cholesky
 from nls.linear.default import best_decomposition, default_solver, factorize
 from nls.linear.dense import DenseCholesky, DenseQR, Pinv
 from nls.linear.factorization import Factorization
 from nls.linear.lu import LU
 from nls.linear.qr import QR
 from nls.linear.schur import PCG, Schur, truncated_inverse
+from nls.sparse.threads import openmp
 
 __all__ = [
     "LU",
@@ -48,10 +49,10 @@ def backends() -> dict[str, str]:
     """
     report = {name: solver.missing() or "available" for name, solver in SOLVERS.items()}
     report["default"] = default_solver().name
-    if openmp_capped():
-        report["openmp"] = "CHOLMOD runs on one thread during a factorization"
-    elif Cholesky.missing() is None:
-        report["openmp"] = "no GNU OpenMP library is loaded; the number of CHOLMOD's threads is left as it is"
-    else:
+    if Cholesky.missing() is not None:
         report["openmp"] = "not used, as CHOLMOD is missing"
+    elif openmp():
+        report["openmp"] = "CHOLMOD runs on one thread during a factorization"
+    else:
+        report["openmp"] = "no GNU OpenMP library is loaded; the number of CHOLMOD's threads is left as it is"
     return report

@@ -29,7 +29,7 @@ from nls.linear.base import INSTALL_SUITESPARSE, SparseSolver
 from nls.linear.factorization import Decomposition, SingularSystemError
 from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
-from nls.sparse.threads import openmp, single_thread
+from nls.sparse.threads import single_thread
 
 LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
@@ -128,8 +128,3 @@ class Cholesky(SparseSolver):
     @classmethod
     def missing(cls) -> str | None:
         return None if cholmod() is not None else INSTALL_SUITESPARSE
-
-
-def openmp_capped() -> bool:
-    """Whether CHOLMOD's OpenMP regions can be kept from opening."""
-    return cholmod() is not None and openmp()

@@ -14,11 +14,12 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
-from models.errors import OptionError, ResourceLimitError
+from models.errors import OptionError
 from models.options import is_number
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, SparseSolver, with_damping
 from nls.linear.factorization import ROUNDING, SINGULAR, Decomposition, SingularSystemError
 from nls.linear.limits import checked_limit
+from nls.sparse.fill import refuse_larger
 from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
@@ -42,14 +43,8 @@ class _Dense(LinearSolver):
 
     def analyze(self, pattern: Pattern) -> DenseAnalysis:
         needed = 8.0 * self.copies * pattern.m * pattern.n
-        if needed > self.memory_limit:
-            raise ResourceLimitError(
-                f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, "
-                f"the limit is {self.memory_limit / 1e9:.1f} GB; use a sparse solver",
-                needed,
-                self.memory_limit,
-                "dense system",
-            )
+        words = f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs"
+        refuse_larger(needed, self.memory_limit, "dense system", words, "use a sparse solver")
         return DenseAnalysis(self)
 
     def least_squares(self, A: Array, b: Array, owner: Index) -> Array:

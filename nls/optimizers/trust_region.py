@@ -1,15 +1,56 @@
-"""The loop that Levenberg-Marquardt and dogleg share: a step within a radius, tried, and the radius set by its gain."""
+r"""Trust regions, Levenberg-Marquardt and dogleg: a step within a radius, tried, and the radius set by its gain.
+
+**Levenberg-Marquardt**: Gauss-Newton steps, damped until they stay within a radius and lower chi2.
+
+    A, b = linearization at X
+    dx   = argmin |A dx - b|^2 + lambda |D dx|^2,  lambda the least one with |D dx| <= radius
+    gain = (chi2(X) - chi2(X retract dx)) / fall of chi2 in the linear model
+    if gain > 0:     X = X retract dx
+    if gain > 3/4:   radius = max(radius, 2.5 |D dx|)
+    if gain < 1/4:   radius = 0.4 |D dx|
+    if gain <= 0:    radius = 0.99 |D x| at most
+
+D^2 is the diagonal of A'A, each entry the largest met so far. So the damping does not depend on units, and an unknown
+that loses its influence is held. A refused step bounds the next one by the size |D x| of the estimate. Where a factor
+has kinks (`Factor.damped`) the radius follows success alone.
+
+The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line. This takes one or two
+factorizations, mostly. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals.
+Sources: D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", 1963; J. More, "The
+Levenberg-Marquardt algorithm: implementation and theory", 1978.
+
+A small damped step proves nothing: damping makes every step small. Before the method says converged the undamped step
+must agree that chi2 cannot fall. Also chi2 must not curve downward along that step, as at a saddle. Where that system
+is singular, something is free: the result then says so in `Result.underconstrained`.
+
+**Powell's dogleg**: the Gauss-Newton step, shortened along a bent path where the linear model is not trusted.
+
+    A, b = linearization at X
+    gn   = argmin |A dx - b|                                             Gauss-Newton
+    c    = alpha D^-2 A'b,  alpha = |D^-1 A'b|^2 / |A D^-2 A'b|^2        Cauchy: lowest point downhill
+    dx   = gn                                    if |D gn| <= radius
+           radius c / |D c|                      if |D c| >= radius
+           c + beta (gn - c), |D dx| = radius    otherwise
+    if chi2(X retract dx) < chi2(X):  X = X retract dx;  radius as in Levenberg-Marquardt
+
+One factorization per linearization, however many steps are tried from it. gn is damped too faintly to matter, except
+where the system is singular: there it holds the free directions still, and the result names them. Sources: M. Powell,
+"A hybrid method for nonlinear equations", 1970; J. Nocedal, S. Wright, Numerical Optimization, 2006, section 4.1.
+"""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
 from models.algebra import Array
+from models.options import check_between
+from nls.linear.factorization import SingularSystemError
 from nls.optimizers.base import Optimizer, Watch
-from nls.optimizers.problem import FAINT, Problem, Undamped
+from nls.optimizers.problem import FAINT, HOPELESS, Problem, Undamped
 from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
 from nls.system import LinearSystem
@@ -103,3 +144,122 @@ def _below_tangent(
         return None
     Y, trial, _ = problem.attempt(X, dx)
     return None if trial is None else (Y, trial, dx)
+
+
+BAND = 0.8, 1.2  # parts of the radius between which |D dx| meets it
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt(TrustRegion):
+    """The damped method: for starts far away, projections, residuals with kinks, and systems with free directions.
+
+    Parameters
+    ----------
+    stop : thresholds; ``max_iterations`` counts the steps that were taken.
+    callback : called with every `Iteration`; returning True stops.
+    damping : least lambda of the first step, relative to the diagonal of A'A; a tenth of it for each step that
+        follows. When omitted 1e-3 where a factor says that undamped steps fail (`Factor.damped`), otherwise none that
+        matters: the Gauss-Newton step comes first.
+
+    Raises
+    ------
+    OptionError
+        A damping that is no number above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import FactorGraph, LevenbergMarquardt, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> rosenbrock = lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+    >>> graph = FactorGraph([Factor.from_function(rosenbrock, p[0], dim=2)])
+    >>> result = graph.optimize(Values({p: (R(2), [-1.2, 1.0])}), LevenbergMarquardt())
+    >>> result.converged, result.values[p[0]].round(6)
+    (True, array([1., 1.]))
+    """
+
+    damping: float | None = None
+    name = "levenberg-marquardt"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.damping is not None:
+            check_between("damping", self.damping, 0, HOPELESS, f"a number above 0 and below {HOPELESS:g}")
+
+    def first_damping(self, kinked: bool) -> float:
+        if self.damping is not None:
+            return self.damping
+        return 1e-3 if kinked else FAINT  # over a kink undamped steps are known to fail
+
+    def within(
+        self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
+    ) -> tuple[Array, float]:
+        dx, below = undamped.step(system, D), undamped.damping
+        length = float(np.linalg.norm(D * dx))
+        if not BAND[1] * radius < length < math.inf:
+            return dx, below
+        above = float(np.linalg.norm(system.gradient / D)) / radius  # |D dx| <= |D^-1 A'b| / lambda
+        above = max(above, 1e4 * below)  # but for rounding, where lambda is too faint for a nearly singular system
+        old, old_length, trial = below, length, damping or above * radius / length
+        for _ in range(10):  # trials of lambda: then the step is tried whatever its length
+            damping = trial if below < trial < above else math.sqrt(max(below, 1e-10 * above) * above)
+            if not below < damping < above:
+                break
+            try:
+                dx = undamped.problem.solve(system, damping * D**2)
+            except SingularSystemError:
+                below, trial = damping, math.nan
+                continue
+            length = float(np.linalg.norm(D * dx))
+            if BAND[0] * radius <= length <= BAND[1] * radius:
+                break
+            below, above = (damping, above) if length > radius else (below, damping)
+            slope = (1 / length - 1 / old_length) / (damping - old)
+            trial = damping + (1 / radius - 1 / length) / slope if slope > 0 else math.nan
+            old, old_length = damping, length
+        return dx, damping
+
+
+class Dogleg(TrustRegion):
+    """A trust region whose trials cost no further factorization: for starts far away.
+
+    Parameters
+    ----------
+    stop : thresholds; ``max_iterations`` counts the steps that were taken.
+    callback : called with every `Iteration`; returning True stops.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import Dogleg, FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> rosenbrock = lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+    >>> graph = FactorGraph([Factor.from_function(rosenbrock, p[0], dim=2)])
+    >>> result = graph.optimize(Values({p: (R(2), [-1.2, 1.0])}), Dogleg())
+    >>> result.converged, result.values[p[0]].round(6)
+    (True, array([1., 1.]))
+    """
+
+    name = "dogleg"
+
+    def within(
+        self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
+    ) -> tuple[Array, float]:
+        gn = undamped.step(system, D)
+        if float(np.linalg.norm(D * gn)) <= radius:
+            return gn, 0.0
+        downhill = system.gradient / D**2
+        alpha = float(system.gradient @ downhill) / float(np.square(system.times(downhill)).sum())
+        c = alpha * downhill
+        near = float(np.linalg.norm(D * c))
+        if near >= radius:
+            return c * (radius / near), 0.0
+        p, q = D * c, D * (gn - c)  # |p + beta q|^2 = radius^2, the root between 0 and 1, without cancellation
+        a, half, gap = float(q @ q), float(p @ q), radius**2 - float(p @ p)
+        root = math.sqrt(half * half + a * gap)
+        beta = gap / (half + root) if half > 0 else (root - half) / a
+        return np.asarray(c + beta * (gn - c)), 0.0

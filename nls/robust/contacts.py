@@ -59,8 +59,7 @@ from nls.optimizers import Fit, Result
 from nls.posegraph import Edges
 from nls.robust.landmarks import Landmarks
 from nls.robust.loop_graph import Odometry
-from nls.starts.elevation import aperture_of
-from nls.starts.landmarks import sees_landmarks
+from nls.starts.landmarks import aperture_of, sees_landmarks
 from nls.starts.parts import put_back
 from nls.values import Values
 

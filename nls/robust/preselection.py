@@ -18,8 +18,7 @@ from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration
 from nls.robust import verdict
-from nls.robust.groups import Witness, misfits, witnesses
-from nls.robust.growth import grown
+from nls.robust.growth import Witness, grown, misfits, witnesses
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence

@@ -23,8 +23,21 @@ from typing import NamedTuple
 import numpy as np
 
 from models.algebra import Index, Mask
+from models.errors import ResourceLimitError
 from nls.sparse.elimination import Order, first_of_equals
 from nls.sparse.pattern import Pattern
+
+
+def refuse_larger(needed: float, limit: float, part: str, words: str, cure: str, digits: str = ".1f") -> None:
+    """Refuse what needs more bytes than the limit; the words end in "need", the cure says what to do.
+
+    Raises
+    ------
+    ResourceLimitError
+    """
+    if needed > limit:
+        sizes = f"{needed / 1e9:{digits}} GB, the limit is {limit / 1e9:{digits}} GB"
+        raise ResourceLimitError(f"{words} {sizes}; {cure}", needed, limit, part)
 
 
 class Fill(NamedTuple):

@@ -39,9 +39,8 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
-from models.errors import ResourceLimitError
 from nls.sparse.elimination import first_of_equals
-from nls.sparse.fill import rows_below, tree
+from nls.sparse.fill import refuse_larger, rows_below, tree
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
@@ -212,14 +211,9 @@ def inverse_blocks(
         They would take more.
     """
     needed = 8.0 * (nodes.numbers + 2 * int(((nodes.width + nodes.height) ** 2).max()) + 4 * L.nnz)
-    if needed > memory_limit:
-        raise ResourceLimitError(
-            f"the marginal covariances of {len(dims)} variables need {needed / 1e9:.1f} GB, the limit is "
-            f"{memory_limit / 1e9:.1f} GB; ask for single variables, or raise memory_limit",
-            needed,
-            memory_limit,
-            "marginal covariances",
-        )
+    words = f"the marginal covariances of {len(dims)} variables need"
+    cure = "ask for single variables, or raise memory_limit"
+    refuse_larger(needed, memory_limit, "marginal covariances", words, cure)
     place = np.empty(len(p), dtype=np.intp)
     place[p] = np.arange(len(p))
     start, size = place[np.cumsum(dims) - dims], dims[i] * dims[j]

@@ -29,9 +29,8 @@ from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.chordal import chordal
 from nls.starts.dead_reckoning import chain, dead_reckoning, spanning_tree, walks
-from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
-from nls.starts.landmarks import locate_points
+from nls.starts.landmarks import first_sighting, locate_points, search_elevation
 from nls.starts.rig import rig
 from nls.values import Values, refuse_other
 

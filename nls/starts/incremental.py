@@ -30,8 +30,7 @@ from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
 from nls.posegraph import says_poses
 from nls.starts.dead_reckoning import chain, dead_reckoning
-from nls.starts.elevation import search_elevation
-from nls.starts.landmarks import locate_points
+from nls.starts.landmarks import locate_points, search_elevation
 from nls.starts.parts import Masks, Parts, put_back
 from nls.values import Values, refuse_other
 

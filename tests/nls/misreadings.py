@@ -11,7 +11,7 @@ import sim
 from factors import Between, Factor
 from nls import FactorGraph, LevenbergMarquardt, Values, initialize, load
 from nls.analysis.freedom import freedom
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import Checked, Linearization
 from nls.analysis.misread import READINGS
 from nls.analysis.suspects import Suspects, suspects
 from nls.gauge import choose_gauge, fixed_variables

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
-from models.errors import OptionError, ResourceLimitError
+from models.errors import OptionError
 from nls.linear.base import LinearSolution, NormalAnalysis, NormalEquations
 from nls.linear.default import default_solver
 from nls.linear.factorization import Decomposition, Factorization
@@ -34,6 +34,7 @@ from nls.linear.limits import refuse_above
 from nls.linear.schur.complement import Complement
 from nls.linear.schur.inverses import BlockInverse, missing_directions
 from nls.sparse.elimination import Elimination, connected
+from nls.sparse.fill import refuse_larger
 from nls.sparse.hessian import Blocks
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
@@ -343,15 +344,10 @@ class Schur(NormalEquations):
         incidence = sp.csr_array(ones, shape=(len(first), len(survivors)))
         degree = np.diff(incidence.indptr)
         pairs = float((degree * (degree + 1.0) / 2).sum())
-        if PER_PAIR * pairs > self.memory_limit:
-            raise ResourceLimitError(
-                f"linear solver {self.name!r}: eliminating {len(first):,} variables joins {pairs:,.0f} pairs of "
-                f"others, which needs {PER_PAIR * pairs / 1e9:.3g} GB, the limit is {self.memory_limit / 1e9:.3g} GB; "
-                "take linear solver 'cholesky', or allow more with memory_limit",
-                PER_PAIR * pairs,
-                self.memory_limit,
-                "Schur complement",
-            )
+        eliminating = f"eliminating {len(first):,} variables joins {pairs:,.0f} pairs of others"
+        words = f"linear solver {self.name!r}: {eliminating}, which needs"
+        cure = "take linear solver 'cholesky', or allow more with memory_limit"
+        refuse_larger(PER_PAIR * pairs, self.memory_limit, "Schur complement", words, cure, ".3g")
         joined = sp.coo_array(sp.tril(incidence.T @ incidence, -1))
         i, j = (np.concatenate([number[a[inside]], b]) for a, b in ((u, joined.row), (v, joined.col)))
         poses = Elimination(i, j, len(survivors), SchurDecomposition.order).variables if len(survivors) else survivors

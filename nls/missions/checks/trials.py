@@ -41,7 +41,7 @@ from nls.missions.folder.folder import MissionReport, report_of
 from nls.missions.folder.read import graph_of
 from nls.missions.folder.table import Table, csv_text
 from nls.missions.folder.timeline import TIMED
-from nls.optimizers.fit import TWICE
+from nls.optimizers.result import TWICE
 from nls.stages import announce
 from nls.system import LinearSystem
 from nls.values import Values

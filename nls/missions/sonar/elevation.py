@@ -61,7 +61,7 @@ from models.sensors.arcs import second_view
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.linear import LinearSolver
-from nls.starts.elevation import Arcs, aperture_of, misfit_of
+from nls.starts.landmarks import Arcs, aperture_of, misfit_of
 from nls.values import Values
 
 

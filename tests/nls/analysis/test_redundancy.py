@@ -14,8 +14,7 @@ from models.errors import UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
 from nls.analysis.chi_squared import chi2_log_tail
-from nls.analysis.leave_one_out import checks
-from nls.analysis.linearization import Checked, Linearization
+from nls.analysis.leave_one_out import Checked, Linearization, checks
 from nls.analysis.redundancy import Common, _common, closure_groups
 from nls.analysis.suspects import GroupTests
 from tests.combinations import for_all

@@ -15,9 +15,8 @@ from factors import BearingRange, Between, Covariance, Diagonal, Huber, Informat
 from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, Values
-from nls.certificate.newton import Optimum, _second_order, newton, rotations
+from nls.certificate.optimum import Optimum, _second_order, newton, rotations, spectrum, staircase
 from nls.certificate.problem import Problem, certifiable
-from nls.certificate.spectrum import spectrum, staircase
 from nls.cli import main
 from nls.linear import default
 from nls.linear.factorization import SingularSystemError

@@ -13,9 +13,8 @@ import sim
 from factors import Between, Isotropic
 from models import SE2, SE3, LieGroup
 from nls import FactorGraph, Values
-from nls.certificate.newton import nearest, newton
+from nls.certificate.optimum import nearest, newton, spectrum
 from nls.certificate.problem import certifiable
-from nls.certificate.spectrum import spectrum
 from tests.nls.certificate.worlds import GROUPS, SEED, dominated, noise_graph, problem_of, ring, square
 from tests.nls.graphs import ODD, pose_graph, walk, x
 

@@ -16,7 +16,7 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, SingularGeometryError, UnderconstrainedError
 from nls import FactorGraph, Kind, Marginals, Values
 from nls.covariance import marginals as module
-from nls.covariance.selected import paired
+from nls.covariance.inverse import paired
 from tests.nls.graphs import ODD, SAMPLES, Sample, informations, l, mixed, pose_graph, two_components, x
 from tests.nls.solving import make
 

@@ -14,7 +14,7 @@ from factors.robust import Kernel
 from models import R
 from models.advice import listed
 from nls import FactorGraph, GaussNewton, GraphError, Stop
-from nls.optimizers.fit import Fit, fit, shares
+from nls.optimizers.result import Fit, fit, shares
 from tests.nls.graphs import circle, p, pose_graph, scalar, x
 
 

@@ -142,7 +142,7 @@ seen, original = [], cholesky.single_thread
 @contextmanager
 def recorded():
     with original():
-        seen.append(all(knob.get() == knob.inside for knob in threads._knobs(threads._loaded())))
+        seen.append(all(setting.get() == setting.inside for setting in threads._settings(threads._loaded())))
         yield
 cholesky.single_thread = recorded
 (p,) = nls.kinds("p")

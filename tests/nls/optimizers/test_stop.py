@@ -17,7 +17,7 @@ from models.algebra import Array
 from models.errors import EvaluationError, UnderconstrainedError
 from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop, Values
 from nls.cli import main
-from nls.optimizers import OPTIMIZERS, automatic, stop
+from nls.optimizers import OPTIMIZERS, gauss_newton, stop
 from nls.optimizers.step import Thresholds
 from tests.nls.graphs import GROUPS, WrongSign, circle, never_worse, p, pose_graph, scalar
 
@@ -140,11 +140,11 @@ def test_the_default_continues_damped_where_gauss_newton_fails(case: str) -> Non
 def test_callback_and_limits_are_those_of_both_methods(case: str) -> None:
     graph, start = failing(case)
     numbers: list[int] = []
-    enough = graph.optimize(start, automatic.Automatic(callback=lambda record: numbers.append(record.number)))
+    enough = graph.optimize(start, gauss_newton.Automatic(callback=lambda record: numbers.append(record.number)))
     assert enough.converged
     assert numbers == list(range(1, enough.iterations + 1))
     for limit in range(0, min(enough.iterations, 15), 2):
-        result = graph.optimize(start, automatic.Automatic(Stop(max_iterations=limit)))
+        result = graph.optimize(start, gauss_newton.Automatic(Stop(max_iterations=limit)))
         assert not result.converged
         assert result.iterations <= limit
         assert result.chi2_final <= result.chi2_initial
@@ -177,9 +177,9 @@ def test_the_default_goes_on_where_gauss_newton_is_slow_and_no_limit_is_given(ca
     assert attempt == ("gauss-newton", Status.MAX_ITERATIONS, "after 100 iterations", 100)
     assert "gauss-newton ended as MAX_ITERATIONS after 100 iterations; dogleg continued" in str(result)
     for limit in (100, 101):
-        limited = graph.optimize(start, automatic.Automatic(Stop(max_iterations=limit)))
+        limited = graph.optimize(start, gauss_newton.Automatic(Stop(max_iterations=limit)))
         assert (limited.status, limited.iterations, limited.attempts) == (Status.MAX_ITERATIONS, limit, ())
-    halted = graph.optimize(start, automatic.Automatic(callback=lambda record: record.number == 100))
+    halted = graph.optimize(start, gauss_newton.Automatic(callback=lambda record: record.number == 100))
     assert (halted.iterations, halted.attempts) == (100, ())
 
 

@@ -17,8 +17,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified
 from nls.robust.contacts import along
-from nls.robust.groups import FITS, WIDER_GATE, misfits, witnesses
-from nls.robust.growth import path_covariances
+from nls.robust.growth import FITS, WIDER_GATE, misfits, path_covariances, witnesses
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.loop_graph import Neighbors, Odometry, loop_graph, neighbors
 from nls.robust.truncated_least_squares import lowest

@@ -16,8 +16,7 @@ from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow, growth
-from nls.robust.groups import misfits, witnesses
-from nls.robust.growth import path_covariances
+from nls.robust.growth import misfits, path_covariances, witnesses
 from nls.robust.loop_graph import LOW, Neighbors, loop_graph, neighbors
 
 (x,) = kinds("x")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import warnings
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
+from threadpoolctl import ThreadpoolController
 
 from models import SE2, SE3
 from nls import Marginals, Values, backends
@@ -55,18 +57,24 @@ def test_different_graphs_and_one_graph_by_many_at_once(solver: str) -> None:
 
 def test_a_thread_beside_the_main_one_is_kept_to_one_thread_too() -> None:
     """The main thread has set numbers of threads before, as threadpoolctl's owner of them."""
-    from threadpoolctl import ThreadpoolController
+    backends()  # loads SuiteSparse where it is installed
+    controller = ThreadpoolController()
+    gomp = [ctypes.CDLL(library.filepath) for library in controller.lib_controllers if library.prefix == "libgomp"]
+    blas = controller.select(user_api="blas")
 
-    controller = ThreadpoolController().select(user_api="blas")
+    def seen() -> tuple[list[int], list[int]]:
+        levels = [library.omp_get_max_active_levels() for library in gomp]
+        return [library.num_threads for library in blas.lib_controllers], levels
 
-    def seen() -> list[int]:
+    def inside() -> tuple[list[int], list[int]]:
         with single_thread():
-            return [blas.num_threads for blas in controller.lib_controllers]
+            return seen()
 
-    before = [blas.num_threads for blas in controller.lib_controllers]
-    with controller.limit(limits=2), ThreadPoolExecutor(1) as pool:
-        assert pool.submit(seen).result() == [1] * len(before)
-    assert [blas.num_threads for blas in controller.lib_controllers] == before
+    before = seen()
+    with blas.limit(limits=2), ThreadPoolExecutor(1) as pool:
+        assert pool.submit(inside).result() == ([1] * len(blas), [0] * len(gomp))
+    assert seen() == before
+    assert threads.openmp() is bool(gomp)
 
 
 def test_marginals_at_once() -> None:
@@ -99,8 +107,8 @@ class Runtime:
 class Blas:
     """A BLAS library with a number of threads for the process, which only one Python thread may set at a time."""
 
-    def __init__(self, number: int, filepath: str = "blas") -> None:
-        self.number, self.filepath = number, filepath
+    def __init__(self, number: int) -> None:
+        self.number = number
         self._owner: threading.Thread | None = None
 
     def get_num_threads(self) -> int:
@@ -116,15 +124,14 @@ class Blas:
         self._owner = None
 
 
-def levels(runtime: Runtime) -> threads.Knob:
-    return threads.Knob(runtime, runtime.omp_get_max_active_levels, runtime.omp_set_max_active_levels, 0)
+def settings(runtime: Runtime, blas: Blas) -> list[threads._Setting]:
+    levels = threads._Setting(runtime.omp_get_max_active_levels, runtime.omp_set_max_active_levels, 0)
+    return [levels, threads._threads(blas)]
 
 
-def pretend(monkeypatch: pytest.MonkeyPatch, knobs: Callable[[Any], list[threads.Knob]]) -> None:
+def pretend(monkeypatch: pytest.MonkeyPatch, found: list[threads._Setting]) -> None:
     """Put libraries of ours in the place of the real ones."""
-    monkeypatch.setattr(threads, "_knobs", knobs)
-    monkeypatch.setattr(threads, "_KNOWN", {})
-    monkeypatch.setattr(threads, "_SETTINGS", {})
+    monkeypatch.setattr(threads, "_settings", lambda loaded: found)
 
 
 @pytest.mark.parametrize("of_process", [True, False])
@@ -134,7 +141,7 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 ) -> None:
     """Two threads inside at once: whoever is still inside keeps one thread, and in the end all is as it was."""
     runtime, blas = Runtime(of_process, 3), Blas(8)
-    pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
+    pretend(monkeypatch, settings(runtime, blas))
     numbers: dict[tuple[str, int], tuple[int, int]] = {}
     both, gone = threading.Barrier(2, timeout=60), threading.Event()
 
@@ -162,7 +169,7 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 
 def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     runtime, blas = Runtime(True, 3), Blas(8)
-    pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
+    pretend(monkeypatch, settings(runtime, blas))
 
     def inside() -> None:
         with single_thread(), single_thread():
@@ -176,12 +183,12 @@ def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.M
 
 def test_libraries_that_another_thread_loads_are_kept_to_one_thread_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread imports CHOLMOD, with its own BLAS and OpenMP, while another one is inside."""
-    numpy_only, suitesparse = Blas(4, "first"), Blas(6, "second")
+    numpy_only, suitesparse = Blas(4), Blas(6)
     runtime = Runtime(True, 2)
     loaded = (False,)
-    first, later = threads._numbers(numpy_only), [threads._numbers(suitesparse), levels(runtime)]
+    first, later = threads._threads(numpy_only), settings(runtime, suitesparse)
     monkeypatch.setattr(threads, "_loaded", lambda: loaded)
-    pretend(monkeypatch, lambda which: [first, *later] if which[0] else [first])
+    monkeypatch.setattr(threads, "_settings", lambda which: [first, *later] if which[0] else [first])
 
     def other() -> None:
         with single_thread():
@@ -194,64 +201,3 @@ def test_libraries_that_another_thread_loads_are_kept_to_one_thread_too(monkeypa
         assert (numpy_only.number, suitesparse.number) == (1, 6)
     assert (numpy_only.number, suitesparse.number) == (4, 6)
     assert runtime.omp_get_max_active_levels() == 2
-
-
-def test_the_libraries_found_are_those_threadpoolctl_finds() -> None:
-    from threadpoolctl import ThreadpoolController
-
-    pytest.importorskip("scipy.linalg.lapack")
-    backends()  # loads SuiteSparse where it is installed
-    if not threads._mapped():
-        pytest.skip("this system does not say which files are mapped")
-    controllers = ThreadpoolController().lib_controllers
-    blas = [c for c in controllers if c.user_api == "blas"]
-    knobs = threads._knobs(threads._loaded())
-    assert len([knob for knob in knobs if knob.inside == 1]) == len(blas) > 0
-    assert threads.openmp() is any(c.prefix == "libgomp" for c in controllers)
-    before = [c.num_threads for c in blas]
-    for number in (3, 2):
-        for knob in knobs:
-            if knob.inside == 1:
-                knob.put(number)
-                assert knob.get() == number
-        assert [c.num_threads for c in blas] == [number] * len(blas)
-        with single_thread():
-            assert [c.num_threads for c in blas] == [1] * len(blas)
-        assert [c.num_threads for c in blas] == [number] * len(blas)
-    for c, number in zip(blas, before, strict=True):
-        c.set_num_threads(number)
-        type(c).clear_controlling_thread(force=True)
-    assert [c.num_threads for c in blas] == before
-
-
-class OpenBLAS:
-    """A build of OpenBLAS whose functions end in 64_."""
-
-    def __init__(self, parallel: int) -> None:
-        self.openblas_get_parallel64_ = lambda: parallel
-        self.openblas_get_num_threads64_ = lambda: 7
-        self.openblas_set_num_threads64_ = lambda number: None
-
-
-@pytest.mark.parametrize(
-    ("files", "asked"),
-    [
-        ({"libopenblas.so": OpenBLAS(1), "libblas.so.3": object()}, False),  # beside the reference BLAS
-        ({"libopenblas.so": OpenBLAS(0)}, False),
-        ({"libopenblas.so": OpenBLAS(2)}, True),  # its threads are OpenMP's
-        ({"libopenblas.so": OpenBLAS(1), "libmkl_rt.so.2": object()}, True),
-        ({}, True),  # another system
-    ],
-)
-def test_threadpoolctl_is_asked_about_what_is_no_openblas_of_its_own(
-    files: dict[str, Any], asked: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    theirs = threads.Knob("theirs", lambda: 4, lambda number: None, 1)
-    monkeypatch.setattr(threads, "_mapped", lambda: list(files))
-    monkeypatch.setattr(threads.os.path, "exists", lambda path: True)
-    monkeypatch.setattr(threads.ctypes, "CDLL", lambda path: files[path])
-    monkeypatch.setattr(threads, "_knob", lambda get, put, inside: threads.Knob(put, get, put, inside))
-    monkeypatch.setattr(threads, "_blas_knobs", lambda: [theirs])
-    knobs = threads._knobs.__wrapped__(())
-    assert (theirs in knobs) is asked
-    assert [knob.get() for knob in knobs] == ([4] if asked else [7])

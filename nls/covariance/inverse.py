@@ -1,4 +1,9 @@
-r"""Covariances where something is free: of determined variables, and of all with the shortest step as the gauge.
+r"""The inverse of H: all blocks that have one in H, from one pass over its factor; and what stands in its place.
+
+Pairs of variables that nothing measures together get a block in H by a factor that measures nothing.
+
+**Where something is free** there are other covariances: of determined variables, and of all with the shortest step as
+the gauge.
 
 With N (n, k) a basis of the free directions, A N = 0, a variable is determined when its rows of N are zero. Priors on
 k unknowns hold the free directions; the covariance of a determined variable does not depend on them.
@@ -17,23 +22,99 @@ Inverse of Matrices and its Applications, 1971.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse as sp
 
+from factors.base import Factor, Jacobians
 from factors.keys import Keys
+from factors.noise import Isotropic
+from models import Manifold, R
 from models.algebra import Array, Index, Mask
-from models.errors import GraphError, ResourceLimitError, UnderconstrainedError
+from models.errors import GraphError, UnderconstrainedError
 from models.listing import some
 from nls.linear import LinearSolver, factorize
 from nls.linear.factorization import Factorization, SingularSystemError
-from nls.linear.free_gauge import free_directions, gauge_columns
-from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths
+from nls.linear.null_space import BLOCKS, FreeDirections, column_lengths, free_directions, gauge_columns
 from nls.linear.underconstrained import underconstrained
+from nls.sparse.fill import refuse_larger
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
+
+
+class SelectedInverse:
+    """Blocks of H^-1 of single variables, and of pairs that share a block of H.
+
+    Parameters
+    ----------
+    factorization : of H.
+    memory_limit : bytes the pass may take.
+
+    Raises
+    ------
+    ResourceLimitError
+        It would take more.
+    """
+
+    def __init__(self, factorization: Factorization, memory_limit: float) -> None:
+        elimination, dims = factorization.hessian.elimination, factorization.hessian.dims
+        u, v, every = elimination.u[elimination.blocks], elimination.v[elimination.blocks], np.arange(len(dims))
+        low, high = np.append(every, np.minimum(u, v)), np.append(every, np.maximum(u, v))
+        order = np.argsort(low * len(dims) + high)
+        low, high, size = low[order], high[order], dims[low[order]] * dims[high[order]]
+        self._variables, self._key, self._first = len(dims), low * len(dims) + high, np.cumsum(size) - size
+        self._numbers = factorization.inverse_blocks(low, high, memory_limit)
+
+    def lacks(self, i: Index, j: Index) -> Mask:
+        """Which pairs (k,) of variables share no block."""
+        key, place = self._places(i, j)
+        return np.asarray(self._key[place] != key)
+
+    def blocks(self, i: Index, j: Index, d: int, e: int) -> Array:
+        """Blocks (k, d, e) of pairs (k,) of variables of these sizes: all i are of one kind, and all j."""
+        turned = i > j
+        shape = (e, d) if turned.all() else (d, e)
+        B: Array = self._numbers[self._first[self._places(i, j)[1], None] + np.arange(d * e)].reshape(-1, *shape)
+        if turned.all():
+            return B.mT
+        if turned.any():
+            B[turned] = B[turned].mT
+        return B
+
+    def _places(self, i: Index, j: Index) -> tuple[Index, Index]:
+        """Keys of pairs (k,), and where they are or would be among those there are."""
+        key = np.minimum(i, j) * self._variables + np.maximum(i, j)
+        return key, np.minimum(np.searchsorted(self._key, key), len(self._key) - 1)
+
+
+class Pair(Factor):
+    """Two variables that share a factor, which measures nothing: so the selected inverse has their block."""
+
+    slots = (None, None)
+    relative = True
+
+    def __init__(self, i: Keys, j: Keys) -> None:
+        super().__init__([i, j], [0.0], Isotropic(1.0))
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return R(1)
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        return np.zeros((len(self), 1)), tuple(np.zeros((len(self), 1, manifold.dim)) for manifold in manifolds)
+
+
+def paired(pairs: Sequence[tuple[Keys, Keys]]) -> list[Factor]:
+    """A factor for every batch of pairs, each pair once; none of a variable with itself."""
+    factors: list[Factor] = []
+    for i, j in pairs:
+        numbers = np.stack([i.numbers, j.numbers])
+        numbers = np.unique(numbers[:, i.numbers != j.numbers] if i.kind == j.kind else numbers, axis=1)
+        if numbers.size:
+            factors.append(Pair(Keys(i.kind, numbers[0]), Keys(j.kind, numbers[1])))
+    return factors
 
 
 @dataclass(frozen=True)
@@ -199,14 +280,8 @@ def free_part(
     gauge, complement = gauge_columns(held, free)
     count = len(gauge) + (0 if others is None else others.shape[1])
     needed = 6 * 8.0 * free.n * count
-    if needed > memory_limit:
-        raise ResourceLimitError(
-            f"gauge 'free': {count} free directions of {free.n} unknowns need {needed / 1e9:.1f} GB, the limit is "
-            f"{memory_limit / 1e9:.1f} GB; use gauge 'first'",
-            needed,
-            memory_limit,
-            "free gauge",
-        )
+    words = f"gauge 'free': {count} free directions of {free.n} unknowns need"
+    refuse_larger(needed, memory_limit, "free gauge", words, "use gauge 'first'")
     A = LinearSystem.at(free, values).A
     try:
         unheld = factorization.solve((A[:, complement].T @ A[:, gauge]).toarray())
