@@ -10,8 +10,6 @@
 Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Sequence

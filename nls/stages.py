@@ -3,8 +3,6 @@
 Long stages also say how far they are, to a caller who listens.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar

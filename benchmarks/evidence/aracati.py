@@ -26,9 +26,9 @@ from nls.missions.scans import (
     OnlineClosing,
     Scans,
     close,
+    closing,
     correlation,
     dead_reckoning,
-    matches,
     scans,
 )
 from nls.missions.scans.folder import read_scan_mission
@@ -49,7 +49,7 @@ OTHERS = """\
 PARAMETERS = [  # by module and name: halved and doubled
     *((scans, name) for name in ("MOST_PARTNERS", "PARTNER_SPACING")),
     *((correlation, name) for name in ("INDEPENDENT_POINTS", "BENT_SUBMAP")),
-    *((matches, name) for name in ("LEAST_SCORE", "LEAST_ODDS", "WIDEST_SPREAD")),
+    *((closing, name) for name in ("LEAST_SCORE", "LEAST_ODDS", "WIDEST_SPREAD")),
 ]
 
 
@@ -200,8 +200,8 @@ def page(data: Path, quick: bool) -> list[str]:
 
 
 TUNED = """\
-Chosen while looking at the truth of this mission: `correlation.INDEPENDENT_POINTS`, `matches.LEAST_ODDS`,
-`matches.WIDEST_SPREAD`, the probability at the rim, `scans.MOST_PARTNERS`, `scans.PARTNER_SPACING`, `Drift.stretch` and
+Chosen while looking at the truth of this mission: `correlation.INDEPENDENT_POINTS`, `closing.LEAST_ODDS`,
+`closing.WIDEST_SPREAD`, the probability at the rim, `scans.MOST_PARTNERS`, `scans.PARTNER_SPACING`, `Drift.stretch` and
 `Drift.length`. `correlation.BENT_SUBMAP` was chosen on simulated harbors besides. The others stayed as they were first
 written.
 

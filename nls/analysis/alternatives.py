@@ -8,8 +8,6 @@ whatever the second is, because the expected likelihood ratio is 1 (J. Ville, "E
 collectif", 1939). Where the sigmas are too small by s, all falls are too large by s^2, which chi2_1 / dof estimates.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence

@@ -20,8 +20,6 @@ The step of odometry z is h o Exp(G c) with c its scale error and the turn of it
     G = [(x, y, 0), (-y, x, 0)]                             z = (x, y, yaw)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The chi-squared distribution: which sums of squared whitened errors are still explained by noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from models.algebra import Array, Index

@@ -13,8 +13,6 @@ of poses that follow each other in number, per step or per second. Sigma and fal
 where that is above 1. The equation is linear in dt: of an offset of many steps it gives the sign and about the size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ other pose. The standard deviations of the variable before and after say what th
 A measurement that joins X with the pose before it is a leg: the copy joins X' with X.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

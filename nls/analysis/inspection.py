@@ -1,7 +1,5 @@
 """The contents of a graph and the cost of a solve, without solving it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -17,8 +17,6 @@ where V are the directions that the measurements of the landmark see. W gives it
 These are joined to nothing else, so that the weight of one landmark changes the covariance of no other.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

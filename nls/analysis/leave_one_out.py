@@ -26,8 +26,6 @@ With a weight w_i < 1 of a robust kernel the covariance of the residual without 
 In the axes of C_i, with eigenvalues c, both are sums. Where 1 - w c vanishes nothing else checks that direction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

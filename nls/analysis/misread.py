@@ -24,8 +24,6 @@ p is the chance that a measurement drawn at random from the room of its kind fit
 ball in m dimensions. The room of an angle is a turn, that of a rotation 8 pi^2, that of a length the extent of the map.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The knowledge of one variable, in words: sigmas by component, free directions, the weakest direction."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees

@@ -3,8 +3,6 @@ r"""Groups of residuals that share one scale of their sigmas, and what the resid
 The symbols are those of `nls.analysis.variance_components`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 

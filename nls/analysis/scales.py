@@ -7,8 +7,6 @@ A million is no threshold of chance. No vehicle steps a thousand kilometers amon
 thousand times as sharp as its like. Unit mistakes (mm for m, degrees for rad) of one measurement are a thousand times.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -17,8 +17,6 @@ C_g costs one solution for every number of the group. Only the groups of the lar
 group without which something is free stays.
 """
 
-from __future__ import annotations
-
 from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass

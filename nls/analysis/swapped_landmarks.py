@@ -18,8 +18,6 @@ graph with the best exchange is then solved, poses and all, and compared with th
 (`nls.analysis.alternatives`). Which s of n sightings are exchanged is one of C(n, s) tries.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence

@@ -14,8 +14,6 @@ Source: S. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory
 nuisance parameters).
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -37,8 +37,6 @@ Amiri-Simkooei, "Least-squares variance component estimation", Journal of Geodes
 of a location parameter", Annals of Mathematical Statistics 35, 1964, proposal 2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

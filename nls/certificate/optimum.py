@@ -46,8 +46,6 @@ Source: N. Boumal, V. Voroninski, A. Bandeira, "The non-convex Burer-Monteiro ap
 programs", NeurIPS 2016; D. Rosen et al., "SE-Sync", IJRR 38(2-3), 2019, algorithms 1 and 2.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

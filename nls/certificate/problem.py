@@ -15,8 +15,6 @@ Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably c
 over the special Euclidean group", IJRR 38(2-3), 2019.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors.between import Between

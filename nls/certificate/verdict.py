@@ -1,7 +1,5 @@
 """Certified, refuted or undecided: the verdict on the values of a solved pose graph, in words and numbers."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, field, replace
 

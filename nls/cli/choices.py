@@ -3,8 +3,6 @@
 Most are copies: the modules that own them import NumPy, and a page of help waits for none. A test compares the two.
 """
 
-from __future__ import annotations
-
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 CONVENTIONS = ("log", "g2o", "graphslam", "gtsam")
 GNC = ("gnc-tls", "gnc-gm")  # graduated non-convexity

@@ -1,7 +1,5 @@
 """``nls evaluate``: an estimated trajectory beside the true one."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 from typing import Any

@@ -1,7 +1,5 @@
 """``nls explain``: solve, and say in plain words what is free, what does not fit, and what helps."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 

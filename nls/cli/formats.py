@@ -1,7 +1,5 @@
 """Graphs in the formats of files: what a file does not hold, the names it has for variables, and lines in errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """``nls info``, ``plot`` and ``convert``: a graph as it was read, in numbers, as a picture, and in another format."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from typing import Any

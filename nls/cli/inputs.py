@@ -4,8 +4,6 @@ Each reads, solves, writes and draws, and lists the options that mean nothing to
 asks which kind it has.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 

@@ -1,7 +1,5 @@
 """``nls import`` and ``nls new``: logs as a mission folder by a mapping, a draft of it, and commented templates."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """All commands and options of ``nls``."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from functools import partial

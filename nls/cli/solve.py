@@ -1,7 +1,5 @@
 """``nls solve``: read, start, optimize, write, report. One stage a function; an output that fails loses no other."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Reports of ``nls solve``: for programs, the table, and what its page is told."""
 
-from __future__ import annotations
-
 import shlex
 import warnings
 from collections.abc import Sequence

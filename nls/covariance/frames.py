@@ -12,8 +12,6 @@ The matrices are the manifold's own: `Manifold.world_axes` and `Manifold.euler_a
 `Joint` puts names on the rows of one covariance of several variables; `outlines` draws those of positions as ellipses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

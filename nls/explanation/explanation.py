@@ -1,7 +1,5 @@
 """`explain`: what a graph is made of, what it leaves free, whether its measurements agree, and what would help."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

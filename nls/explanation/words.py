@@ -1,7 +1,5 @@
 """Findings in words: one sentence a kind; then a report with the verdict first, what helps, and the numbers behind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, groupby
 from math import isfinite

@@ -16,8 +16,6 @@ Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using th
 Transactions on Robotics and Automation 17, 2001.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -10,8 +10,6 @@ A step is a pose, the factors from the pose before it (`motion`), and all others
     filter.run(graph, values)       -> Track                    all of it
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -10,8 +10,6 @@ believes more than it knows. The NIS of a measurement of m numbers has m in the 
 Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

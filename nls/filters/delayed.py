@@ -13,8 +13,6 @@ poses); S. I. Roumeliotis, J. W. Burdick, "Stochastic cloning", ICRA 2002 (the c
 Roumeliotis, "A multi-state constraint Kalman filter for vision-aided inertial navigation", ICRA 2007 (Q_2).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

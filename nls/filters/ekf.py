@@ -15,8 +15,6 @@ G. P. Huang, A. I. Mourikis, S. I. Roumeliotis, "Analysis and improvement of the
 based SLAM", ICRA 2008.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise

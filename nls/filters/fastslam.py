@@ -16,8 +16,6 @@ M. Montemerlo, S. Thrun, FastSLAM, 2007, chapters 3 and 4; S. Thrun, W. Burgard,
 tables 13.1 and 13.3.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

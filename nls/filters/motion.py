@@ -5,8 +5,6 @@ r"""Where a motion leads, for one pose or for a stack of particles, by the facto
 A relative factor whose Jacobian for the later pose has full rank is a motion model; several of one step add up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

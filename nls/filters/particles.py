@@ -17,8 +17,6 @@ smoother for non-Gaussian nonlinear state space models", 1996 (systematic resamp
 Probabilistic Robotics, 2005, table 4.4 and section 13.3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors import Factor, Sighting

@@ -1,7 +1,5 @@
 """Online and fixed-lag smoothing as filters: `nls.Incremental`, given a step at a time."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

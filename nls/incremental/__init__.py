@@ -1,7 +1,5 @@
 """Smoothing as measurements arrive: the whole trajectory at its optimum after every update."""
 
-from __future__ import annotations
-
 from nls.incremental.incremental import Incremental
 
 __all__ = ["Incremental"]

@@ -4,8 +4,6 @@ Loop closures and variables leave that are not believed any more, or older than 
 some can be used, some wait for a variable, and some make variables join.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain

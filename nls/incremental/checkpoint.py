@@ -7,8 +7,6 @@ in one batch, as `joined` makes them, with the rows of each.
 The file is an ``.npz`` archive of the arrays and of the text that names them, with the SHA-256 of both.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Mapping
 from hashlib import sha256

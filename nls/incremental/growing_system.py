@@ -5,8 +5,6 @@ conjugate gradients on the exact A. Its age costs iterations, not accuracy. A ne
 iterations due to its age have cost as much as making it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

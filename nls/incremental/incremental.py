@@ -20,8 +20,6 @@ using the Bayes tree", IJRR 31(2), 2012, for the problem; there the linearizatio
 minimum.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager

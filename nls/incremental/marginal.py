@@ -18,8 +18,6 @@ Martinez-Cantin, J. Tardos, J. Neira, "Robocentric map joining", Robotics and Au
 coordinates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Where a new variable begins, once its measurements determine it: by one of them, by all of them, or with others."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field

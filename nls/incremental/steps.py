@@ -1,7 +1,5 @@
 """A graph as its measurements arrive: step by step, a step a run of measurements with the same newest pose."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

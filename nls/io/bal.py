@@ -12,8 +12,6 @@ two distortions. Points are `l`. The file states no noise: one pixel is taken.
 Source: S. Agarwal, N. Snavely, S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010, and its data sets.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

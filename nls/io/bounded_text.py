@@ -4,8 +4,6 @@ It takes more memory than is allowed: `PER_BYTE` for every byte and `PER_WORD` f
 more blanks and comments than `SLACK` bytes and `SHARE` times all others, or a word has more than `WORD` bytes.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -14,8 +14,6 @@ of 128 bits is below the number by less than 2^64. So the number's first 64 bits
 for one number in 512, which is left unread (D. Lemire, "Number parsing at a gigabyte per second", 2021).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -29,8 +29,6 @@ network optimization for efficient map learning", T-ITS 2009, and TORO's descrip
 the noise formats of GTSAM's 2-D reader.
 """
 
-from __future__ import annotations
-
 import shlex
 
 from factors.bearing import Bearing

@@ -3,8 +3,6 @@
 Of a file that is not there the error has the names in its folder that are like it.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

@@ -4,8 +4,6 @@ A new format is one file with its reader and its writer, and one row of `FORMATS
 are used, and so is NumPy: the command line lists the formats without it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Sequence

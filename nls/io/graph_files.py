@@ -3,8 +3,6 @@
 Both go by the table of `nls.io.formats`.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Sequence

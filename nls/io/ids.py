@@ -16,8 +16,6 @@ Sources: N. Suenderhauf, P. Protzel, "Switchable constraints for robust pose gra
 its program vertigo; P. Agarwal et al., "Robust map optimization using dynamic covariance scaling", ICRA 2013.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

@@ -17,8 +17,6 @@ Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_gr
 "Certifiably correct range-aided SLAM", IEEE T-RO 2024.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Vertices may stand anywhere, in any order, or not at all. Then poses are chained
 they were first seen. Nothing is repaired unless asked for: what cannot be right is an error with its line.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 

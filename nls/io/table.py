@@ -1,7 +1,5 @@
 """The values of a graph, or their covariances, as a table for spreadsheets: one row a variable."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from pathlib import Path
 

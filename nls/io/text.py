@@ -7,8 +7,6 @@ float(). It also takes "nan", "1_0" and the digits of other scripts.
 Files without tags, trajectories and logs, have lines of numbers alone, blanks between, and comments that begin with #.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

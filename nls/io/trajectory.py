@@ -8,8 +8,6 @@ evaluation of RGB-D SLAM systems", IROS 2012; A. Geiger, P. Lenz, R. Urtasun, "A
 CVPR 2012.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A line with an unknown tag is not used, and a warning says so. A mistake in a kn
 line the graph has one edge less, or misses a vertex elsewhere. Such lines are refused.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections import Counter

@@ -11,8 +11,6 @@ used readers lose edges over a comment, and stop at an unknown tag. So a note st
 Source: F. Dellaert and the GTSAM contributors, GTSAM 4, gtsam/inference/Symbol.h and LabeledSymbol.h.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from string import ascii_letters

@@ -18,8 +18,6 @@ poses in space is about the rotation vector, an information about the quaternion
 other readers of these files, this one does not apply the difference between the axes of the two poses to it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors.base import Factor

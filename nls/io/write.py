@@ -6,8 +6,6 @@ takes the report of the file. Comments are never written: widely used readers lo
 Writers of other text formats refuse what they have no line for by the same functions.
 """
 
-from __future__ import annotations
-
 import re
 from itertools import count
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Linear solvers: one job, dx = argmin |A dx - b|, nine ways."""
 
-from __future__ import annotations
-
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, NormalEquations
 from nls.linear.cholesky import Cholesky
 from nls.linear.default import best_decomposition, default_solver, factorize

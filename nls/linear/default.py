@@ -1,7 +1,5 @@
 """The linear solver taken where none is named, and what it factorizes: A'A, and matrices of blocks on a graph."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from models.algebra import Array, Index

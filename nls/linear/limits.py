@@ -13,8 +13,6 @@ graph. This is 0.05 s to 0.32 s for 100,000 measurements in the plane, 0.05 to 0
 plane it is 0.5 to 4.4 s.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import sys

@@ -1,7 +1,5 @@
 """Free directions: variables no factor touches, components nothing anchors, and null directions by name."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse as sp
 

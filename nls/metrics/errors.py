@@ -38,8 +38,6 @@ van Diggelen, "GPS accuracy: lies, damn lies, and statistics", GPS World 9(1), 1
 "Are we ready for autonomous driving?", CVPR 2012, and the development kit of its odometry benchmark.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

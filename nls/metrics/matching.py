@@ -8,8 +8,6 @@ and no gap of the truth is bridged that is longer than the tolerance: such poses
 Source of the interpolation of rotations: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -16,8 +16,6 @@ yaw:
 with `Heading` as headings, and the rows of `XYH` that say the turn and nothing of x and y as turns.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

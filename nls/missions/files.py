@@ -7,8 +7,6 @@ the elevation fits as well. beacons.csv and calibration.csv have the columns of 
 coordinates on the Earth are further columns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property

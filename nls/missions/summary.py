@@ -1,7 +1,5 @@
 """The lines of a table that say what the solution of a mission is worth, from its record in the report for programs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Optimizers, one algorithm per file; each reads as its algorithm box."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from factors.base import Factor

@@ -3,8 +3,6 @@
 A `Watch` follows the steps and asks the stop rules (`nls.optimizers.stop`).
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -25,8 +25,6 @@ Of the two damped methods dogleg is the one with the shorter way from such a poi
 names a method gets that method alone. The limits of a `Stop` are those of both together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from models.errors import UnderconstrainedError

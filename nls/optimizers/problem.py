@@ -3,8 +3,6 @@
 `Undamped` has the step of methods that shorten it: faintly damped, and without any damping for a verdict.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from time import perf_counter

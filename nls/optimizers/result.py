@@ -15,8 +15,6 @@ gives q a weight. A kernel is for a few wrong rows. Where it ignores more than a
 sensor. Where nothing checks what is left no number tells whether it is right. Both are implausible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum

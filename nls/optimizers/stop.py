@@ -4,8 +4,6 @@ A rule takes a `Step` and returns a `Verdict`, or None where it does not apply; 
 Each rule is documented by its inequality. The thresholds are those in force, `Stop.in_force`; 0 is one that is off.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise

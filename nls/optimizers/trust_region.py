@@ -38,8 +38,6 @@ where the system is singular: there it holds the free directions still, and the 
 "A hybrid method for nonlinear equations", 1970; J. Nocedal, S. Wright, Numerical Optimization, 2006, section 4.1.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -35,8 +35,6 @@ maximization for robust multi-robot map merging", ICRA 2018; here all are compar
 R. Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981, since two contacts of an arc agree easily.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, radians

@@ -31,8 +31,6 @@ Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity 
 5(2), 2020.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

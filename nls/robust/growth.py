@@ -44,8 +44,6 @@ Near 1 the closure is checked by nothing.
 Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, for single measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import ceil, gamma, pi

@@ -9,8 +9,6 @@ Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity 
 5(2), 2020.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import numpy as np

@@ -9,8 +9,6 @@ and is no longer determined leaves, with its other measurements and its hinges: 
 A hinge says that a target was in view. It leaves where all measurements of its pose and its landmark do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -30,8 +30,6 @@ robust multi-robot map merging", ICRA 2018, which takes the largest set of which
 asked of neighbors only, which needs a few pairs for each closure, and `nls.robust.growth` goes on from there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

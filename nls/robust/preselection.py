@@ -8,8 +8,6 @@ does. Where closures are many no group decides alone, and each move costs as muc
 Why the choice may be wrong is the matter of `nls.robust.verdict`.
 """
 
-from __future__ import annotations
-
 from math import ceil
 
 import numpy as np

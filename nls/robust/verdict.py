@@ -3,8 +3,6 @@
 Every kind of doubt, its sentence, its bound and what decides it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from math import exp, gamma, log, sqrt

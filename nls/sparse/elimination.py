@@ -5,8 +5,6 @@ the two systems of a chordal start and the normal equations. It is found once pe
 latest, ten whole numbers a pair.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

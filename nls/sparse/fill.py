@@ -16,8 +16,6 @@ J. Gilbert, E. Ng, B. Peyton, "An efficient algorithm to compute row and column 
 factorization", SIAM J. Matrix Anal. Appl. 15 (1994).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

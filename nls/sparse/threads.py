@@ -9,8 +9,6 @@ import. From then on `single_thread` costs 14 us where three BLAS libraries have
 have one, and 1 inside another one.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from collections.abc import Callable

@@ -5,8 +5,6 @@ optimum. A few steps from each of them tell. They are steps of the dogleg, the d
 step.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable

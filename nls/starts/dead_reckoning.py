@@ -5,8 +5,6 @@ Dead reckoning takes steps in the horizontal, with depth, pitch and roll as they
 and roll are not integrated, `ZPR` has them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from models import SE2, SE3, Measured, euler

@@ -15,8 +15,6 @@ Source: M. Kaess, A. Ranganathan, F. Dellaert, "iSAM: incremental smoothing and 
 factorization at every pose instead); the cure is older than that, and is how a vehicle would do it on its way.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -30,8 +30,6 @@ Source: the search over the aperture is that of aldoteran/fs-slam, src/BundleAdj
 "Degeneracy-aware imaging sonar simultaneous localization and mapping", IEEE Journal of Oceanic Engineering 45, 2020.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import pi, radians

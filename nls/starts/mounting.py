@@ -24,8 +24,6 @@ The axes stay free, or the noise decides them, if all q are nearly in one plane.
 angle and equal lengths, and are refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

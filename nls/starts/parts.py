@@ -1,7 +1,5 @@
 """Parts of a graph: some of its measurements, over the variables they touch, with some of these held."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

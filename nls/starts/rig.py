@@ -12,8 +12,6 @@ those the sonar never saw, are put where the rays of their pixels meet.
 Source: B. Horn, "Closed-form solution of absolute orientation using unit quaternions", JOSA A 4, 1987.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse as sp
 

@@ -4,8 +4,6 @@ JSON has arrays as lists, for people, or the names of arrays that stand elsewher
 them, read without pickles and within bounds.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

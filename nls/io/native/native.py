@@ -1,7 +1,5 @@
 """A graph and its values as a native file, and back; the format is on the page on files."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping

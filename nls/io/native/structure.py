@@ -9,8 +9,6 @@ A thing is the arguments of its constructor, so that what is read is checked as 
 Its classes have names, those of the library and those that were registered: nothing else is ever made from a file.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """Landmarks first: the Schur complement of variables that share no factor with each other."""
 
-from __future__ import annotations
-
 from nls.linear.schur.inverses import truncated_inverse
 from nls.linear.schur.pcg import PCG
 from nls.linear.schur.solver import Schur

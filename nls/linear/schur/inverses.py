@@ -14,8 +14,6 @@ directions kept, D_l = V y: V'H_ll V is regular and H_ll^+ = V (V'H_ll V)^-1 V'.
 So `floor` leaves out directions that the measurements see worse than they are known without them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -25,8 +25,6 @@ Schur complement and its block-Jacobi preconditioner); J. Mandel, "On block diag
 preconditioning", 1990.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -20,8 +20,6 @@ Sources: H. Butler et al., "The GeoJSON format", RFC 7946, 2016; OGC KML 2.3, 12
 format", ArcGIS documentation; G. Turk, "The PLY polygon file format", 1994.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

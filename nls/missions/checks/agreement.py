@@ -30,8 +30,6 @@ A receiver of satellites has no fix under water. Where fixes are deep at their t
 seconds earlier, or the time by which both b and e are late, their clock is off. Fixes by sound stay deep at any time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Checks of one sensor each: from the numbers of a log to findings. None needs another sensor to be right."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """All checks of a mission, and which of their findings are left when one explains another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

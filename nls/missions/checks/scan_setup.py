@@ -24,8 +24,6 @@ Closures say little of it. The graph follows them to the way of the sensor, and 
 with it. With a sensor 1 m off, closures of the third round ask for 0.1 m of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

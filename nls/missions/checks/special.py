@@ -9,8 +9,6 @@ with a quantile q of the steps between other rows; or where s is beyond all othe
 it is special between two rows only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -16,8 +16,6 @@ c is r (t - t_0). The walk of motion.csv measures nothing: its rows hardly count
 Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968: w-test, internal and external reliability.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

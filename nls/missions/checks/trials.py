@@ -14,8 +14,6 @@ ignores few of them and noise explains all others. Last, sigmas of one table may
 it alone, and its residuals are white and normal then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter

@@ -1,7 +1,5 @@
 """Findings about missions in words: implausible tables, what explains chi2, the setup of scans. All are here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -17,8 +17,6 @@ Sources: E. Olson, "Real-time correlative scan matching", ICRA 2009, for the sea
 Automation 17, 2001, for matches that are right together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import pi, sqrt

@@ -24,8 +24,6 @@ The cost of an answer is chi2, a price for every number of a landmark, and one f
 Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 1978, for the price of a number.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -34,8 +34,6 @@ Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using th
 Transactions on Robotics and Automation 17, 2001.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -30,8 +30,6 @@ Pairs are worth a gate where trees find them near: within the length of the arc 
 allows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -22,8 +22,6 @@ J. Uhlmann, "A non-divergent estimation algorithm in the presence of unknown cor
 1997, for the information of loops that share a map.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

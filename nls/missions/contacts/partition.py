@@ -8,8 +8,6 @@ the others fit that one, too. Then they may be one target in pieces. Otherwise t
 a later round. In the end a track that nothing needs is none.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from models.algebra import Array, Index, Mask

@@ -6,8 +6,6 @@
 The pose of the ship at a row of usbl.csv is a variable of kind ``s`` that is held: it costs nothing in the solution.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

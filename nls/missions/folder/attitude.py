@@ -39,8 +39,6 @@ The tide is subtracted: depths are below the level that tide.csv counts from, su
 surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

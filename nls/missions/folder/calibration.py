@@ -4,8 +4,6 @@ One row a number: its name, its value, and its standard deviation; 0 holds it at
 of the mission uses is an error, so that no row is without effect.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors import Diagonal, Heading, Prior, Shifted

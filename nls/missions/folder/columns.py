@@ -1,7 +1,5 @@
 """The files of a mission folder and the columns of each: names with their units, in the order they are written."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 

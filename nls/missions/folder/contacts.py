@@ -1,7 +1,5 @@
 """contacts.csv and sonar.csv: what an imaging sonar saw, as factors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

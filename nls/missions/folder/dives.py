@@ -9,8 +9,6 @@ moved in the horizontal, and turned about the vertical where no compass measures
 measurement. Nothing anchors it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -46,8 +46,6 @@ tilt is that of the line, with the sigmas of the hole. In a hole of depth.csv th
 down by the DVL. So the depth follows the DVL and meets the rows at both ends.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors import XYH, ZPR, Diagonal, DvlLeg, Shifted, SqrtInformation

@@ -1,7 +1,5 @@
 """Positions: origin.csv, anchor.csv, fixes.csv and closures.csv, poses as seen from others, of other dives, too."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors import XYH, Between, Diagonal, Heading, Position

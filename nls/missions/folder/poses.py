@@ -9,8 +9,6 @@ columns keyframe, time, x, y and yaw.
 **The truth** of a mission, truth.csv and landmarks.csv: the true poses and landmarks that a solution is judged by.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Sequence

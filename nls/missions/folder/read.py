@@ -1,7 +1,5 @@
 """A mission folder as a graph, its start and a report; `TRACKS` has the file that says the way, and its reader."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The graph that the files of a mission add to, and columns that several have: lever arms, robust kernels, sigmas."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -15,8 +15,6 @@ with the twist xi of the vehicle by dead reckoning, that of the ship by ship.csv
 `factors.Shifted`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors.base import Factor

@@ -1,7 +1,5 @@
 """A TOML file that people write: its tree, and errors with the line of a key."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -22,8 +22,6 @@ measurement: nothing else depends on them, and their cells in the results are em
 vehicle, as over a lever arm, needs all three angles, else it is refused.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors import XYH, ZPR, Diagonal, Heading, Landmark, Prior, SqrtInformation

@@ -5,8 +5,6 @@ number there, ``twist.covariance.0``. ``header.stamp`` is one whole number of na
 message was recorded. Needs the package `rosbags`, in the extra ``ros``.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """One column of a section of a mapping: a column of the log, how its cells are read, or a constant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Dates and times of day as text: ISO 8601, any other form by ``time_format``, and the forms that a text may have."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress

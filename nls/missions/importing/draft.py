@@ -1,7 +1,5 @@
 """A first mapping for a log: a guess a line, what is not known is marked; to be read before it is used."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Sequence
 from pathlib import Path

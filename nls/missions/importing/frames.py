@@ -9,8 +9,6 @@ body, R_s, become
 For ENU and FLU: roll stays, pitch changes its sign, yaw becomes pi/2 - yaw. Source: ROS REP 103 for ENU and FLU.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -4,8 +4,6 @@ A header names its unit in brackets at its end, ``Roll [deg]`` or ``speed (m/s)`
 ``depth_mm`` or ``v_mm_s``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The rows of mission tables from the columns of logs: units, flags, empty cells, order of time, axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Templates of a mission, to be filled by hand or by a script: heads, units and an example row each."""
 
-from __future__ import annotations
-
 from nls.missions.folder.columns import COLUMNS, LOG, TRACK, optional
 from nls.missions.importing.headers import mission_unit
 

@@ -4,8 +4,6 @@ Lines that are blank or begin with ``#`` or ``%`` are skipped. A header may itse
 the last such line before the rows where these begin with a number and have as many cells.
 """
 
-from __future__ import annotations
-
 import copy
 import csv
 import re

@@ -1,7 +1,5 @@
 """Dead reckoning as it is: steps whose errors are shared by a stretch of the way, and a compass."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

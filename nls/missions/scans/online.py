@@ -8,8 +8,6 @@ back when the others agree with them, and each counts as its submaps are used by
 submaps as they were then.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

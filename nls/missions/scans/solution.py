@@ -5,8 +5,6 @@ they are not known. map.csv has every point with its keyframe, and its intensity
 every candidate of the last round and what became of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any

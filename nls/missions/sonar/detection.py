@@ -34,8 +34,6 @@ Electronic Systems 24(4), 1988 (all four); H. Rohling, "Radar CFAR thresholding 
 situations", the same Transactions 19(4), 1983 (ordered statistic).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import exp, expm1, lgamma, log, log1p
 from typing import Literal, get_args

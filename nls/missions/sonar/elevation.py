@@ -42,8 +42,6 @@ Mean of (error / sigma)^2 of the elevations that are pushed, hull, seeds 0 to 2:
 0.7, 0.4, 0.7; e' Sigma^-1 e of their places, 3 expected: 56, 17, 47, so 3.7, 1.4, 2.3.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

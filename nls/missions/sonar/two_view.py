@@ -35,8 +35,6 @@ code aldoteran/fs-slam. That code leaves elevation out of the linearization and 
 here it is eliminated like the rest, and the aperture and the odometry say what is too little.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

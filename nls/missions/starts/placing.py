@@ -18,8 +18,6 @@ Cauchy kernel. The best one counts, of equal ones that below.
 Source: E. Olson, J. Leonard, S. Teller, "Robust range-only beacon localization", IEEE J. Oceanic Engineering 31, 2006.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 
