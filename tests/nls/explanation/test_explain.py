@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from models.manifolds.rn import Vectors
 from nls import Explanation, FactorGraph, GraphError, Kind, Values
+from nls.analysis.freedom import freedom
+from nls.explanation.naming import named_directions
+from nls.explanation.words import directions
 from nls.gauge import choose_gauge, fixed_variables
 from tests.combinations import for_all
 from tests.factors.samples import Sample, situation
@@ -353,8 +357,8 @@ def test_rank_and_words(sample: Sample) -> None:
     graph = FactorGraph([factor])
     explanation = nls.explain(graph, values)
     pattern = graph.pattern(values)
-    held = choose_gauge("first", pattern, values, fixed_variables([], values)).held
-    A = nls.LinearSystem.at(pattern.holding(held), values).A.toarray()
+    pattern = pattern.holding(choose_gauge("first", pattern, values, fixed_variables([], values)).held)
+    A = nls.LinearSystem.at(pattern, values).A.toarray()
     norms = np.linalg.norm(A, axis=0)
     A = A / np.where(norms > 1e-13 * norms.max(initial=0.0), norms, np.inf)
     rank = np.linalg.matrix_rank(A, tol=1e-9) if A.size else 0
@@ -362,3 +366,9 @@ def test_rank_and_words(sample: Sample) -> None:
     assert len(explanation.free) == explanation.nullity == A.shape[1] - rank
     assert explanation.report()
     assert json.dumps(explanation.record(), allow_nan=False)
+    free = freedom(pattern, values)
+    r = free.combinations.shape[1]
+    turn = np.linalg.qr(np.random.default_rng(r).normal(size=(r, r)))[0]
+    turned = replace(free, combinations=free.combinations @ turn)  # any basis is as good as another
+    named = named_directions(turned, pattern, values)
+    assert sum(len(directions(finding)) for finding in named) == explanation.nullity
