@@ -244,8 +244,8 @@ def calibration_rows(rig: Rig, result: Result) -> Rows:
 def calibration_files(rig: Rig, result: Result) -> Contents:
     """rig.json and rig.png beside the graph."""
     from nls.cli.outputs import json_text
-    from nls.missions.pictures.rig import rig_before_after
     from nls.plot.picture import drawn
+    from sim.pictures import rig_before_after
 
     before, after = rig.errors(rig.start), rig.errors(result.values)
     changes = {

@@ -1,30 +1,24 @@
 """Which solutions of pose graphs are certified, and whether rightly: public graphs, and shaken and other starts.
 
-    LEADLINE_DATA=DIR python benchmarks/evidence/certificate.py [--before CHECKOUT] [--out DIR]
+    LEADLINE_DATA=DIR python benchmarks/evidence/certificate.py [--out DIR]
 
 Every public graph is solved from the default start and certified; torus3D also from the start in its file, which ends
 in a local minimum. Then small rings, simulated worlds, graphs that contradict themselves, and six public graphs are
 solved from shaken starts. Each converged solution is certified. Right is one of the lowest chi2 known: of all starts,
-the truth, chordal and odometry, rings wound in all ways, and what certificates lead to. With --before another version
-of the library judges the same solutions.
+the truth, chordal and odometry, rings wound in all ways, and what certificates lead to.
 """
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import process_time
-from typing import Any
 
 import numpy as np
-from script import POSE_GRAPHS, child, make_page, markdown, timed
+from script import POSE_GRAPHS, make_page, markdown, timed
 
 import nls
 import sim
@@ -201,21 +195,7 @@ def way_on(world: World, certificate: Certificate) -> Values | None:
     return values
 
 
-def judge(file: str) -> list[list[str]]:
-    """Verdicts on the solutions of all worlds in a file."""
-    tried = pickle.loads(Path(file).read_bytes())
-    return [[nls.certify(graph, values).verdict for values in solutions] for graph, solutions in tried]
-
-
-def of_another(checkout: Path, tried: list[World]) -> Any:
-    """Verdicts of another version of the library."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "solutions.pickle"
-        file.write_bytes(pickle.dumps([(world.graph, world.solutions) for world in tried]))
-        return child(sys.executable, __file__, "--child", file, PYTHONPATH=str(checkout.resolve()))
-
-
-def tables(data: Path, checkout: Path | None) -> list[str]:
+def tables(data: Path) -> list[str]:
     """The verdicts on solutions from shaken starts."""
     tried, began, spent = list(worlds(data)), process_time(), 0.0
     count: dict[str, Counter[str]] = {world.row: Counter() for world in tried}
@@ -230,18 +210,10 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
             count[world.row][f"{truth} {certificate.verdict}"] += 1
             count[world.row]["led"] += truth == "wrong" and end is not None and world.is_right(end)
     seconds = process_time() - began
-    if checkout is not None:
-        for world, old in zip(tried, of_another(checkout, tried), strict=True):
-            for values, verdict in zip(world.solutions, old, strict=True):
-                count[world.row][f"{'right' if world.is_right(values) else 'wrong'} {verdict}, before"] += 1
     columns = [
         f"{truth} {verdict}" for truth in ("right", "wrong") for verdict in ("certified", "undecided", "refuted")
     ]
-    note = ""
-    if checkout is not None:
-        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=checkout, capture_output=True, text=True)
-        note = f"\n*before*: the same solutions, judged by the library at {commit.stdout.strip() or checkout.name}."
-    columns += ["led", *(["right certified, before", "wrong certified, before"] if checkout else [])]
+    columns.append("led")
     total: Counter[str] = sum(count.values(), Counter())
     rows = [[row, *(str(found[column]) for column in columns)] for row, found in [*count.items(), ("all", total)]]
     number = sum(total[column] for column in columns[:6])
@@ -252,12 +224,12 @@ def tables(data: Path, checkout: Path | None) -> list[str]:
         "Right is the lowest chi2 known within 1e-4: from all starts, truth, chordal, odometry, rings wound anyhow.\n"
         "*led*: of the wrong and refuted ones, those from which `graph.optimize(certificate.better)`, repeated until\n"
         f"nothing is refuted, arrives at the lowest chi2 known. Certified in {spent:.0f} s; {seconds:.0f} s with all\n"
-        f"solutions. Contradictions are graphs of 3 to 9 poses with errors of up to 3 m and 1.6 rad.{note}",
+        f"solutions. Contradictions are graphs of 3 to 9 poses with errors of up to 3 m and 1.6 rad.",
         *markdown(["world", *columns], rows),
     ]
 
 
-def page(data: Path, before: Path | None) -> list[str]:
+def page(data: Path) -> list[str]:
     """The page below its head."""
     rows = [
         certified(title(name), *solved(data / POSE_GRAPHS[name], "auto"), published)
@@ -265,10 +237,9 @@ def page(data: Path, before: Path | None) -> list[str]:
     ]
     graph, values, chi2, seconds = solved(data / POSE_GRAPHS["torus3D"], "file")
     rows.append(certified("torus3D, start of the file", graph, values, chi2, seconds, ""))
-    return [LEGEND, *markdown(TITLES, rows, 15 * "-"), climbed(graph, values), *tables(data, before)]
+    return [LEGEND, *markdown(TITLES, rows, 15 * "-"), climbed(graph, values), *tables(data)]
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", nls.GraphWarning)
-    other = {"type": Path, "metavar": "CHECKOUT", "help": "another version of the library, to compare"}
-    make_page("Certified pose graphs", page, judge, before=other)
+    make_page("Certified pose graphs", page)
