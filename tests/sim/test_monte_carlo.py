@@ -199,10 +199,10 @@ def test_a_graph_costs_less_than_a_filter_and_grows_slower() -> None:
     track = tracked(world, "ekf")
     assert len(track.landmarks) == 100  # known before the steps that are timed
     assert errors(world, track)["ate"] < 0.1
-    ekf, batch = costs(0, ["ekf", "batch"], {}, 60.0, sizes=(100, 400))
-    assert (ekf.name, ekf.landmarks, ekf.poses, ekf.stopped) == ("ekf", [100, 400], [46, 121], "")
-    assert batch.landmarks == [100, 400]
-    assert batch.total == pytest.approx([46 * batch.step[0], 121 * batch.step[1]])
+    ekf, batch = costs(0, ["ekf", "batch"], {}, 60.0, sizes=(100, 800))
+    assert (ekf.name, ekf.landmarks, ekf.poses, ekf.stopped) == ("ekf", [100, 800], [46, 221], "")
+    assert batch.landmarks == [100, 800]
+    assert batch.total == pytest.approx([46 * batch.step[0], 221 * batch.step[1]])
     assert batch.total[1] < ekf.total[1] / 2  # with the search for a start
     assert batch.law("total") < ekf.law("total")
     assert 60 * ekf.step[1] < ekf.total[1] < 200 * ekf.step[1]
