@@ -1,11 +1,11 @@
-r"""In which coordinates a covariance is given: Sigma_shown = J Sigma J', Sigma that of the tangent step (rho, phi).
+r"""In which coordinates a covariance is given: Sigma_shown = J Sigma J'.
 
-| asked for | J | components |
-|---|---|---|
-| frame "body" | I | of the tangent space: X <- X Exp(delta), axes of the body |
-| frame "world" | G = blkdiag(R, R), in the plane blkdiag(R, 1) | the same errors along the axes of the world |
-| view "position" | the rows of G for the position | x, y (, z) in the world |
-| view "euler" | d(roll, pitch, yaw, x, y, z) / d delta | angles about the axes of the Euler angles; world position |
+Sigma is that of the tangent step (rho, phi). What is asked for decides J:
+
+    frame "body"       I, the tangent space: X <- X Exp(delta), axes of the body
+    frame "world"      G = blkdiag(R, R), in the plane blkdiag(R, 1): the same errors along the axes of the world
+    view "position"    the rows of G for the position: x, y (, z) in the world
+    view "euler"       d(roll, pitch, yaw, x, y, z) / d delta: angles about the axes of the Euler angles; world position
 
 The matrices are the manifold's own: `Manifold.world_axes` and `Manifold.euler_axes`.
 

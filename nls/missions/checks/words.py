@@ -25,6 +25,7 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
     "travel_time_s": {1e3: "ms", 1e6: "us"},
     "time_s": {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 86400: "day"},
 }
+NO_LENGTHS = {"hm", "kPa", "Pa", "bar"}  # a mapping has no such unit for a depth
 CHECKS = {  # of a check: what was measured, and what its limit is
     "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
     "special value": "{rows} with {measured} are far from the rows around them",
@@ -117,7 +118,8 @@ def _unit(r: Reading) -> str:
     act = f"multiply {{column}} by {1 / r.factor:.{10 if _origin(r) else 5}g}{{origin}}"
     if r.factor > 1:
         act = f"divide {{column}} by {r.factor:.{10 if _origin(r) else 5}g}"
-    mapped = f', or write `unit = "{name}"` for {{column}} {{mapping}}' if name else ""
+    key = f"scale = {1 / r.factor:.5g}" if name in NO_LENGTHS and r.column == "z_m" else f'unit = "{name}"'
+    mapped = f", or write `{key}` for {{column}} {{mapping}}" if name else ""
     return f"{{column}} of {{file}} {{looks}} like {name or 'another unit'}: {act}{mapped}"
 
 

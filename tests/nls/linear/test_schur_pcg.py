@@ -98,6 +98,15 @@ def test_coarse_steps_are_enough_for_levenberg_marquardt() -> None:
 # ---- what is free, and what does not arrive
 
 
+def test_levenberg_marquardt_says_what_is_free() -> None:
+    sample = bundle(seed=4)
+    graph = FactorGraph([sample.graph.factors[0]])
+    one, two = (graph.optimize(sample.values, linear_solver=s) for s in (Schur(), PCG()))
+    assert two.converged
+    assert two.chi2_final == pytest.approx(one.chi2_final, rel=1e-7)
+    assert len(two.underconstrained) == len(one.underconstrained) == 1
+
+
 def test_a_gauge_and_a_scale_are_seen() -> None:
     """A'b has no part along them: conjugate gradients on it alone would return a step."""
     for anchors in ([], [0], [0, 1]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import nls
 from models.algebra import Array
 from nls.missions.checks.agreement import clocks_by_spans, of_fixes
 from nls.missions.checks.alone import tilt_of
-from nls.missions.checks.findings import Cause
+from nls.missions.checks.findings import Cause, Implausible, Reading
 from nls.missions.checks.log import Fixes, Log
+from nls.missions.checks.words import UNITS
+from nls.missions.importing.headers import dimension, mission_unit
 from tests.combinations import for_all
 from tests.nls.missions.checks.missions import (
     Change,
@@ -220,3 +223,16 @@ def test_wild_headings_are_named_also_side_by_side_and_turns_of_the_number_are_n
     assert finding.lines == tuple(rows[added > 0] + 2)
     whole = findings(changed(files, "ahrs", yaw_rad=lambda yaw: np.remainder(yaw + 2, 2 * np.pi)))
     assert "outliers" not in [entry.check for entry in whole]
+
+
+@for_all(case=[(end, factor) for end, units in UNITS.items() if end != "_pa" for factor in units])
+def test_a_unit_that_is_advised_is_one_of_a_mapping(case: tuple[str, float]) -> None:
+    """Or a scale stands for it, as for a depth in kPa."""
+    end, factor = case
+    column = {"_m_s": "vx_m_s", "_m": "x_m", "_rad": "yaw_rad", "_deg": "lat_deg"}.get(end, end)
+    readings = (Reading(Cause.UNIT, "dvl.csv", column, factor),)
+    says = Implausible("speed", "dvl.csv", 2, column, 900.0, 10.0, "m/s", readings).says
+    if unit := re.search('`unit = "(.+?)"`', says):
+        assert dimension(unit[1]) == mission_unit(column)[0]
+    else:
+        assert float(re.search("`scale = (.+?)`", says)[1]) * factor == pytest.approx(1, rel=1e-4)
