@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from models.sensors import Camera
     from nls.values import Values
 
-MOST = 1000  # points with their errors; of more an evenly spaced part is drawn
+MOST_POINTS = 1000  # points with their errors; of more an evenly spaced part is drawn
 LONGER = (1, 2, 5, 10, 20, 50, 100)  # how many times as long errors are drawn, up to 0.2 of the width
 
 
@@ -63,7 +63,7 @@ def rig_before_after(
     wide = float(np.ptp(_places(truth)[1], axis=0).max())
     times = max((t for t in LONGER if t * largest <= 0.2 * wide), default=1)
     norm = LogNorm(largest / 20, largest)
-    drawn, count = len(truth.stack("l").X[:: _step(truth, "l", MOST)]), len(truth.stack("l"))
+    drawn, count = len(truth.stack("l").X[:: _step(truth, "l", MOST_POINTS)]), len(truth.stack("l"))
     shown = "" if drawn == count else f" of {drawn} of {count} points"
     for ax, name, moved in zip(axes, ("raw", "optimized"), aligned, strict=False):
         lines = _map(ax, truth, moved, camera, times, norm)
@@ -111,7 +111,7 @@ def _map(
     frusta = _frusta(truth.stack("x").X[:: _step(truth, "x", 20)], camera, deep)[..., [0, 2]]
     axes.add_collection(LineCollection(list(frusta), colors=TRUE, linewidths=0.5, alpha=0.6))
     axes.plot(*true[0][:, [0, 2]].T, color=TRUE, linewidth=0.6, alpha=0.4)
-    for where, at, step, width in zip(true, moved, (1, _step(truth, "l", MOST)), (2.0, 1.1), strict=True):
+    for where, at, step, width in zip(true, moved, (1, _step(truth, "l", MOST_POINTS)), (2.0, 1.1), strict=True):
         where, off = where[::step], (at - where)[::step]
         ends = np.stack([where, where + times * off], axis=1)[..., [0, 2]]
         lines = LineCollection(list(ends), array=np.linalg.norm(off, axis=1), cmap="plasma_r", norm=norm, zorder=3)

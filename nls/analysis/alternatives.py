@@ -29,7 +29,7 @@ from nls.values import Values
 
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
 EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less cannot be told apart
-HALF = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
+HALF_CHI2 = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
 FIRST = 10  # of these, after which an alternative that is worse than others is given up
 REFUSED = (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError, SingularGeometryError)
 
@@ -185,4 +185,4 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
     Noise must explain chi2 of the other, or it must be at most half of the one that stands. Wrong closures and sigmas
     that are off remain under every reading.
     """
-    return decisive(standing, other, tries) and (expected(other) or other.chi2 <= HALF * standing.chi2)
+    return decisive(standing, other, tries) and (expected(other) or other.chi2 <= HALF_CHI2 * standing.chi2)

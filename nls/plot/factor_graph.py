@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.values import Values
 
-MOST = 60  # variables whose names can be read
+MOST_VARIABLES = 60  # variables whose names can be read
 APART, MARGIN = 0.28, 0.4  # of a line: between factors of the same variables; the rim
 SQUARES = tuple(color for color in SERIES if color not in (ESTIMATE, LANDMARK))
 
@@ -66,9 +66,9 @@ def factor_graph(graph: FactorGraph, values: Values | None = None, axes: Axes | 
     names = sorted({name for _, variables in measurements for name in variables})
     if not names:
         raise GraphError("factor_graph: the graph has no factors; add one")
-    if len(names) > MOST:
+    if len(names) > MOST_VARIABLES:
         raise GraphError(
-            f"factor_graph: {len(names)} variables, at most {MOST} can be told apart. Draw the whole with "
+            f"factor_graph: {len(names)} variables, at most {MOST_VARIABLES} can be told apart. Draw the whole with "
             "nls.plot.trajectory, or a part of it: graph.only(masks)"
         )
     places = _in_rows(names, measurements) if values is None else _at_values(names, values)

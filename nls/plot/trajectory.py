@@ -27,7 +27,7 @@ MANY = 300  # lines, from which they are fainter the more there are
 PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
 SHARED = 3.0  # times the width of the optimum: so wide the values before may be to be drawn at one scale with it
-MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
+MOST_EDGES = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
 def before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
@@ -278,4 +278,4 @@ def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array
     if not out:
         return np.zeros((0, 2, 2)), 0
     segments = np.concatenate(out)
-    return segments[:: max(1, -(-len(segments) // MOST))], len(segments)
+    return segments[:: max(1, -(-len(segments) // MOST_EDGES))], len(segments)

@@ -23,7 +23,7 @@ import numpy as np
 from factors.keys import Kind
 from factors.robust import Cauchy
 from models.errors import EvaluationError, GraphFileError, SingularGeometryError
-from nls.analysis.alternatives import HALF, REFUSED, Fit, expected, nearest, solved
+from nls.analysis.alternatives import HALF_CHI2, REFUSED, Fit, expected, nearest, solved
 from nls.analysis.calibrations import explains
 from nls.analysis.variance_components import variance_components
 from nls.covariance import Marginals
@@ -192,7 +192,7 @@ def _calibration(mission: Mission, name: str, begins: tuple[float, ...] = ()) ->
         return [(fit, values[k]) for k, fit in mission.optima(tables, len(tables), anywhere)]
 
     fit, value = min(at(*(begins or usual)), key=lambda pair: pair[0].chi2, default=(None, 0.0))
-    if fit is None or fit.chi2 > HALF * mission.chi2:
+    if fit is None or fit.chi2 > HALF_CHI2 * mission.chi2:
         return
     for _ in range(6):
         before, value = value, float(fit.values[Kind(name)[0]][0])
