@@ -381,17 +381,3 @@ def test_a_short_step_that_misses_its_promise_is_no_arrival() -> None:
     result = optimize(graph, start, "gauss-newton", Stop(update_tol=1e-6))
     assert (result.status, result.rule) == (Status.STALLED, "promise_missed")
     assert "factors.check_jacobians" in result.reason
-
-
-def test_chi2_that_goes_up_and_down_is_a_cycle_where_it_rises_no_higher() -> None:
-    def asked(chi2: list[float]) -> stop.Verdict | None:
-        history = [nls.Iteration(k, c) for k, c in enumerate(chi2)]
-        watch = SimpleNamespace(history=history, since_best=100, step_count=100, limit=100, lowest=50.0)
-        return stop.up_and_down(SimpleNamespace(watch=watch))
-
-    wave = [50.0 + k % 2 for k in range(101)]
-    cycle = asked(wave)
-    assert cycle is not None
-    assert cycle.status is Status.CYCLING
-    assert asked([*wave[:-1], 52.0]) is None
-    assert asked([50.0 + k for k in range(101)]) is None
