@@ -136,3 +136,10 @@ def test_a_rule_and_its_inequality(rule: stop.Rule) -> None:
     assert verdict.reason
     for change in fails:
         assert rule(looked(**(holds | change))) is None, change
+
+
+def test_chi2_that_goes_up_and_down_is_a_cycle_where_it_rises_no_higher() -> None:
+    holds = {"since_best": 100, "history": swings(100)}
+    risen = [*swings(99), Iteration(100, 52.0)]
+    assert stop.up_and_down(looked(**holds)) is not None
+    assert stop.up_and_down(looked(**holds | {"history": risen})) is None
