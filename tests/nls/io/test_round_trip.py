@@ -350,3 +350,11 @@ def test_poses_come_first_in_files_of_names() -> None:
     """The reader of the format's authors takes the dimension from the first line."""
     values = Values({l: (R(2), [[1.0, 1.0]], [7]), x: (SE2, SE2.identity(1))})
     assert nls.io.rendered("a.pyfg", FactorGraph(), values)[0].split()[0] == b"VERTEX_SE2"
+
+
+def test_in_space_a_factor_without_offset_is_written_with_one_of_nothing(tmp_path: Path) -> None:
+    sight = Landmark(nls.Keys("x", 0), nls.Keys("l", 9), [1, 2, 3], Isotropic(1))
+    graph = FactorGraph([Prior(nls.Keys("x", 0), SE3.identity()[0], Isotropic(0.1)), sight])
+    values = Values({nls.Kind("x"): (SE3, SE3.identity()), nls.Kind("l"): (R(3), [[1.0, 2.0, 3.5]], [9])})
+    save(tmp_path / "out.g2o", graph, values)
+    assert (tmp_path / "out.g2o").read_text().splitlines()[0] == "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
