@@ -73,7 +73,9 @@ def test_a_landmark_with_one_range(solver: str) -> None:
         lambda: marginals.joint([x[3], l[0]], "body"),
         lambda: marginals.all(l),
     ):
-        with pytest.raises(UnderconstrainedError, match=r"l0: x, y: not determined. 1 free direction moves it") as caught:
+        with pytest.raises(
+            UnderconstrainedError, match=r"l0: x, y: not determined. 1 free direction moves it"
+        ) as caught:
             ask()
         error = caught.value
         assert (error.keys, error.nullity, error.components) == ((l[0],), 1, ("l0: x, y",))
