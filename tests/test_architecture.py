@@ -225,6 +225,17 @@ def test_only_the_inputs_ask_what_was_read() -> None:
     assert asked == []
 
 
+def test_no_file_imports_what_another_keeps_for_itself() -> None:
+    """A name with an underscore is of one file, in every package and for the benchmarks."""
+    files = [*FILES, *(path for room in ("benchmarks", "tools") for path in (ROOT / room).rglob("*.py"))]
+    froms = [(path, node) for path in files for node in ast.walk(tree_of(path)) if isinstance(node, ast.ImportFrom)]
+    private = [
+        f"{name_of(path)}: {name}" for path, node in froms for name in imported(node) if re.search(r"\._[a-z]", name)
+    ]
+    assert len(froms) > 1500
+    assert private == []
+
+
 def test_pages_import_what_a_room_exports_or_the_reference_documents() -> None:
     """Readers copy these lines. A room is a folder of a package, its `__init__` has the public names."""
     pages = [ROOT / "README.md", *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]

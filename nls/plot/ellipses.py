@@ -94,7 +94,7 @@ def ellipses(
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
         label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}{larger(scale)}"
-        _outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
+        draw_outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
     if alone:
@@ -104,7 +104,8 @@ def ellipses(
     return figure_of(axes)
 
 
-def _outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:
+def draw_outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:
+    """Draw closed lines around centers, each in the plane of the track, and filled where the axes have no depth."""
     if axes.name == "3d":
         level = np.zeros((len(center), 1, 3))
         level[:, 0, : center.shape[1]] = center

@@ -25,7 +25,7 @@ from nls.covariance.frames import outlines
 from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
-from nls.plot.ellipses import _outlines, larger, magnification
+from nls.plot.ellipses import draw_outlines, larger, magnification
 from nls.plot.picture import axes_or_new, figure_of, legend_below, name_plane, new_figure
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
@@ -102,7 +102,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
     p, P = manifold.position(track.X[shown]), frames.turned(J, track.P[shown])
     scale = magnification(float(np.ptp(p, axis=0).max()), float(np.sqrt(np.linalg.eigvalsh(P).max())))
     label = f"95 % of the vehicle{larger(scale)}"
-    _outlines(axes, p, scale * outlines(P), color=ELLIPSE, linewidth=0.8, label=label)
+    draw_outlines(axes, p, scale * outlines(P), color=ELLIPSE, linewidth=0.8, label=label)
     if len(track.landmarks):
         stack = track.values.stack(track.landmarks.kind)
         L = track.values[track.landmarks]
@@ -113,7 +113,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[K
             axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=9, label="true landmarks")
             axes.plot(*L.T, ".", color=LANDMARK, markersize=4)
             label = f"95 % of the landmarks{larger(scale)}"
-            _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
+            draw_outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
             _named(axes, track.landmarks, L)
     name_plane(axes, title="map")
     legend_below(axes)
@@ -253,10 +253,10 @@ def belief(
             axes.plot(*clouds.T, color=LANDMARK, alpha=0.2, **dots)  # type: ignore[arg-type]
     place, places = drawn(poses.manifold.position(X[None]), true), drawn(L, true_landmarks)
     axes.plot(*place.T, "o", color=ESTIMATE, markersize=5)
-    _outlines(axes, place, scale * outlines(Sigma), color=ELLIPSE, linewidth=1.2, label="pose, 95 %")
+    draw_outlines(axes, place, scale * outlines(Sigma), color=ELLIPSE, linewidth=1.2, label="pose, 95 %")
     if len(keys):
         style = {"color": LANDMARK, "linewidth": 1.2, "label": "landmarks, 95 %"}
-        _outlines(axes, places, scale * outlines(P_landmarks), **style)
+        draw_outlines(axes, places, scale * outlines(P_landmarks), **style)
         axes.plot(*places.T, ".", color=LANDMARK, markersize=4)
         _named(axes, keys, true_landmarks)
     drawn_larger = "" if scale == 1 else f": errors and ellipses × {scale:g}"
