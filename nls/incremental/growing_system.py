@@ -16,7 +16,7 @@ from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.growing import BatchMark, GrowingBatch, Variables
+from nls.incremental.growing_arrays import BatchMark, GrowingBatch, Variables
 from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
 from nls.linear.factorization import SingularSystemError

@@ -38,9 +38,9 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals, Decision, Window, blame, factors_of, refuse_others
-from nls.incremental.growing import part
+from nls.incremental.growing_arrays import part
 from nls.incremental.growing_system import HONEST, GrowingSystem
+from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
 from nls.incremental.new_variables import LIMIT, New, lower_start
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt

@@ -1,4 +1,4 @@
-"""Choice among loop closures: all of them where these explain each other, else from those that `growth` accepts.
+"""Choice among loop closures: all of them where these explain each other, else from those that `grown` accepts.
 
 Graduation follows one minimum only and cannot leave it by itself. Where groups are few a choice is improved by giving
 up one group or taking one back. Closures that agree with neighbors are one witness, however many they are, and stay
@@ -16,7 +16,7 @@ from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration
 from nls.robust import verdict
-from nls.robust.growth import Witness, grown, misfits, witnesses
+from nls.robust.accepted_closures import Witness, grown, misfits, witnesses
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence

@@ -15,7 +15,7 @@ from models.findings import Numbered, Sentences, register
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Fit, Result
-from nls.robust.growth import FITS, Witness, misfits
+from nls.robust.accepted_closures import FITS, Witness, misfits
 from nls.robust.loop_graph import LoopGraph, unit_variance
 from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
