@@ -45,7 +45,7 @@ class Preselection:
         self.moved = 0.0
         for _ in range(0 if explained else 3):
             other, self.moved = self._without_contradicted(self.choice)
-            if self.moved <= verdict.STILL:
+            if self.moved <= verdict.SAME_MAP:
                 break
             self.choice = other
 
@@ -74,7 +74,7 @@ class Preselection:
         variance = min(HEAVY_TAILS**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
-        if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.STILL:
+        if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.SAME_MAP:
             return None
         return choice, variance
 
