@@ -131,8 +131,8 @@ def page(seeds: int, processes: int, out: Path) -> list[str]:
         print(done, file=sys.stderr, flush=True)
     draw(trials, out / "unnamed_contacts.png")
     return [
-        *rows(trials),
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
+        *rows(trials),
         "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which "
         "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
         "means of the seeds. s: processor time of the association.",

@@ -115,8 +115,8 @@ def page(seeds: int, jobs: int) -> list[str]:
         f"- Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned.",
         "- Times the clean run: mean ATE over that of the same missions without wrong contacts. Brackets: the "
         "least and most of a seed.",
-        "- Judged: missions whose plain solution said that contacts are wrong.",
-        "- Left out: rejected contacts, of how many wrong ones. Contacts of landmarks that left count as left out. "
+        "- Judged: missions whose plain solution reported wrong contacts.",
+        "- Left out: rejected contacts, of how many wrong ones. Contacts of removed landmarks count as rejected. "
         "About one right contact in a hundred is rejected by chance.",
         "- Named as exchanged: contacts that `nls explain` names in pairs.",
         f"- Plain: processor time of the solution with all contacts, here of at most {STEPS} steps from dead "
