@@ -36,8 +36,8 @@ PUBLISHED = {  # the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, 
 }
 SHAKEN = ("intel", "CSAIL", "FR079", "input_INTEL", "kitti_00", "smallGrid3D")
 LEGEND = """\
-- one BLAS thread, processor time; *solve*: start values and optimization of chi2, *certify*: optimization of
-  the SE-Sync cost by Newton's method from there, the eigenvalues, and optimization of chi2 from its minimum
+- one BLAS thread, processor time; *solve*: initial guess and optimization of chi2; *certify*: optimization of
+  the SE-Sync cost from there by Newton's method, eigenvalues, and optimization of chi2 from its minimum
 - *at chi2's optimum*: the SE-Sync cost there; *published*: D. Rosen et al., IJRR 38(2-3), 2019, tables 1
   and 2 (four digits; the cost found here for manhattan is lower than the printed one)
 - *gap*: upper bound of the cost found minus the optimum; *eigenvalue*: the smallest of the certificate matrix

@@ -185,9 +185,9 @@ def imported(log: Log, logs: Path, folder: Path) -> tuple[list[Any], list[str]]:
 ORIGINS = ["log", "vehicle", "repository on github.com", "commit", "path", "license"]
 NUMBERS = ["log", "lines", "edits", "refused", "min", "edits now", "notes", "exit", "s", "span [m]", "off [m]"]
 LEGEND = """\
-*Edits*, *refused* and *min* were noted by hand at the first import of each log, by a person who knew the page on
-imports but not the log. They are: lines of the mapping that differed from the draft, commands that refused, and minutes
-from the first look at the file to a chart that was believed. This program measures the other columns. *Edits now* count
+A person who knew the page on imports, but not the log, noted *edits*, *refused* and *min* at the first import.
+*Edits*: lines of the mapping that differed from the draft. *Refused*: commands that ended in an error. *Min*: minutes
+from the first look at the file to a plausible chart. This program measures the other columns. *Edits now* count
 from its draft. *Notes* and *exit* are of `nls import` and of `nls solve`, with their warnings. *s*: processor time of
 draft, import and solution. *Span* is the diagonal of the track. *Off* is the median distance from the log's own
 truth, or else from its own fixes. All logs are right as these mappings read them: an exit status of 1 is a false alarm.
