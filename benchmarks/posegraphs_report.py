@@ -154,8 +154,8 @@ def stages(sets: dict[str, Any]) -> list[str]:
         covariances.append([name, ms(ours), *other])
     return [
         "## Where leadline's time goes, ms of wall clock",
-        *markdown(["set", "parse and build", "start", *(title for title, _ in STAGES.values())], times),
-        "From 'linearize' on: per iteration. The start is evaluated once more than there are iterations.",
+        *markdown(["set", "parse and build", "initial guess", *(title for title, _ in STAGES.values())], times),
+        "From 'linearize' on: per iteration; there is one more evaluation than iterations, of the initial guess.",
         "## Covariances of all poses, ms of processor time",
         *markdown(["set", "leadline", "gtsam", "gtsam / leadline"], covariances),
         "Leadline and GTSAM each linearize, factorize and compute the covariance of every pose, at their own solution.",

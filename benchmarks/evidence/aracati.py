@@ -207,8 +207,8 @@ constants were never tuned.
 
 The map ends with an error near 0.7 m or near 5 m; the tables above do not show all cases of the second. One variant
 widens the covariance of matches along a single straight wall, by the normals of their points. Three forms were tried
-and dropped. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with the
-partners doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with the partners halved and
+and dropped. In all matches: 2.85 m, unsettled. In closures, rejected if wide: 0.73 m, and 5.46 m with the
+partners doubled. In closures, kept if wide: 5.09 m, unsettled; 0.74 m and 0.68 m with the partners halved and
 doubled.
 
 Another variant was tried and dropped: points of a scan outside the observed sectors of the map count neither for nor

@@ -191,7 +191,7 @@ def page(seeds: int, sigma_seeds: int) -> list[str]:
         *consistency(sigma_seeds),
         "## Which motion would help, seed 0",
         *motions_table(helpful_motions(first.graph, first.truth, s[0], frame=first.truth[s[0]])),
-        "Sigma of each component of the sonar's place before / after; axes of the motion are those of the sonar. "
+        "Sigma of each component of the sonar's place before / after; motions are along the axes of the sonar. "
         "*stay*: a second image from the last pose. Sorted by pitch, the weakest.",
     ]
 

@@ -36,7 +36,7 @@ from nls.metrics import ate
 
 HUBER, CAUCHY = Huber(EFFICIENT["huber"]), Cauchy(EFFICIENT["cauchy"])
 A, L, x = nls.kinds("A", "L", "x")
-BEACONS = ("held", "with priors", "unknown")
+BEACONS = ("fixed", "with priors", "unknown")
 SURVEYED = 1.0  # m, stated for the places of beacons: a guess, whose scale is estimated as that of any kind
 Groups = Literal["kinds", "units", "components"]
 
@@ -129,7 +129,7 @@ def judged(solution: Solution, truth: Values, kind: str) -> Judged:
 def goats(data: Path, number: int, beacons: str) -> tuple[FactorGraph, Values]:
     """The graph with beacons as in `BEACONS`, and the vertices of the file."""
     graph, values, _ = nls.load(data / "range-only" / f"goats_{number}.pyfg.gz")
-    if beacons == "held":
+    if beacons == "fixed":
         graph.fix(Keys("L", values.stack("L").numbers))
     if beacons == "with priors":
         ranged = L[np.unique(graph.factors[1].keys[1].numbers)]
@@ -165,9 +165,9 @@ def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
     titles = ["log", "ranges: rms of residuals at the truth", "at the solution", "medians by beacon at the truth"]
     table = Table([*titles, "lag 1, 10", "steps x, y: rms at the truth", "at the solution"], "lrrlrrr")
     for number in (14, 15):
-        graph, truth = goats(data, number, "held")
+        graph, truth = goats(data, number, "fixed")
         steps, ranges = graph.factors
-        at = kept[number, "held"].values
+        at = kept[number, "fixed"].values
         (_, r), (_, r_at) = residuals_at(ranges, truth), residuals_at(ranges, at)
         (_, e), (_, e_at) = residuals_at(steps, truth), residuals_at(steps, at)
         right = np.abs(r_at[:, 0]) < 15  # the others are outliers of both
@@ -180,13 +180,13 @@ def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
 
 
 def controls(data: Path) -> list[str]:
-    """Scales of the ranges where these belong to another pose, or the speed of sound is another; beacons held."""
+    """Scales of the ranges where these belong to another pose, or the speed of sound is another; beacons fixed."""
     table = Table(["ranges", "GOATS 14", "GOATS 15"])
     cases = {"as logged": (0, 1.0), "of the pose before": (-1, 1.0), "of the pose after": (1, 1.0)}
     for name, (shift, scale) in {**cases, "1 % shorter": (0, 0.99), "1 % longer": (0, 1.01)}.items():
         cells = []
         for number in (14, 15):
-            graph, values = goats(data, number, "held")
+            graph, values = goats(data, number, "fixed")
             pose = graph.factors[1].keys[0].numbers + shift
             ranges = graph.factors[1][np.isin(pose, values.stack("A").numbers)]
             keys = [A[ranges.keys[0].numbers + shift], ranges.keys[1]]
@@ -270,7 +270,7 @@ def others(data: Path) -> list[str]:
 def page(data: Path, seeds: int) -> Sequence[str]:
     """The lines of the page."""
     tables, kept = goats_tables(data)
-    count = len(kept[14, "held"].values.stack("A")) - 1
+    count = len(kept[14, "fixed"].values.stack("A")) - 1
     low, high = nees_bounds(2, 1)
     all_low, all_high = nees_bounds(2, count)
     return [
@@ -280,7 +280,7 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "## GOATS: an AUV among four acoustic beacons",
         "- The files state 2 cm and 2 mrad for a step of dead reckoning and 0.75 m for a range.",
         "- Truth: the vertices of the file, as its source states.",
-        f"- Beacons are held where the file has them, have priors of {SURVEYED:g} m there, or are unknown. The "
+        f"- Beacons are fixed at their places in the file, have priors of {SURVEYED:g} m there, or are unknown. The "
         "priors are a kind of their own with an estimated scale.",
         "- With unknown beacons the first pose is fixed at its place in the file. Errors are relative to this pose.",
         "- ATE is not aligned. Sigma: rms over the poses of the standard deviation of the position. Lengths are in m.",

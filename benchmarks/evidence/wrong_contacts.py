@@ -113,7 +113,7 @@ def page(seeds: int, jobs: int) -> list[str]:
     return [
         *(line for scene in SCENES for line in table(scene, list(pooled(jobs, partial(run, scene), range(seeds))))),
         f"- Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned.",
-        "- Times the clean run: mean ATE over that of the same missions without wrong contacts. Brackets: the "
+        "- Times the clean run: mean ATE divided by the mean ATE without wrong contacts. Brackets: the "
         "least and most of a seed.",
         "- Judged: missions whose plain solution reported wrong contacts.",
         "- Left out: rejected contacts, of how many wrong ones. Contacts of removed landmarks count as rejected. "
