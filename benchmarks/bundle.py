@@ -204,7 +204,7 @@ def page(rounds: int, ceres: str, quick: bool) -> list[str]:
 
 if __name__ == "__main__":
     make_page(
-        *("Many points", page, {"bundle": optimize_bundle, "rig": solve_rig}),
+        *("Many points: bundle adjustment", page, {"bundle": optimize_bundle, "rig": solve_rig}),
         rounds=(3, "of the bundle adjustment"),
         ceres={"default": sys.executable, "metavar": "PYTHON", "help": "one that has pyceres and pycolmap"},
         quick="the small rig only",

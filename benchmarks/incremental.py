@@ -191,7 +191,7 @@ if __name__ == "__main__":
     default = [*NAMES, WHEEL, *LOGS]
     names = {"nargs": "+", "choices": [*SETS, WHEEL, *LOGS], "default": default, "metavar": "NAME"}
     make_page(
-        *("While the vehicle drives", page, drive),
+        *("Online SLAM beside iSAM2", page, drive),
         sets=names | {"help": "of public graphs and logs"},
         rounds=(3, "runs of each, interleaved"),
         gtsam=GTSAM,

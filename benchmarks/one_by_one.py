@@ -79,4 +79,4 @@ def page(edges: int, rounds: int, gtsam: str | None) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"edges": (100_000, "measurements, about"), "rounds": (3, "runs of each, interleaved")}
-    make_page("One by one", page, run, **counts, gtsam=GTSAM)
+    make_page("A graph built measurement by measurement", page, run, **counts, gtsam=GTSAM)

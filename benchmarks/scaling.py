@@ -341,7 +341,7 @@ def edges(text: str) -> float:
 
 if __name__ == "__main__":
     make_page(
-        *("From file to optimum as graphs grow", page, {"measure": measure, "write": write}),
+        *("Time and memory as graphs grow", page, {"measure": measure, "write": write}),
         quick=f"sizes up to {QUICK:,} edges",
         largest={"type": edges, "metavar": "EDGES", "help": f"default {LARGEST:,}"},
         seconds=(120.0, "a size predicted to take longer is left out"),

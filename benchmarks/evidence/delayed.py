@@ -105,4 +105,4 @@ def page(seeds: int) -> list[str]:
 
 
 if __name__ == "__main__":
-    make_page("EKF-SLAM from sightings that do not locate", page, seeds=(60, "of each row"))
+    make_page("EKF-SLAM from ranges, bearings or contacts alone", page, seeds=(60, "of each row"))

@@ -224,4 +224,4 @@ def page() -> list[str]:
 
 
 if __name__ == "__main__":
-    make_page("Numeric Jacobians where the residual says nothing about its rounding", page)
+    make_page("Numerical Jacobians of residuals near 0", page)

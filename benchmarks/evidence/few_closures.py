@@ -187,7 +187,7 @@ def page(data: Path, mit: Path | None, seeds: int, names: list[str]) -> list[str
 if __name__ == "__main__":
     graphs = [*HALLS, *PUBLIC, *(name + RUNS for name in PUBLIC)]
     make_page(
-        "Twenty loop closures",
+        "Maps with twenty loop closures",
         page,
         mit={"type": Path, "metavar": "FILE", "help": "the graph of the MIT Killian Court"},
         seeds=(5, "trials of every share"),

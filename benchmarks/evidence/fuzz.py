@@ -309,7 +309,7 @@ def page(mutants: int, seed: int, jobs: int) -> list[str]:
 
 if __name__ == "__main__":
     make_page(
-        *("Mutants of files", page),
+        *("Damaged files for every reader", page),
         mutants=(20_000, "of all readers"),
         seed={"type": int, "default": 0, "help": "of the random numbers (default 0)"},
         jobs=(2, "processes at once"),

@@ -119,4 +119,4 @@ def page(data: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    make_page("Real logs", page)
+    make_page("Real logs by one command", page)

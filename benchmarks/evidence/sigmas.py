@@ -330,4 +330,4 @@ def page(data: Path, seeds: int) -> Sequence[str]:
 
 
 if __name__ == "__main__":
-    make_page("Sigmas that the residuals show", page, seeds=(20, "simulated twins of a log"))
+    make_page("Sigmas estimated from residuals", page, seeds=(20, "simulated twins of a log"))

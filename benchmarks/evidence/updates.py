@@ -164,4 +164,4 @@ def page(clean: int, wrong: int, processes: int) -> list[str]:
 
 if __name__ == "__main__":
     counts = {"clean": (200, "worlds without wrong names"), "wrong": (50, "worlds with wrong names")}
-    make_page("Updates, one by one", page, **counts, processes=(2, "at once"))
+    make_page("Incremental updates near landmarks", page, **counts, processes=(2, "at once"))
