@@ -347,6 +347,19 @@ def test_tab_completion_shows_the_public_names() -> None:
         } == set()
 
 
+def test_no_two_public_classes_share_a_name() -> None:
+    """A class that a room exports is found by its name alone."""
+    named: dict[str, set[str]] = {}
+    for package in (models, factors, nls, sim):
+        rooms = [m.name for m in pkgutil.walk_packages(package.__path__, package.__name__ + ".") if m.ispkg]
+        for module in map(importlib.import_module, (package.__name__, *rooms)):
+            for value in (getattr(module, name) for name in getattr(module, "__all__", ())):
+                if inspect.isclass(value):
+                    named.setdefault(value.__name__, set()).add(value.__module__)
+    assert len(named) > 100
+    assert {name: modules for name, modules in named.items() if len(modules) > 1} == {}
+
+
 def test_public_names_exist_and_are_documented() -> None:
     packages = (models, factors, nls, sim)
     assert all(package.__all__ and package.__doc__ for package in packages)

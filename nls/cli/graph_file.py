@@ -25,7 +25,7 @@ from nls.optimizers import OPTIMIZERS, default_optimizer
 from nls.stages import listened
 
 if TYPE_CHECKING:
-    from nls.missions.charts import Projection
+    from nls.missions.charts import MapProjection
 
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
@@ -191,7 +191,7 @@ class GraphFile:
             graph.fix(nls.Keys(kind, values.stack(kind).numbers))
         return graph
 
-    def projection(self, report: nls.LoadReport) -> Projection | None:
+    def projection(self, report: nls.LoadReport) -> MapProjection | None:
         """The projection of the coordinates in the files; None for local ones."""
         return None
 

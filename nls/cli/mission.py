@@ -26,7 +26,7 @@ from nls.optimizers.result import TWICE, shares
 from nls.stages import listened
 
 if TYPE_CHECKING:
-    from nls.missions.charts import Projection
+    from nls.missions.charts import MapProjection
     from nls.missions.files import MissionFiles
 
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
@@ -128,7 +128,7 @@ class Mission(Folder):
         unnamed = self.mission(report).unnamed
         return [] if unnamed is None else [unnamed.note(report.path)]
 
-    def projection(self, report: nls.LoadReport) -> Projection | None:
+    def projection(self, report: nls.LoadReport) -> MapProjection | None:
         """The projection of ``--crs``.
 
         Raises
