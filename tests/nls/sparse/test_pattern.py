@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import sys
+from itertools import pairwise
 from weakref import ref
 
 import numpy as np
@@ -89,6 +90,18 @@ def test_H_stores_one_block_per_joined_pair_whatever_its_factors() -> None:
     pairs = {frozenset(pair) for pair in ends.tolist()}
     assert len(pairs) < len(sample.graph) - 1  # there are duplicates
     assert sample.graph.linearize(sample.values).H.nnz == 9 * (8 + 2 * len(pairs))
+
+
+@pytest.mark.parametrize("name", list(SAMPLES))
+def test_any_elimination_order_gives_the_same_H(name: str) -> None:
+    """The lower triangle, with the rows of a column rising: a factorization reads it without sorting."""
+    sample = SAMPLES[name]()
+    system = sample.graph.linearize(sample.values)
+    hessian = system.pattern.hessian(lambda u, v, V: np.random.default_rng(0).permutation(V))
+    lower, p = hessian.matrix(system.H_blocks), hessian.permutation
+    H = (system.A.T @ system.A).toarray()[np.ix_(p, p)]
+    np.testing.assert_allclose(lower.toarray(), np.tril(H), rtol=0, atol=1e-12 * np.abs(H).max())
+    assert all((np.diff(lower.indices[a:b]) > 0).all() for a, b in pairwise(lower.indptr))
 
 
 def test_labels_name_every_row_and_column() -> None:
