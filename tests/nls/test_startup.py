@@ -164,7 +164,7 @@ def test_the_check_refuses_what_writing_refuses(tmp_path: Path) -> None:
     for form in ("g2o", "toro", "isam", "isam-covariance", "graph"):
         reasons = []
         for graph, given in graphs:
-            values, report = nls.Values(given), nls.LoadReport("in", "other", "2-D", "log")
+            values, report = nls.Values(given), nls.LoadReport("in", "npz", "2-D", "log")
             job = str(tmp_path / "out"), form, graph, values, report
             before, after = refusal(refuse_unwritable_graph, *job), refusal(rendered, *job)
             assert before == after
