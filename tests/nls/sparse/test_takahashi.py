@@ -87,6 +87,17 @@ def test_numbers_that_happen_to_be_zero(kind: type[Decomposition]) -> None:
     agrees(factorized(kind, system), system)
 
 
+def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two leaves of a star, never together; of a chain a front and its parent's."""
+    tall = np.full(3, 200, dtype=np.intp)
+    star = takahashi.Supernodes(tall, np.array([2, 2]), np.array([0, 1]))
+    assert (len(star), star.numbers) == (3, 200**2 + 400**2)
+    monkeypatch.setattr(takahashi, "STEP", 0.0)
+    monkeypatch.setattr(takahashi, "GATHER", 0.0)
+    chain = takahashi.Supernodes(tall, np.array([1, 2]), np.array([0, 1]))
+    assert (len(chain), chain.numbers) == (3, 2 * 400**2)
+
+
 def test_what_would_not_fit_is_refused() -> None:
     sample = pose_graph(SE2)
     state = factorized(SuperLU, sample.graph.linearize(sample.values))
