@@ -289,8 +289,7 @@ def _write_all(files: Mapping[str, bytes]) -> None:
                 raise IsADirectoryError(0, "its name is that of a folder")
             mode = _mode(name)
             if mode is not None and not stat.S_ISREG(mode):
-                with open(name, "wb") as file:
-                    file.write(content)
+                Path(name).write_bytes(content)
                 continue
             if mode is not None and not os.access(name, os.W_OK):
                 raise PermissionError(0, "it is write-protected; allow it with chmod, or give another name")

@@ -62,6 +62,7 @@ def test_one_number_locates_nothing() -> None:
 def test_no_range_is_below_zero(case: tuple[type[Sighting], Keys, object, str]) -> None:
     kind, pose, z, named = case
     refused(lambda: kind(pose, l[0], z, UNIT), GraphError, f"^{kind.__name__}{named}")
+    kind(pose, l[0], np.zeros_like(z), UNIT)  # 0 m is a range
 
 
 @for_all(

@@ -388,7 +388,7 @@ def csv_text(names: Sequence[str], *columns: npt.ArrayLike | Sequence[str]) -> b
         array = np.asarray(column)
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise GraphError(f"{names[len(cells)]}: a number is not finite; a file holds finite ones only")
-        for entries in array.reshape(len(array), -1).T.tolist():
-            cells.append([item if isinstance(item, str) else repr(item) for item in entries])
+        entries = array.reshape(len(array), -1).T.tolist()
+        cells += [[item if isinstance(item, str) else repr(item) for item in column] for column in entries]
     rows = [",".join(row) for row in zip(*cells, strict=True)]
     return ("\n".join([",".join(names), *rows]) + "\n").encode()
