@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from docutils import nodes
+from jinja2.sandbox import SandboxedEnvironment
+from numpydoc import docscrape_sphinx
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
+from sphinx.environment import BuildEnvironment
+from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 __all__ = ["Names", "listed", "setup"]
 
 TABLE = re.compile(r"^```\{names\}\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 LINE = re.compile(r"^(\S+):(.*(?:\n .*)*)$", flags=re.MULTILINE)
 KINDS = ("class", "function", "data", "module")
+SIDEBARS: dict[str, str] = {}  # by package
 FOREIGN = "object, BaseException, ImportError, str, int, tuple, Enum"  # Python documents their attributes
 
 
@@ -151,9 +156,7 @@ class Names(SphinxDirective):
                 full = value.__name__ if isinstance(value, ModuleType) else f"{module}.{name}"
                 body += self._row(full, value, name, [])
                 below.append(f"{folder}/{_kind(value)}/{full}")
-        if (
-            folder == "reference"
-        ):  # previous and next of a page follow the tables; the sidebar lists none of the hundreds
+        if folder == "reference":  # previous and next of a page follow the tables; the sidebar lists no names
             pages = [page for page in below if page in self.env.found_docs]
             self.env.toctree_includes.setdefault(self.env.docname, []).extend(pages)
         columns = [nodes.colspec(colwidth=width) for width in (26, 74)]
@@ -169,8 +172,56 @@ class Names(SphinxDirective):
         return nodes.row("", *(nodes.entry("", cell) for cell in cells), classes=classes)
 
 
+class Name(SphinxRole):
+    """Text between single backticks of a docstring: a link if it names what has a page, and italics if not."""
+
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        shown = nodes.emphasis(text=self.text)
+        here = {key: self.env.ref_context.get(key) for key in ("py:module", "py:class")}
+        room = sys.modules.get(f"{here['py:module']}.{self.text}")  # `gauge` is the argument, not `nls.gauge`
+        if room or not re.fullmatch(r"[A-Za-z_][\w.]*", self.text):
+            return [shown], []
+        domain = {"refdomain": "py", "reftype": "obj", "refdoc": self.env.docname}
+        return [pending_xref("", shown, reftarget=self.text, only_if_found=True, **domain, **here)], []
+
+
+def elsewhere(app: Sphinx, env: BuildEnvironment, node: pending_xref, shown: nodes.TextElement) -> nodes.Element | None:
+    """Link of a `Name` that its own module does not have: to a public class of a package, or none."""
+    if not node.get("only_if_found"):
+        return None
+    target, domain = node["reftarget"], env.domains["py"]
+    for package in ("factors", "models", "nls"):
+        if target[0].isupper() and target.partition(".")[0] in import_module(package).__all__:
+            full = f"{package}.{target}"
+            return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", full, node, shown) or shown
+    return shown
+
+
+def sidebar(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: object) -> None:
+    """Give all pages of a package's names the same list of pages, with the package open: it is made once."""
+    folder, _, name = pagename.rpartition("/")
+    if folder in {f"reference/{kind}" for kind in KINDS}:
+        package, tree = name.partition(".")[0], context["toctree"]
+        above = re.compile(
+            rf'(class="toctree-l\d)("><a class="reference internal" href="\.\./(?:index|{package})\.html")'
+        )
+
+        def once(**options: Any) -> str:
+            if package not in SIDEBARS:
+                SIDEBARS[package] = above.sub(r"\1 current\2", tree(**options))
+            return SIDEBARS[package]
+
+        context["toctree"] = once
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("names", Names)
+    app.add_role("name", Name())
+    app.connect("missing-reference", elsewhere)
     app.connect("builder-inited", write)
+    app.connect("html-page-context", sidebar, priority=400)  # before the theme draws it
+    # numpydoc compiles its template again for each docstring
+    kept: dict[str, SandboxedEnvironment] = {}
+    docscrape_sphinx.SandboxedEnvironment = lambda loader: kept.setdefault("", SandboxedEnvironment(loader=loader))
     return {"parallel_read_safe": True}
