@@ -98,7 +98,8 @@ def _page(name: str, value: object, modules: list[str], bases: list[str]) -> str
 
 
 def _module_page(module: str, names: list[str]) -> str:
-    lines = [":orphan:", "", module, "=" * len(module), "", f".. automodule:: {module}", ""]
+    way = f":py:mod:`{module.partition('.')[0]}` › ``import {module}``"
+    lines = [":orphan:", "", module, "=" * len(module), "", way, "", f".. automodule:: {module}", ""]
     lines += [".. names::", "", f"   {module}: {' '.join(names)}", ""] if names else []
     return "\n".join(lines)
 
