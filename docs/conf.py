@@ -34,6 +34,7 @@ extensions = [
     "gallery",
     "line_breaks",
     "made_figure",
+    "names",
     "notebook_download",
     "overview",
     "shell_cells",
@@ -52,6 +53,8 @@ nb_ipywidgets_js = {}  # a slider needs a kernel, and the pages load nothing ove
 # --- reference ---
 autodoc_member_order = "groupwise"
 autodoc_typehints = "none"  # shapes and units in the docstrings say more than NDArray[float64]
+toc_object_entries_show_parents = "hide"  # the title of the page is the class
+default_role = "name"  # of docstrings: `Result` is a link
 numpydoc_show_class_members = False  # autodoc lists them already
 # |b|^2 in a docstring is a norm: take the bar as it stands, not as the start of one of docutils' substitutions
 Inliner.dispatch["|"] = lambda self, match, lineno: (

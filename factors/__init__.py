@@ -1,6 +1,7 @@
-"""Factors: one measurement kind per file; noise, measurement and spaces bound into whitened Jacobians and errors.
+"""Measurements with their noise: motions, ranges, bearings, contacts, pixels.
 
-Each is imported when it is first used: a pose graph needs none of a sonar.
+A file holds one kind of measurement: noise and spaces bound into whitened Jacobians and errors. Each is imported when
+it is first used: a pose graph needs none of a sonar.
 """
 
 TYPE_CHECKING = False  # to a type checker always true

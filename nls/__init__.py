@@ -1,4 +1,44 @@
-"""Least squares on a factor graph: values, graph, A and b, solvers, files.
+"""Least squares on a factor graph: poses, landmarks and calibrations from measurements, each with its covariance.
+
+A robot drives around a square, back to its first pose. The last side was measured 0.2 m too long:
+
+    >>> import nls
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> (x,) = nls.kinds("x")  # x[3] is one pose, x[[0, 1]] are two
+    >>> sides = [[1, 0, 1.57], [1, 0, 1.57], [1, 0, 1.57], [1.2, 0, 1.57]]  # m ahead, m to the left, rad turned
+    >>> graph = nls.FactorGraph([Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 0]], sides, Isotropic(0.1))])
+    >>> start, method, chi2 = nls.initialize(graph, nls.Values({x: (SE2, SE2.identity(4))}))
+    >>> result = graph.optimize(start)
+    >>> print(result.values[x].round(2))  # m, m, rad
+    [[ 0.    0.    0.  ]
+     [ 1.    0.04  1.55]
+     [ 1.02  1.08  3.1 ]
+     [ 0.02  1.16 -1.59]]
+    >>> print(nls.Marginals(graph, result.values).covariance(x[2], frame="world").round(3))
+    [[ 0.015 -0.002 -0.004]
+     [-0.002  0.012  0.004]
+     [-0.004  0.004  0.008]]
+
+Names in the order in which a program meets them:
+
+    load                   a graph file or a mission folder: graph, values and report
+    FactorGraph            measurements between variables
+    Values                 a number, a point or a pose for each variable
+    kinds                  kinds of variables, such as poses x and landmarks l
+    factors                a package: Between, Range, Bearing and further measurements, with their noise
+    initialize             the initial guess
+    FactorGraph.optimize   the values of lowest chi2
+    Result                 these values, chi2 and why the optimizer stopped
+    Marginals              covariances of variables, alone or together
+    explain                what is free, doubtful or wrong, in sentences with cures
+    gnc                    the estimate without outliers
+    certify                a proof that no other values have a lower chi2
+    Incremental            the estimate after each new measurement
+    plot                   pictures: trajectory, ellipses, convergence, matrices, report
+    save                   a graph file
+
+Rooms for more: `starts`, `filters`, `sonar`, `analysis`, `missions`, `metrics`. Each has a ``help`` of its own.
 
 Everything is imported when it is first used, so that ``import nls`` costs nothing and a program pays for what it needs.
 """
@@ -9,7 +49,8 @@ TYPE_CHECKING = False  # to a type checker always true; the import of typing tak
 if TYPE_CHECKING:
     from factors.keys import Keys as Keys, Kind as Kind, kinds as kinds
     from models.errors import *  # noqa: F403  # all of them are public here
-    from nls import plot as plot
+    from nls import analysis as analysis, filters as filters, metrics as metrics
+    from nls import missions as missions, plot as plot, sonar as sonar, starts as starts
     from nls.analysis.variance_components import (
         VarianceComponents as VarianceComponents,
         variance_components as variance_components,
@@ -80,5 +121,7 @@ _WHERE = {
 }
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = importer("nls", _WHERE, "plot")
+    __getattr__, __dir__, __all__ = importer(
+        "nls", _WHERE, "analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"
+    )
     del importer, TYPE_CHECKING  # no names for users

@@ -149,7 +149,7 @@ def test_storeys_import_downward() -> None:
         upward += [f"{name_of(path)} imports {room}" for room in rooms if storey_of.get(room, 9) < here]
         visitors += [name_of(path)] * ("missions" in rooms and room_of(path) not in {"missions", "sonar", "cli", "sim"})
     assert upward == ["nls/plot/__init__.py imports missions"]  # pictures under their public path, when they are used
-    assert visitors == ["nls/plot/__init__.py"]
+    assert visitors == ["nls/__init__.py", "nls/plot/__init__.py"]  # names of users, imported when they are used
     assert set(storey_of) == {room_of(path) for path in FILES if name_of(path).startswith("nls/")} - {
         "__init__",
         "__main__",
@@ -236,11 +236,33 @@ def test_no_file_imports_what_another_keeps_for_itself() -> None:
     assert private == []
 
 
+def listed(text: str) -> list[tuple[str, list[str]]]:
+    """Modules and names in the tables of a page of the reference, in order."""
+    tables = re.findall(r"^```\{names\}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = re.findall(r"^(\S+):(.*(?:\n .*)*)$", "".join(tables), re.MULTILINE)
+    return [(module, names.split()) for module, names in lines]
+
+
+def test_the_reference_lists_each_public_name_once() -> None:
+    """`help(nls)` lists the first fifteen names of the page, in the same order."""
+    packages = (models, factors, nls, sim)
+    texts = {package: (ROOT / "docs" / "reference" / f"{package.__name__}.md").read_text() for package in packages}
+    lines = [line for text in texts.values() for line in listed(text)]
+    named = [(f"{module}.{name}", module, name) for module, names in lines for name in names if name.isidentifier()]
+    objects = {full: id(getattr(importlib.import_module(module), name)) for full, module, name in named}
+    assert len(named) == len(objects) == len(set(objects.values())) > 300
+    for package in packages:
+        public = [name for name in package.__all__ if not inspect.ismodule(getattr(package, name))]
+        assert [name for name in public if f"{package.__name__}.{name}" not in objects] == []
+    words = [word for module, names in listed(texts[nls]) for word in names or [module]]
+    assert words[:15] == re.findall(r"^    ([\w.]+)  +\w", nls.__doc__ or "", re.MULTILINE)
+
+
 def test_pages_import_what_a_room_exports_or_the_reference_documents() -> None:
     """Readers copy these lines. A room is a folder of a package, its `__init__` has the public names."""
     pages = [ROOT / "README.md", *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
     texts = {path: path.read_text(encoding="utf-8") for path in pages if "_build" not in path.parts}
-    documented = set(re.findall(r"automodule:: (\S+)", "".join(texts.values())))
+    documented = {module for text in texts.values() for module, _ in listed(text)}
     line = re.compile(rf"""^(?:>>> |    ")?from ((?:{"|".join(PACKAGES)})[\w.]*) import ([\w, ]+)""", re.MULTILINE)
     imports = {(path, *found) for path, text in texts.items() for found in line.findall(text)}
     assert len(imports) > 100
@@ -338,7 +360,8 @@ def undocumented(module: ModuleType) -> Iterator[str]:
 
 
 def test_tab_completion_shows_the_public_names() -> None:
-    """No modules of a package, and nothing that its file needs for itself."""
+    """None that the file of a package needs for itself, and of its modules the rooms of `nls` that pages use."""
+    assert {"analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"} <= {*dir(nls)}
     for package in (models, factors, nls, sim):
         assert {name for name in dir(package) if not name.startswith("__")} == set(package.__all__)
     for package in (nls, sim):

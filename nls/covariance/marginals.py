@@ -46,7 +46,7 @@ ONE_BLOCK = 64  # columns solved for together; more marginals than that come out
 
 
 class Marginals:
-    """Covariances at the values of a graph, usually the optimum, ``Marginals(graph, result.values)``.
+    """Covariances at the optimum: ``Marginals(graph, result.values)``.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
-"""Pictures, and a page of them; here alone is matplotlib imported, and lazily.
+"""Pictures of graphs and values, and a report that puts them on one page.
 
+Here alone is matplotlib imported, and lazily.
 Pictures of missions are registered in `OF_MISSIONS`, and imported when they are first used.
 """
 

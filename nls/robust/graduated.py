@@ -169,7 +169,7 @@ def gnc(
     doubted: Sequence[Factor] | None = None,
     preselect: bool = True,
 ) -> Robustified:
-    """The estimate without wrong measurements, and which those are.
+    """The estimate without outliers, and which measurements they are.
 
     Parameters
     ----------

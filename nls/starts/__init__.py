@@ -75,7 +75,7 @@ REFUSED = (UnderconstrainedError, EvaluationError, SingularGeometryError)
 
 @single_thread()
 def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tuple[Values, str, dict[str, float]]:
-    """Start values by name.
+    """Initial guess of all variables: the best of several methods, or the named one.
 
     Parameters
     ----------
