@@ -121,7 +121,6 @@ _WHERE = {
 }
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = importer(
-        "nls", _WHERE, "analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"
-    )
+    _ROOMS = ["analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"]
+    __getattr__, __dir__, __all__ = importer("nls", _WHERE, *_ROOMS)
     del importer, TYPE_CHECKING  # no names for users

@@ -264,8 +264,7 @@ class Mission(Folder):
         """Before and after, from above and from the side."""
         from nls.missions.pictures.mission import plan_before_after
 
-        title = title_of(solved.report.path)
-        return plan_before_after(solved.graph, solved.before, solved.result, title=title)
+        return plan_before_after(solved.graph, solved.before, solved.result, title=title_of(solved.report.path))
 
     def made(self, solved: Solved) -> MissionFiles:
         """The files of the solution."""
