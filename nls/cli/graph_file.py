@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import nls
 from factors.robust import kernel_from_text
+from models.listing import number
 from models.options import did_you_mean
 from nls.cli import formats
 from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
@@ -25,8 +26,11 @@ from nls.optimizers import OPTIMIZERS, default_optimizer
 from nls.stages import listened
 
 if TYPE_CHECKING:
+    from models.algebra import Array
     from nls.missions.charts import Projection
+    from nls.plot.report.page import Page
 
+Judged = tuple["nls.FactorGraph", list["Array"], "nls.LoadReport"]
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
 Meaningless = tuple[tuple[str, tuple[str, ...]], ...]  # reasons, and the options of `solve` that do nothing
@@ -56,6 +60,7 @@ class GraphFile:
     explains = True  # whether measurements have lines to explain
     unnumbered = "no output"  # for which --renumber is refused
     read_values = "file"  # the name of the start where it was read
+    values_before = "as read"  # how they are called beside a solution
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, given = options, vars(options)
@@ -323,6 +328,38 @@ class GraphFile:
         from nls.plot import before_after
 
         return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
+
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, dict[str, Any]]:
+        """Tracks and clouds of the files, as `nls.plot.view` takes them."""
+        return {"tracks": {}, "clouds": {}}
+
+    def view(self, read: Read, remark: str, before: nls.Values | None = None, **more: Any) -> Page:
+        """The page of ``nls view``, with another track before; ``more`` as for `nls.plot.view`."""
+        from nls.plot import view, view_page
+
+        graph, values, report = read
+        layers: dict[str, Any] = self.layers(values, report)
+        layers["tracks"] |= {} if before is None else {self.values_before: before}
+        return view_page(view(graph, values, report, title=title_of(report.path), remark=remark, **layers, **more))
+
+    def view_solved(self, solved: Solved) -> Page:
+        """The page of ``--view``: the solution with its sigmas, the values before it, and what was rejected."""
+        result, (graph, weights, report) = solved.result, self.judged(solved)
+        marginals = None if solved.solution is None else solved.solution.marginals
+        if result.converged and solved.solution is None:
+            marginals = nls.Marginals(solved.graph, result.values, solved.solver, solved.options.gauge)
+        remark = f"{result.status.value}: chi2 {number(result.chi2_final)}, {number(result.dof)} expected"
+        remark = "; ".join([remark, *self.doubts(solved)])
+        read = graph, result.values, report
+        return self.view(read, remark, solved.before, weights=weights, marginals=marginals)
+
+    def judged(self, solved: Solved) -> Judged:
+        """All measurements, rejected ones too, the weight of each, and a report with their lines."""
+        from nls.cli.outliers import judged
+
+        if solved.choice is None or solved.given is None:
+            return solved.graph, [], solved.report
+        return judged(solved.given, solved.choice, replace(solved.report, sources=list(solved.sources)))
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""

@@ -111,6 +111,7 @@ class Problem(Run):
     projection : of the coordinates in the files of a mission; None for local ones.
     sources : of the factors as they were read, those that were rejected, too.
     choice : of `nls.gnc`; None where all measurements are believed.
+    given : the graph that it chose from.
     sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     """
 
@@ -126,6 +127,7 @@ class Problem(Run):
     projection: Projection | None = None
     sources: Sequence[Source] = ()
     choice: nls.Robustified | None = None
+    given: nls.FactorGraph | None = None
     sigmas: nls.VarianceComponents | None = None
 
     @property
@@ -147,6 +149,7 @@ class Problem(Run):
             report=report,
             sources=self.report.sources,
             choice=choice,
+            given=self.graph,
             graph=choice.graph,
             start=choice.result.values,
             init=name,

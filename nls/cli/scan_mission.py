@@ -10,9 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 import nls
+from factors import Between, Covariance
+from factors.keys import kinds
 from models.options import did_you_mean
-from nls.cli.graph_file import named
+from nls.cli.graph_file import Judged, named
 from nls.cli.mission import Folder
 from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
@@ -21,11 +25,14 @@ from nls.missions.checks.scan_setup import check_setup
 from nls.missions.scans import close
 from nls.missions.scans.closing import ROUNDS, SELECTIONS
 from nls.missions.scans.folder import ScanReport, is_scan_mission
+from nls.missions.scans.scans import in_world
 from nls.missions.scans.solution import GRAPH, SolvedScans
 from nls.missions.summary import scan_lines
 
 if TYPE_CHECKING:
     from nls.missions.scans import Round
+
+x = kinds("x")[0]
 
 
 class ScanMission(Folder):
@@ -117,6 +124,22 @@ class ScanMission(Folder):
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """What makes the files of the folder, by name."""
         return {**solved.solution.files()}
+
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, dict[str, Any]]:
+        """The points of the scans, and the truth, moved onto the track by the rigid motion of least squares."""
+        assert isinstance(report, ScanReport)
+        poses, scans = values[x], report.scans
+        clouds = {"scans": (in_world(poses, scans), report.vertex_times["x"][scans.keyframe])}
+        return {"tracks": {} if report.truth is None else {"truth": report.truth.onto(poses)}, "clouds": clouds}
+
+    def judged(self, solved: Solved) -> Judged:
+        """The closures, and those that the others contradict."""
+        kept, m = solved.graph.factors, solved.solution.matches
+        wrong = m.accepted & ~m.kept
+        C = Covariance(m.covariance[wrong])
+        rejected = [Between(x[m.i[wrong]], x[m.j[wrong]], m.pose[wrong], C)] if wrong.any() else []
+        weights = [np.ones(len(factor)) for factor in kept] + [np.zeros(len(factor)) for factor in rejected]
+        return nls.FactorGraph([*kept, *rejected]), weights, solved.report
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """The map, and errors of positions against the truth, rmse, before and after."""

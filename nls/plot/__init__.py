@@ -12,6 +12,7 @@ from nls.plot.offsets import offsets as offsets
 from nls.plot.player import animation as animation
 from nls.plot.report import report as report
 from nls.plot.trajectory import before_after as before_after, convergence as convergence, trajectory as trajectory
+from nls.plot.view import view as view, view_page as view_page
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
@@ -25,7 +26,10 @@ OF_MISSIONS = {
     "nls.missions.pictures.sonar": "fan_image frustum polar_image",
 }
 
-NOW = "animation before_after belief convergence correlations ellipses factor_graph offsets report spy trajectory"
+NOW = (
+    "animation before_after belief convergence correlations ellipses factor_graph offsets report spy trajectory "
+    "view view_page"
+)
 
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = importer("nls.plot", OF_MISSIONS, *NOW.split())

@@ -93,7 +93,7 @@ def ellipses(
             position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
-        label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}{larger(scale)}"
+        label = f"{100 * probability:g} % ellipse of {every_nth(step)}{stack.kind}{larger(scale)}"
         draw_outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
@@ -121,7 +121,7 @@ def draw_outlines(axes: Axes, center: Array, around: Array, **style: Any) -> Non
         axes.add_collection(shape)
 
 
-def _every(step: int) -> str:
+def every_nth(step: int) -> str:
     if step == 1:
         return "every "
     ending = {1: "st", 2: "nd", 3: "rd"}.get(step % 10, "th") if step % 100 not in (11, 12, 13) else "th"

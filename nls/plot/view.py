@@ -1,0 +1,343 @@
+"""A map to turn, zoom and ask: a figure of plotly with a layer for every kind of thing, and the page that holds it.
+
+Lines have a color by chance: a measurement of m numbers is off by s = |b| sigmas, and s^2 is below the quantile p of
+chi-squared with m degrees of freedom with probability p, if its sigmas are right.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Iterator, Mapping, Sequence, Sized
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from factors.keys import Keys
+from models.errors import EvaluationError, OptionError, SingularGeometryError
+from models.visible import visible
+from nls.analysis.chi_squared import chi2_gate
+from nls.covariance.frames import outlines
+from nls.gauge import placeless_kinds
+from nls.io.table import EMPTY
+from nls.plot.ellipses import MOST as MOST_ELLIPSES
+from nls.plot.ellipses import every_nth
+from nls.plot.report.page import Page
+from nls.plot.style import BEFORE, CLOSURE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT, TRUE
+from nls.plot.trajectory import DOWN
+from nls.posegraph import closures, places
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+    from models.algebra import Array, Index
+    from nls.covariance import Marginals
+    from nls.graph import FactorGraph
+    from nls.io.report import LoadReport
+    from nls.values import Stack, Values
+
+    Layer = dict[str, Any]
+
+PAGE = Path(__file__).with_name("view.html")
+MOST = 10_000  # elements of a layer that are drawn: 60,000 poses with their closures make a page of 10 MB
+MOST_IN_LINE = 20_000  # poses in the line of a track, points of a cloud: nothing is said of each
+FEW = 3_000  # elements: more are drawn thin
+WIDER = 1.25  # times the width of the map: wider tracks are switched off at first
+CHANCES = (0.95, 0.999)  # with which a right measurement is not beyond
+COLORS = {"within 95 %": CLOSURE, "beyond 95 %": "#e3a008", "beyond 99.9 %": "#e8590c"}  # of measurements
+DARK = {ESTIMATE: "#6cc3e8", TRUE: "#f2f2f2", BEFORE: "#f0a060", REJECTED: "#ff5d73", ELLIPSE: "#d38add"}  # on black
+
+
+def view(
+    graph: FactorGraph,
+    values: Values,
+    report: LoadReport | None = None,
+    *,
+    tracks: Mapping[str, Values] | None = None,
+    clouds: Mapping[str, tuple[Array, Array]] | None = None,
+    weights: Sequence[Array] = (),
+    marginals: Marginals | None = None,
+    title: str = "",
+    remark: str = "",
+) -> Figure:
+    """Poses, landmarks and measurements as layers that one can switch; the mouse says what each is.
+
+    Parameters
+    ----------
+    graph : its measurements are drawn, colored by their residuals at the values.
+    values : the variables; kinds without positions are left out.
+    report : of the file that was read: times of the poses, file and line of every measurement.
+    tracks : further values by what they are called, such as ``truth`` or ``dead reckoning``.
+    clouds : further points by what they are called: (n, 2 or 3), m, and for each when it was seen: the time where the
+        report has times of the poses, the number of the pose elsewhere.
+    weights : of `nls.gnc`, per factor (n,): measurements of weight 0 were rejected.
+    marginals : of the same values: sigmas, and 95 % ellipses as in `ellipses`.
+    title, remark : head of the figure, and what is said below it.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+        A notebook shows it; `view_page` makes a page of it, with a slider of time. Of a layer with more than 10,000
+        elements an evenly spaced part is drawn, and its name says so.
+
+    Raises
+    ------
+    OptionError
+        The package plotly is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nls.plot
+    >>> import sim
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=8)
+    >>> figure = nls.plot.view(world.graph, world.truth, tracks={"start": world.start})  # doctest: +SKIP
+    >>> nls.plot.view_page(figure).save("ring.html")  # doctest: +SKIP
+    """
+    go, scene = drawing_package(), Scene(graph, values, report)
+    weights = weights or [np.ones(len(factor)) for factor in graph.factors]
+    layers = [*scene.clouds(clouds or {}), *scene.measurements(weights), *scene.others(tracks or {})]
+    layers += scene.variables(marginals)
+    rejected = sum(int((weight == 0).sum()) for weight in weights)
+    words = [
+        f"{len(stack):,} {'poses' if kind in scene.poses else 'points'} {kind}" for kind, stack in scene.stacks.items()
+    ]
+    words += [f"{len(graph):,} measurements"] + [f"{rejected:,} of them rejected"] * (rejected > 0)
+    sentence = f"{remark}. " * bool(remark) + ", ".join(words)
+    head = {"text": _escaped(title), "subtitle": {"text": _escaped(sentence)}}
+    legend = {"itemsizing": "constant", "groupclick": "togglegroup", "traceorder": "reversed"}
+    return go.Figure(layers, {"title": head, "legend": legend, "meta": scene.meta, **scene.axes})
+
+
+def view_page(figure: Figure) -> Page:
+    """The page of a figure of `view`: the script of plotly is inside, and nothing is loaded over a network."""
+    from plotly.offline import get_plotlyjs
+
+    title, inside = figure.layout.title, figure.to_json().replace("</", "<\\/").replace("<!", "\\u003c!")
+    texts = {"title": title.text or "Map", "sentence": title.subtitle.text or ""}
+    return Page(Template(PAGE.read_text(encoding="utf-8")).substitute(texts, plotly=get_plotlyjs(), figure=inside))
+
+
+def drawing_package() -> Any:
+    """The graph objects of the package plotly.
+
+    Raises
+    ------
+    OptionError
+        It is not installed.
+    """
+    try:
+        from plotly import graph_objects
+    except ImportError as error:
+        cure = 'install it with pip install "leadline[view]"'
+        raise OptionError(f"the package plotly, which draws the page, is missing; {cure}") from error
+    return graph_objects
+
+
+class Scene:
+    """Variables and measurements in one frame: where they are, since when they are known, and what is said of them.
+
+    Parameters
+    ----------
+    graph, values, report : as for `view`.
+
+    Attributes
+    ----------
+    dim : 2 or 3; only kinds of this dimension are drawn.
+    stacks, poses : of these kinds, and the names of those that are poses.
+    timed : whether the clock is that of the report: s; numbers of poses elsewhere.
+    place, since : (V, dim) and (V,) of all variables: where, nan for those that are not drawn; and since when.
+    moments : since when the measurements (k,) of every batch are known.
+    """
+
+    def __init__(self, graph: FactorGraph, values: Values, report: LoadReport | None) -> None:
+        self.graph, self.values, self.report = graph, values, report
+        self.pattern = graph.pattern(values)
+        stacks = [stack for kind, stack in values.stacks.items() if kind not in placeless_kinds(self.pattern)]
+        self.dim = max((_positions(stack).shape[1] for stack in stacks), default=2)
+        self.stacks = {stack.kind: stack for stack in stacks if _positions(stack).shape[1] == self.dim}
+        self.poses = [kind for kind, stack in self.stacks.items() if stack.manifold.dim > self.dim]
+        times = {} if report is None else report.vertex_times
+        self.timed = bool(self.poses) and set(self.poses) <= set(times)
+        self.place, when = np.full((len(self.pattern.dims), self.dim), np.nan), np.full(len(self.pattern.dims), -np.inf)
+        for kind, stack in self.stacks.items():
+            self.place[self._rows(kind)] = _positions(stack)
+            if kind in self.poses:
+                when[self._rows(kind)] = times[kind] if self.timed else stack.numbers
+        known = when[np.isfinite(when)] if self.poses else np.zeros(1)
+        batches, ends = self.pattern.batches, (float(known.min()), float(known.max()))
+        self.moments = [np.clip(np.max([when[v] for v in batch.variables], axis=0), *ends) for batch in batches]
+        first = np.full(len(when), np.inf)  # measurement of a landmark
+        for batch, moment in zip(batches, self.moments, strict=True):
+            for variables in batch.variables:
+                np.minimum.at(first, variables, moment)
+        self.since = np.where(np.isfinite(when), when, np.clip(first, *ends))
+        self.near = bool(np.nanmax(np.abs(self.place), initial=0.0) < 1e4)  # m, where four bytes hold a millimeter
+
+    def _rows(self, kind: str) -> slice:
+        """Rows of the variables of a kind among all."""
+        begin = self.pattern.offsets[kind]
+        return slice(begin, begin + len(self.values.stacks[kind]))
+
+    @property
+    def axes(self) -> dict[str, Any]:
+        """Axes of one scale, and the way the mouse moves the map."""
+        axes: dict[str, Any] = {f"{name}axis": {"title": {"text": f"{name} [m]"}} for name in "xyz"[: self.dim]}
+        if self.dim == 2:
+            axes["yaxis"]["scaleanchor"] = "x"
+            return {**axes, "dragmode": "pan"}
+        if any(isinstance(factor, DOWN) for factor in self.graph.factors):
+            axes["yaxis"]["autorange"] = axes["zaxis"]["autorange"] = "reversed"
+            axes["zaxis"]["title"] = {"text": "z, down [m]"}
+        return {"scene": {**axes, "aspectmode": "data"}}
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """The moments of the slider, whether they are times in s, and the colors on black by those on white."""
+        moments = [self.since[self._rows(kind)] for kind in self.poses]
+        clock = np.unique(np.concatenate([np.zeros(0), *moments]))
+        return {"moments": clock[_rows(clock)].tolist(), "timed": self.timed, "dark": DARK}
+
+    def variables(self, marginals: Marginals | None) -> Iterator[Layer]:
+        """Tracks and landmarks, with their ellipses; the mouse says name, time, position and sigma."""
+        for kind, stack in self.stacks.items():
+            P, since, pose = self.place[self._rows(kind)], self.since[self._rows(kind)], kind in self.poses
+            lines = [f"<b>{_escaped(kind)}%{{customdata[0]}}</b>"] + ["time %{customdata[1]} s"] * self.timed
+            lines += [", ".join(f"{axis} %{{{axis}:.5g}}" for axis in "xyz"[: self.dim]) + " m"]
+            Sigma = np.zeros((len(stack), self.dim, self.dim))
+            status = np.array([] if marginals is None else marginals.status(kind))
+            if marginals is not None and len(known := np.flatnonzero(status == "estimated")):
+                lines += ["sigma " + ", ".join(f"%{{customdata[{k + 2}]:.3g}}" for k in range(self.dim)) + " m"]
+                Sigma[np.isin(status, EMPTY)] = np.nan
+                Sigma[known] = marginals.covariance(Keys(kind, stack.numbers[known]), view="position")
+                rows = known[_rows(since[known], MOST_ELLIPSES * (1 if pose else 10))]
+                rings = np.full((len(rows), 25, self.dim), np.nan)  # 24 sides, and the end of the line
+                rings[:, :24] = P[rows, None]
+                rings[:, :24, :2] += outlines(Sigma[rows, :2, :2], 0.95)[:, ::2]
+                line = {"color": ELLIPSE if pose else LANDMARK, "width": 1.5}
+                yield self._layer(f"95 % ellipses of {kind}", known, rings, since[rows], not pose, line=line)
+            name = f"landmarks {kind}" if not pose else f"track {kind}" if len(self.poses) > 1 else "track"
+            dot: dict[str, Any] = {"color": LANDMARK, "size": 9 - 2 * self.dim}
+            if pose:
+                rows, color = _rows(since, MOST_IN_LINE), SERIES[self.poses.index(kind) % len(SERIES)]
+                line = {"color": color, "width": 1 + self.dim if len(P) < FEW else 1.5}
+                yield self._layer(name, P, P[rows], since[rows], line=line)
+                dot = {"size": 6, "opacity": 0.0}
+            rows = _rows(since)
+            numbers = np.column_stack([stack.numbers, since, np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))])[rows]
+            words = "<br>".join(lines) + "<extra></extra>"
+            about: dict[str, Any] = {"customdata": numbers, "hovertemplate": words, "showlegend": not pose}
+            yield self._layer(name, P, P[rows], since[rows], marker=dot, **about)
+
+    def others(self, tracks: Mapping[str, Values]) -> Iterator[Layer]:
+        """Further tracks and points; points, and tracks that make the map much wider, are switched off at first."""
+        width = np.ptp(self.place[~np.isnan(self.place[:, 0])], axis=0).max(initial=0.0)
+        for name, values in tracks.items():
+            color = TRUE if name == "truth" else BEFORE
+            for kind in self.stacks.keys() & values.stacks.keys():
+                own, stack, pose = self.stacks[kind], values.stacks[kind], kind in self.poses
+                stack = stack.only(np.isin(stack.numbers, own.numbers))
+                P, since = _positions(stack), self.since[self._rows(kind)][own.index(Keys(kind, stack.numbers))]
+                line = {"line": {"color": color, "width": 2, "dash": "dot" if self.dim == 2 else "solid"}}
+                style = line if pose else {"marker": {"color": color, "size": 4, "symbol": "cross"}}
+                near = pose and bool(np.ptp(P, axis=0).max(initial=0.0) <= WIDER * width)
+                rows, label = _rows(since), name if kind in self.poses[:1] else f"{name} {kind}"
+                yield self._layer(label, P, P[rows], since[rows], near, **style)
+
+    def clouds(self, clouds: Mapping[str, tuple[Array, Array]]) -> Iterator[Layer]:
+        """Points that are no variables, in space colored by z."""
+        for name, (P, since) in clouds.items():
+            rows = _rows(since, MOST_IN_LINE)
+            color = {"color": P[rows, 2], "colorscale": "Viridis"} if self.dim == 3 else {"color": ECHO}
+            yield self._layer(name, P, P[rows], since[rows], marker={"size": 2, "opacity": 0.6, **color})
+
+    def measurements(self, weights: Sequence[Array]) -> Iterator[Layer]:
+        """Loop closures by chance, rejected ones, lines of sight, and the dots of all others; a dot says what it is."""
+        lines = {f"loop closures {words}": {"color": color, "width": 1.5} for words, color in COLORS.items()}
+        lines["rejected"] = {"color": REJECTED, "width": 2.5, "dash": "dash"}
+        lines |= {"lines of sight": {"color": SIGHT, "width": 1}, "other measurements": {}}
+        scale = {"colorscale": [[k / 2, color] for k, color in enumerate(COLORS.values())], "cmin": 0, "cmax": 2}
+        columns = [np.concatenate(column) for column in zip(*self._columns(weights), strict=True)] or [np.zeros(0)]
+        for number, (name, line) in enumerate(lines.items()):
+            if not len(members := np.flatnonzero(columns[0] == number)):
+                continue
+            rows = members[_rows(columns[-1][members])]
+            chance, factor, row, i, j, sigmas, since = (column[rows] for column in columns[1:])
+            a, b, shown = self.place[i, None], self.place[j, None], number < 4
+            if line:
+                ends = np.concatenate([a, b, np.full_like(a, np.nan)], axis=1)
+                yield self._layer(name, members, ends, since, shown, line=line)
+            at = np.linspace(0, 1, 5 if name == "rejected" else 3)[1:-1, None]  # of the way from one end to the other
+            color = {"color": REJECTED} if name == "rejected" else {"color": chance, **scale}
+            text = [self._text(*numbers) for numbers in zip(*(c.tolist() for c in (factor, row, sigmas)), strict=True)]
+            dots: dict[str, Any] = {
+                "marker": {"size": 8 - 2 * self.dim if len(rows) < FEW else 2, **color},
+                "showlegend": not line,
+            }
+            dots |= {"text": np.repeat(text, len(at)).tolist(), "hoverinfo": "text"}
+            yield self._layer(name, members, a + at * (b - a), since, shown, **dots)
+
+    def _columns(self, weights: Sequence[Array]) -> Iterator[tuple[Array | Index, ...]]:
+        """Of every batch (k,): layer, chance, factor, row, the two variables on the map, sigmas, and since when."""
+        order, closing = places(self.pattern), closures(self.pattern)
+        for f, (batch, weight, closes) in enumerate(zip(self.pattern.batches, weights, closing, strict=True)):
+            placed = [v for kind, v in zip(batch.kinds, batch.variables, strict=True) if kind in self.stacks]
+            if not placed:
+                continue
+            try:
+                s = self.graph.factors[f].chi2(self.values)
+            except (EvaluationError, SingularGeometryError):  # as for a bearing to the place of the sensor
+                s = np.full(len(batch), np.nan)
+            i, j = placed[0], placed[1 % len(placed)]
+            chance = np.searchsorted([chi2_gate(batch.model.dim, p) for p in CHANCES], s)
+            apart = (np.abs(order[i] - order[j]) > 1) | (batch.kinds[0] != batch.kinds[len(placed) - 1])
+            sight = apart & (len(placed) > 1 and not batch.model.factor.sequential)
+            layer = np.select([weight == 0, closes, sight], [3, chance, 4], 5)
+            yield layer, chance, np.full(len(i), f), np.arange(len(i)), i, j, np.sqrt(s), self.moments[f]
+
+    def _text(self, factor: int, row: int, sigmas: float) -> str:
+        """What the mouse says of a measurement: variables, residual, file and line."""
+        lines = [f"<b>{_escaped(self.graph.factors[factor].describe(row))}</b>", f"{sigmas:.3g} sigmas"]
+        if self.report is not None and factor < len(self.report.sources):
+            lines.append(_escaped(os.path.basename(self.report.place(factor, row))))
+        return "<br>".join(lines)
+
+    def _layer(self, name: str, members: Sized, P: Array, since: Array, shown: bool = True, **style: Any) -> Layer:
+        """A layer, or the part of its members that is drawn, in the order of time.
+
+        Parameters
+        ----------
+        name, members : what it is called, and all that belongs to it.
+        P, since : places (n, dim), lines (n, k, dim) that end with nan, or several places of one thing; and since when.
+        shown : at first, not only named in the legend.
+        style : as plotly takes it.
+        """
+        step = -(-len(members) // max(len(P), 1))
+        return {
+            "type": "scatter3d" if self.dim == 3 else "scattergl",
+            "mode": "lines" if "line" in style else "markers",
+            "name": f"{name} ({len(members):,})" + f", {every_nth(step)}drawn" * (step > 1),
+            "legendgroup": name,
+            "visible": shown or "legendonly",
+            "meta": {"since": since.tolist(), "stride": 1 if P.ndim == 2 else P.shape[1]},
+            **dict(zip("xyz", P.reshape(-1, self.dim).T.astype("f4" if self.near else "f8"), strict=False)),
+            **({} if "text" in style or "hovertemplate" in style else {"hoverinfo": "skip"}),
+            **style,
+        }
+
+
+def _rows(since: Array, most: int = MOST) -> Index:
+    """Rows in the order of time, so many at most, evenly spaced."""
+    return np.argsort(since, kind="stable")[:: max(1, -(-len(since) // most))]
+
+
+def _escaped(text: str) -> str:
+    """Text as a page has it."""
+    return html.escape(visible(text))
+
+
+def _positions(stack: Stack) -> Array:
+    """Positions (n, 0 to 3) of some variables."""
+    return np.asarray(stack.manifold.position(stack.X))
