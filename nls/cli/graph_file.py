@@ -329,7 +329,7 @@ class GraphFile:
 
         return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
 
-    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, dict[str, Any]]:
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
         """Tracks and clouds of the files, as `nls.plot.view` takes them."""
         return {"tracks": {}, "clouds": {}}
 
@@ -338,7 +338,7 @@ class GraphFile:
         from nls.plot import view, view_page
 
         graph, values, report = read
-        layers: dict[str, Any] = self.layers(values, report)
+        layers = self.layers(values, report)
         layers["tracks"] |= {} if before is None else {self.values_before: before}
         return view_page(view(graph, values, report, title=title_of(report.path), remark=remark, **layers, **more))
 

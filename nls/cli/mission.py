@@ -268,14 +268,15 @@ class Mission(Folder):
         title = title_of(solved.report.path)
         return plan_before_after(solved.graph, solved.before, solved.result, title=title)
 
-    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, dict[str, Any]]:
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
         """The truth, and the bottom below the track, where the files have them."""
         from nls.missions.charts.chart import bottom
 
         mission = self.mission(report)
         times, points = bottom(values, mission)
         clouds = {"sea floor below the track": (points, times)} if len(points) else {}
-        return {"tracks": {"truth": mission.truth} if mission.truth.stacks else {}, "clouds": clouds}
+        truth = {"truth": mission.truth} if mission.truth.stacks else {}
+        return {"tracks": truth, "clouds": clouds, "down": True}
 
     def made(self, solved: Solved) -> MissionFiles:
         """The files of the solution; of several dives also those of each."""

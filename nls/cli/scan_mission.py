@@ -125,7 +125,7 @@ class ScanMission(Folder):
         """What makes the files of the folder, by name."""
         return {**solved.solution.files()}
 
-    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, dict[str, Any]]:
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
         """The points of the scans, and the truth, moved onto the track by the rigid motion of least squares."""
         assert isinstance(report, ScanReport)
         poses, scans = values[x], report.scans

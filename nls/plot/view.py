@@ -59,6 +59,7 @@ def view(
     clouds: Mapping[str, tuple[Array, Array]] | None = None,
     weights: Sequence[Array] = (),
     marginals: Marginals | None = None,
+    down: bool = False,
     title: str = "",
     remark: str = "",
 ) -> Figure:
@@ -74,6 +75,7 @@ def view(
         report has times of the poses, the number of the pose elsewhere.
     weights : of `nls.gnc`, per factor (n,): measurements of weight 0 were rejected.
     marginals : of the same values: sigmas, and 95 % ellipses as in `ellipses`.
+    down : whether z points down, also where no factor says so.
     title, remark : head of the figure, and what is said below it.
 
     Returns
@@ -108,7 +110,7 @@ def view(
     sentence = f"{remark}. " * bool(remark) + ", ".join(words)
     head = {"text": _escaped(title), "subtitle": {"text": _escaped(sentence)}}
     legend = {"itemsizing": "constant", "groupclick": "togglegroup", "traceorder": "reversed"}
-    return go.Figure(layers, {"title": head, "legend": legend, "meta": scene.meta, **scene.axes})
+    return go.Figure(layers, {"title": head, "legend": legend, "meta": scene.meta, **scene.axes(down)})
 
 
 def view_page(figure: Figure) -> Page:
@@ -148,7 +150,9 @@ class Scene:
     dim : 2 or 3; only kinds of this dimension are drawn.
     stacks, poses : of these kinds, and the names of those that are poses.
     timed : whether the clock is that of the report: s; numbers of poses elsewhere.
+    order : (V,) place of every variable in the order by kind and number.
     place, since : (V, dim) and (V,) of all variables: where, nan for those that are not drawn; and since when.
+    part : (V,) of the track that a pose is in: none is joined to the one before, as the first of a dive.
     moments : since when the measurements (k,) of every batch are known.
     """
 
@@ -160,35 +164,42 @@ class Scene:
         self.stacks = {stack.kind: stack for stack in stacks if _positions(stack).shape[1] == self.dim}
         self.poses = [kind for kind, stack in self.stacks.items() if stack.manifold.dim > self.dim]
         times = {} if report is None else report.vertex_times
-        self.timed = bool(self.poses) and set(self.poses) <= set(times)
-        self.place, when = np.full((len(self.pattern.dims), self.dim), np.nan), np.full(len(self.pattern.dims), -np.inf)
+        times = {kind: times[kind] for kind in self.poses if kind in times and self._rises(kind, times[kind])}
+        self.timed, self.order, V = bool(times), places(self.pattern), len(self.pattern.dims)
+        self.place, when = np.full((V, self.dim), np.nan), np.full(V, -np.inf)
         for kind, stack in self.stacks.items():
             self.place[self._rows(kind)] = _positions(stack)
-            if kind in self.poses:
-                when[self._rows(kind)] = times[kind] if self.timed else stack.numbers
+            if kind in (times or self.poses):
+                when[self._rows(kind)] = times.get(kind, stack.numbers)
         known = when[np.isfinite(when)] if self.poses else np.zeros(1)
-        batches, ends = self.pattern.batches, (float(known.min()), float(known.max()))
-        self.moments = [np.clip(np.max([when[v] for v in batch.variables], axis=0), *ends) for batch in batches]
-        first = np.full(len(when), np.inf)  # measurement of a landmark
-        for batch, moment in zip(batches, self.moments, strict=True):
+        first, parted, self.moments = np.full(V, np.inf), np.ones(V), []
+        for batch in self.pattern.batches:
+            moment = np.clip(np.max([when[v] for v in batch.variables], axis=0), known.min(), known.max())
             for variables in batch.variables:
                 np.minimum.at(first, variables, moment)
-        self.since = np.where(np.isfinite(when), when, np.clip(first, *ends))
+            ends = np.sort(self.order[np.stack(batch.variables)], axis=0)
+            parted[ends[1:][np.diff(ends, axis=0) == 1]] = 0  # a measurement joins it to the one before
+            self.moments.append(moment)
+        self.since = np.where(np.isfinite(when), when, np.clip(first, known.min(), known.max()))
+        self.part = np.cumsum(parted)[self.order]
         self.near = bool(np.nanmax(np.abs(self.place), initial=0.0) < 1e4)  # m, where four bytes hold a millimeter
+
+    def _rises(self, kind: str, times: Array) -> bool:
+        """Whether the times of the poses of a kind rise with their numbers, as those of several dives do not."""
+        return bool((np.diff(times[np.argsort(self.stacks[kind].numbers)]) >= 0).all())
 
     def _rows(self, kind: str) -> slice:
         """Rows of the variables of a kind among all."""
         begin = self.pattern.offsets[kind]
         return slice(begin, begin + len(self.values.stacks[kind]))
 
-    @property
-    def axes(self) -> dict[str, Any]:
+    def axes(self, down: bool) -> dict[str, Any]:
         """Axes of one scale, and the way the mouse moves the map."""
         axes: dict[str, Any] = {f"{name}axis": {"title": {"text": f"{name} [m]"}} for name in "xyz"[: self.dim]}
         if self.dim == 2:
             axes["yaxis"]["scaleanchor"] = "x"
             return {**axes, "dragmode": "pan"}
-        if any(isinstance(factor, DOWN) for factor in self.graph.factors):
+        if down or any(isinstance(factor, DOWN) for factor in self.graph.factors):
             axes["yaxis"]["autorange"] = axes["zaxis"]["autorange"] = "reversed"
             axes["zaxis"]["title"] = {"text": "z, down [m]"}
         return {"scene": {**axes, "aspectmode": "data"}}
@@ -221,9 +232,9 @@ class Scene:
             name = f"landmarks {kind}" if not pose else f"track {kind}" if len(self.poses) > 1 else "track"
             dot: dict[str, Any] = {"color": LANDMARK, "size": 9 - 2 * self.dim}
             if pose:
-                rows, color = _rows(since, MOST_IN_LINE), SERIES[self.poses.index(kind) % len(SERIES)]
+                color = (ESTIMATE, *SERIES[5:])[self.poses.index(kind) % 4]  # no color of another thing
                 line = {"color": color, "width": 1 + self.dim if len(P) < FEW else 1.5}
-                yield self._layer(name, P, P[rows], since[rows], line=line)
+                yield self._layer(name, P, *_line(P, since, self.part[self._rows(kind)], MOST_IN_LINE), line=line)
                 dot = {"size": 6, "opacity": 0.0}
             rows = _rows(since)
             numbers = np.column_stack([stack.numbers, since, np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))])[rows]
@@ -239,12 +250,12 @@ class Scene:
             for kind in self.stacks.keys() & values.stacks.keys():
                 own, stack, pose = self.stacks[kind], values.stacks[kind], kind in self.poses
                 stack = stack.only(np.isin(stack.numbers, own.numbers))
-                P, since = _positions(stack), self.since[self._rows(kind)][own.index(Keys(kind, stack.numbers))]
+                P, rows = _positions(stack), self.pattern.offsets[kind] + own.index(Keys(kind, stack.numbers))
                 line = {"line": {"color": color, "width": 2, "dash": "dot" if self.dim == 2 else "solid"}}
                 style = line if pose else {"marker": {"color": color, "size": 4, "symbol": "cross"}}
                 near = pose and bool(np.ptp(P, axis=0).max(initial=0.0) <= WIDER * width)
-                rows, label = _rows(since), name if kind in self.poses[:1] else f"{name} {kind}"
-                yield self._layer(label, P, P[rows], since[rows], near, **style)
+                label = name if kind in self.poses[:1] else f"{name} {kind}"
+                yield self._layer(label, P, *_line(P, self.since[rows], self.part[rows]), near, **style)
 
     def clouds(self, clouds: Mapping[str, tuple[Array, Array]]) -> Iterator[Layer]:
         """Points that are no variables, in space colored by z."""
@@ -281,8 +292,8 @@ class Scene:
 
     def _columns(self, weights: Sequence[Array]) -> Iterator[tuple[Array | Index, ...]]:
         """Of every batch (k,): layer, chance, factor, row, the two variables on the map, sigmas, and since when."""
-        order, closing = places(self.pattern), closures(self.pattern)
-        for f, (batch, weight, closes) in enumerate(zip(self.pattern.batches, weights, closing, strict=True)):
+        batches = zip(self.pattern.batches, weights, closures(self.pattern), strict=True)
+        for f, (batch, weight, closes) in enumerate(batches):
             placed = [v for kind, v in zip(batch.kinds, batch.variables, strict=True) if kind in self.stacks]
             if not placed:
                 continue
@@ -292,7 +303,7 @@ class Scene:
                 s = np.full(len(batch), np.nan)
             i, j = placed[0], placed[1 % len(placed)]
             chance = np.searchsorted([chi2_gate(batch.model.dim, p) for p in CHANCES], s)
-            apart = (np.abs(order[i] - order[j]) > 1) | (batch.kinds[0] != batch.kinds[len(placed) - 1])
+            apart = (np.abs(self.order[i] - self.order[j]) > 1) | (batch.kinds[0] != batch.kinds[len(placed) - 1])
             sight = apart & (len(placed) > 1 and not batch.model.factor.sequential)
             layer = np.select([weight == 0, closes, sight], [3, chance, 4], 5)
             yield layer, chance, np.full(len(i), f), np.arange(len(i)), i, j, np.sqrt(s), self.moments[f]
@@ -331,6 +342,13 @@ class Scene:
 def _rows(since: Array, most: int = MOST) -> Index:
     """Rows in the order of time, so many at most, evenly spaced."""
     return np.argsort(since, kind="stable")[:: max(1, -(-len(since) // most))]
+
+
+def _line(P: Array, since: Array, part: Array, most: int = MOST) -> tuple[Array, Array]:
+    """Places (n, dim) and since when, in the order of time; nan where a part of a track begins, if it has several."""
+    rows = _rows(since, most)
+    begins = np.append(0, np.diff(part[rows]))[: len(rows)] != 0
+    return np.where(begins[:, None] & (begins.sum() < len(rows) - 1), np.nan, P[rows]), since[rows]
 
 
 def _escaped(text: str) -> str:
