@@ -308,7 +308,7 @@ class GraphFile:
         write_bytes(path, data)
         solved.report.notes.extend(notes)
 
-    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
         """The picture of ``nls plot``."""
         from nls.plot import trajectory
 
@@ -322,7 +322,7 @@ class GraphFile:
         """The picture of ``--plot``."""
         from nls.plot import before_after
 
-        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
+        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path), solved.rejected)
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""

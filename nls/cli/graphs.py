@@ -64,7 +64,7 @@ def plot(options: argparse.Namespace) -> int:
     kind = input_of(options)
     graph, values, report = kind.read()
     options.phase.now(f"while writing {options.output}")
-    figure = kind.plan(graph, values)
+    figure = kind.plan(graph, values, report)
     figure.suptitle(files.title_of(report.path))
     write_picture(options.output, figure)
     options.phase.written.append(options.output)

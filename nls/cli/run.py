@@ -18,6 +18,7 @@ from nls.io.report import Source
 
 if TYPE_CHECKING:
     from nls.missions.charts import Projection
+    from nls.robust.graduated import Rejected
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -127,6 +128,11 @@ class Problem(Run):
     sources: Sequence[Source] = ()
     choice: nls.Robustified | None = None
     sigmas: nls.VarianceComponents | None = None
+
+    @property
+    def rejected(self) -> Sequence[Rejected]:
+        """The measurements that `choice` does not believe."""
+        return () if self.choice is None else self.choice.rejected
 
     @property
     def before(self) -> nls.Values:

@@ -110,6 +110,13 @@ class ScanMission(Folder):
         """The lines of the table that say what the map is worth, from the report for programs."""
         return scan_lines(record["scans"])
 
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
+        """The scans where dead reckoning has them."""
+        from nls.missions.pictures.scan_map import scan_map
+
+        assert isinstance(report, ScanReport)
+        return scan_map(values[nls.kinds("x")[0]], report.scans)
+
     def picture(self, solved: Solved) -> Any:
         """The map from above."""
         return solved.solution.picture()

@@ -68,6 +68,15 @@ def legend_below(*panels: Axes) -> None:
     axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
 
+def legend_outside(figure: Figure, axes: Axes, columns: int) -> None:
+    """A legend below the figure for lines of some axes, which are faint on the map and not in the legend."""
+    handles, labels = axes.get_legend_handles_labels()
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+    for handle in legend.legend_handles:
+        if handle is not None:
+            handle.set_alpha(1.0)
+
+
 def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:
     """Write a figure in the format of the suffix (png, pdf, svg), replaced whole or not at all.
 

@@ -121,7 +121,7 @@ class SolvedScans(Solution):
         from nls.missions.pictures.scan_map import scan_map
 
         truth = self.report.truth if self.errors else None
-        return scan_map(self.poses, self.reckoned, self.report.scans, self.matches, truth)
+        return scan_map(self.poses, self.report.scans, self.reckoned, self.matches, truth)
 
     def files(self) -> dict[str, Callable[[], Any]]:
         """Makers of the files by name: each gives bytes, or a figure of matplotlib."""
