@@ -60,10 +60,11 @@ def legend_below(*panels: Axes) -> None:
     """A legend under axes and their twins, in as many rows as it needs, where it covers nothing."""
     axes, pairs = panels[0], [panel.get_legend_handles_labels() for panel in panels]
     handles, labels = ([entry for entries in column for entry in entries] for column in zip(*pairs, strict=True))
+    width, height = axes.get_position().size * figure_of(axes).get_size_inches()
     # 13 letters of a legend in an inch
-    room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
-    rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))
-    below = (0.5, -0.12)
+    rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / (13 * width))))
+    # 0.4 inches for the numbers and the name of the axis
+    below = (0.5, -0.4 / height)
     columns = -(-len(labels) // rows)
     axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
