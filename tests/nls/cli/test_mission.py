@@ -21,7 +21,7 @@ from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 x, l = nls.kinds("x", "l")
 TABLES = ["trajectory.tum", "trajectory.csv", "map.csv", "map.ply", "depth.asc"]
-FILES = [*TABLES, "track.png", "landmarks.png", "sonar.png"]
+FILES = [*TABLES, "chart.png", "track.png", "landmarks.png", "sonar.png"]
 ONCE = TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n"
 LOST = {  # nothing measures the depth of x2
     "zpr": TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", ""),

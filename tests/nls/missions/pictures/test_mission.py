@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.tri import TriContourSet
 
 import nls
 from factors import Diagonal, Isotropic, Prior
 from models import SE2, SE3, R
+from models.geodesy import LocalPlane
 from models.listing import number
 from nls.missions import MissionReport, elevations, track_of
+from nls.missions.charts.chart import Chart, Points
+from nls.missions.pictures.chart import depth_chart
 from nls.missions.pictures.mission import landmark_map, plan, plan_before_after, track
 from nls.missions.pictures.scan_map import scan_map
 from nls.missions.scans import close
@@ -242,3 +248,24 @@ def test_what_is_drawn(tmp_path: Path) -> None:
     alone = scan_map(values[x], scans).axes[0]
     assert "90 keyframes" in alone.get_title()
     assert [line.get_label() for line in alone.lines] == ["dead reckoning", "start"]
+
+
+def test_a_chart_has_contours_of_depth_and_a_graticule() -> None:
+    """A slope of 0.1 to the north: the contour of a depth lies where the slope has it, and every degree, too."""
+    north, east = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 200, 41), np.linspace(0, 300, 61)))
+    bottom, plane = np.column_stack([north, east, 20 + 0.1 * north]), LocalPlane(54.1, 10.2)
+    ends = np.array([[0.0, 0.0, 5.0], [200.0, 300.0, 5.0]])
+    chart = Chart("m", Points("pose", np.arange(2), ends, np.full((2, 3, 3), np.nan)), None, (), plane, bottom)
+    axes, bar = depth_chart(chart).axes
+    assert bar.yaxis_inverted()
+    _, contours = (each for each in axes.collections if isinstance(each, TriContourSet))
+    for level, path in zip(contours.levels[1:-1], contours.get_paths()[1:-1], strict=True):
+        assert path.vertices[:, 1] == pytest.approx((level - 20) / 0.1, abs=10.0)  # a cell
+    for k, axis in enumerate((axes.yaxis, axes.xaxis)):
+        for tick, label in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=True):
+            degrees, minutes = re.findall(r"[0-9.]+", label.get_text())
+            at = np.array([54.1, 10.2])
+            at[k] = float(degrees) + float(minutes) / 60
+            assert plane.local(*at)[k] == pytest.approx(tick, abs=0.1)
+    flat = depth_chart(replace(chart, plane=None, bottom=bottom[:1])).axes  # nothing to draw contours of
+    assert [axes.get_xlabel() for axes in flat] == ["y, east [m]"]
