@@ -42,7 +42,7 @@ def depth_chart(chart: Chart) -> Figure:
     wide = max(float(np.ptp(p, axis=0).max()), 1e-3)
     middle, half = (p.min(axis=0) + p.max(axis=0)) / 2, np.maximum(np.ptp(p, axis=0) / 2 + 0.05 * wide, 0.3 * wide)
     low, high = middle - half, middle + half
-    figure = Figure(figsize=(*(LONG * half / half.max() + [2.2, 1.4]),), layout="constrained")
+    figure = Figure(figsize=(*(LONG * half / half.max() + [3.0, 1.4]),), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=chart.name)
     _depths(axes, chart.depths, wide)
     axes.plot(*chart.track.p[:, 1::-1].T, color=ESTIMATE, linewidth=1.6, label="track")
