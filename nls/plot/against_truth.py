@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import Keys
-from nls.plot.picture import add_lines, legend_outside, new_figure
+from nls.plot.picture import add_lines, full_legend, new_figure
 from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, SERIES
 from nls.plot.trajectory import closures
 
@@ -66,5 +66,5 @@ def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Val
         axes.set(xlabel="x [m]", aspect="equal")
         axes.set_title(f"{name}: {off:.2g} m off", fontsize=16, color=color)
     panels[0].set_ylabel("y [m]")
-    legend_outside(figure, panels[0], 3)
+    full_legend(panels[0], 3)
     return figure

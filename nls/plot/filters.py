@@ -26,7 +26,7 @@ from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
 from nls.plot.ellipses import draw_outlines, larger, magnification
-from nls.plot.picture import axes_or_new, figure_of, legend_below, name_plane, new_figure
+from nls.plot.picture import axes_or_new, figure_of, full_legend, legend_below, name_plane, new_figure
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
@@ -270,7 +270,7 @@ def belief(
     name_plane(axes, title=f"{pose!r}{drawn_larger}")
     figure = figure_of(axes)
     if alone:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        full_legend(axes)
     else:
         legend_below(axes)
     return figure

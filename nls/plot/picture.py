@@ -69,12 +69,16 @@ def legend_below(*panels: Axes) -> None:
     axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
 
-def legend_outside(figure: Figure, axes: Axes, columns: int) -> None:
-    """A legend below the figure for lines of some axes, which are faint on the map and not in the legend."""
+def full_legend(axes: Axes, columns: int = 2, outside: bool = True) -> None:
+    """A legend of some axes, below the figure or inside, whose lines are seen however faint those of the map are."""
     handles, labels = axes.get_legend_handles_labels()
-    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+    if outside:
+        style: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
+        legend = figure_of(axes).legend(handles, labels, fontsize=9, **style)
+    else:
+        legend = axes.legend(handles, labels, loc="best", fontsize=8)
     for handle in legend.legend_handles:
-        if handle is not None:
+        if handle is not None and handle.get_alpha() is not None:
             handle.set_alpha(1.0)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from factors import XYH, ZPR, DvlLeg
 from models.listing import number
 from nls.gauge import placeless_kinds
-from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane, new_figure
+from nls.plot.picture import add_lines, axes_or_new, figure_of, full_legend, name_plane, new_figure
 from nls.plot.style import BEFORE, CLOSURE, ECHO, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT
 
 if TYPE_CHECKING:
@@ -56,21 +56,16 @@ def before_after(
     left, middle = (figure.add_subplot(1, 3, k, **space) for k in (1, 2))
     right = figure.add_subplot(1, 3, 3)
     chi2 = graph.chi2(before)
-    trajectory(graph, before, left, rejected=rejected)
-    trajectory(graph, result.values, middle, rejected=rejected)
+    for axes, values in ((left, before), (middle, result.values)):
+        named = _map(graph, values, axes, rejected)
     times = one_scale(graph, (left, before), (middle, result.values))
     left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
     middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
     convergence(result, right, chi2)
     if title:
         figure.suptitle(title)
-    legends = [legend for axes in (left, middle) if (legend := axes.get_legend()) is not None]
-    if legends:  # once for both
-        names = [text.get_text() for text in legends[0].get_texts()]
-        handles = [handle for handle in legends[0].legend_handles if handle is not None]
-        figure.legend(handles, names, loc="outside lower left", ncols=4, fontsize=9, frameon=False)
-    for legend in legends:
-        legend.remove()
+    if named:
+        full_legend(middle, 4)
     return figure
 
 
@@ -97,30 +92,28 @@ def convergence(result: Result, axes: Axes | None = None, before: float | None =
     axes = axes_or_new(axes, (5, 4))
     steps = [iteration.number for iteration in result.history]
     chi2 = [iteration.chi2 for iteration in result.history]
-    least = 1e-6 * max(result.dof, 1)
-    numbers = MaxNLocator(6, integer=True).tick_values(0, max(steps[-1], 1))
-    ticks = {float(k): f"{k:.0f}" for k in numbers if 0 <= k <= steps[-1]}
-    marked = {steps[0]: chi2[0], steps[-1]: chi2[-1]}
+    least, expected = 1e-6 * max(result.dof, 1), 0 if result.robust else max(result.dof, 0)
+    labels = {steps[0]: (chi2[0], ""), steps[-1]: (chi2[-1], "")}
     if before is not None and not np.isclose(before, chi2[0]):
         axes.plot([-1, 0], np.maximum([before, chi2[0]], least), "o:", color=BEFORE)
-        marked[-1], ticks[-1], ticks[0] = before, "before", "start"
+        labels[-1] = before, " before"
     axes.plot(steps, np.maximum(chi2, least), "o-", color=ESTIMATE)
-    drawn: list[float] = [max(value, least) for value in marked.values()]
-    expected = result.dof if result.dof > 0 and not result.robust else 0
-    for step, value in zip(marked, drawn, strict=True):
-        height = expected if value < expected < 2 * value else value  # above the line of the expectation
-        axes.annotate(number(marked[step]), (step, height), (3, 5), textcoords="offset points", color=ESTIMATE)
+    for step, (value, word) in labels.items():
+        height = expected if value < expected < 2 * value else max(value, least)  # above the line of the expectation
+        style: dict[str, Any] = {"textcoords": "offset points", "color": BEFORE if word else ESTIMATE}
+        axes.annotate(number(value) + word, (step, height), (3, 5), **style)
+    heights = [max(value, least) for value, _ in labels.values()]
     if expected:
         axes.axhline(expected, color=ECHO, linestyle="--", zorder=0)
-        place = (1, min(expected, drawn[-1] if drawn[-1] > expected / 2 else expected))
-        style: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "color": "0.4"}
+        place = (1, min(expected, chi2[-1] if 2 * chi2[-1] > expected else expected))
+        style = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "color": "0.4"}
         axes.annotate(f"{number(expected)} expected", place, (-4, -6), ha="right", va="top", **style)
-        drawn.append(expected)
-    middle, half = np.sqrt(min(drawn) * max(drawn)), max(np.sqrt(max(drawn) / min(drawn)), 3.0)
-    axes.set(yscale="log", ylim=(middle / half**1.2, middle * half**1.2), xlabel="iteration")
-    axes.set_ylabel("robust cost" if result.robust else "chi2")
-    axes.set_xticks([*ticks], [*ticks.values()])
-    axes.set_xlim(min(ticks) - 0.2, steps[-1] + 0.12 * (steps[-1] - min(ticks)) + 0.5)
+        heights.append(expected)
+    middle, half = np.sqrt(min(heights) * max(heights)), max(np.sqrt(max(heights) / min(heights)), 3.0) ** 1.2
+    axes.set(yscale="log", ylim=(middle / half, middle * half), ylabel="robust cost" if result.robust else "chi2")
+    axes.set(xlabel="iteration", xlim=(min(labels) - 0.2, 1.15 * steps[-1] + 0.6))
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.xaxis.set_major_formatter(lambda k, _: f"{k:.0f}" if k >= 0 else "")
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
     return figure_of(axes)
@@ -152,21 +145,31 @@ def trajectory(
     -----
     A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`) is drawn with z down.
     """
-
-    from matplotlib.lines import Line2D
-
     from nls.plot.ellipses import ellipses
 
+    alone = axes is None
+    space = _dimension(_places(graph, values)) == 3
+    axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if space else {}))
+    named = _map(graph, values, axes, rejected)
+    if marginals is not None:
+        ellipses(marginals, axes, every=every)
+        named = True
+    if named and axes.get_legend_handles_labels()[0]:
+        full_legend(axes, outside=alone)
+    return figure_of(axes)
+
+
+def _map(graph: FactorGraph, values: Values, axes: Axes, rejected: Sequence[Rejected]) -> bool:
+    """Draw tracks, points and measurements; whether there are lines that need a legend."""
     stacks = _places(graph, values)
     dim = _dimension(stacks)
-    alone = axes is None
-    axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
     segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
+        name += f", {len(segments)} of {total}" * (len(segments) < total)
         alpha = (0.2 if points else 0.8) * min(1.0, max(0.08, MANY / len(segments)))
-        add_lines(axes, segments, color=color, linewidth=0.6 if points else 0.9, alpha=alpha)
+        add_lines(axes, segments, color=color, linewidth=0.6 if points else 0.9, alpha=alpha, label=name)
     tracks = [stack.kind for stack in stacks if stack.manifold.dim > dim]
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
@@ -181,22 +184,11 @@ def trajectory(
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if rejected:
         mark(axes, values, [measurement.keys for measurement in rejected], linestyle="--", label=in_words(rejected))
-    if marginals is not None:
-        ellipses(marginals, axes, every=every)
     if dim == 3:
         space_box(axes, _points(graph, values), _is_down(graph))
     else:
         name_plane(axes)
-    handles, labels = axes.get_legend_handles_labels()
-    if len(segments):  # a line that can be seen, however faint they are
-        shown = f", {len(segments)} of {total}" if len(segments) < total else ""
-        handles, labels = [Line2D([], [], color=color), *handles], [name + shown, *labels]
-    if len(segments) or rejected or (marginals is not None and handles):
-        if alone:
-            figure_of(axes).legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
-        else:
-            axes.legend(handles, labels, loc="best", fontsize=8)
-    return figure_of(axes)
+    return bool(len(segments) or rejected)
 
 
 def in_words(rejected: Sequence[Rejected]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.missions.charts.chart import Chart, near
-from nls.plot.picture import figure_of, legend_outside
+from nls.plot.picture import figure_of, full_legend
 from nls.plot.style import ESTIMATE, LANDMARK
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def depth_chart(chart: Chart) -> Figure:
         axes.plot(*points.p[:, 1::-1].T, "^" if points.name == "beacon" else ".", color=LANDMARK, label=points.name)
     _graticule(axes, chart, low, high)
     _scale_and_north(axes, wide)
-    legend_outside(figure, axes, 4)
+    full_legend(axes, 4)
     return figure
 
 

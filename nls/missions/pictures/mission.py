@@ -14,7 +14,7 @@ from factors.keys import kinds
 from models.algebra import Array, distance_along
 from models.listing import number
 from nls.plot.ellipses import ellipses, visible_scale
-from nls.plot.picture import add_lines, legend_outside
+from nls.plot.picture import add_lines, full_legend
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import SHARED, closures, convergence, in_words, mark
 
@@ -77,7 +77,7 @@ def track(
         ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)
     axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
     axes[0].set_aspect("equal", adjustable="datalim")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
+    full_legend(axes[0], 4)
     if errors or sure:
         figure.suptitle(_along(axes[1], values, errors or {}, marginals if sure else None))
     return figure
@@ -164,7 +164,7 @@ def landmark_map(
         extend = "max" if sigma[known].max() > most else "neither"
         bar = figure.colorbar(dots, ax=list(panels), label=label, extend=extend, aspect=30)
         bar.ax.yaxis.set_major_formatter("{x:g}")
-    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    full_legend(panels[1])
     return figure
 
 
@@ -188,7 +188,7 @@ def plan(graph: FactorGraph, values: Values) -> Figure:
         alpha = min(0.3, 90 / len(sights))
         add_lines(ax, sights[:, :, rows], color=SIGHT, linewidth=0.4, alpha=alpha, zorder=1, label="lines of sight")
     panels[0].set_title("From above")
-    legend_outside(figure, panels[1], 3)
+    full_legend(panels[1], 3)
     return figure
 
 
@@ -228,7 +228,7 @@ def plan_before_after(
     convergence(result, figure.add_subplot(grid[:, 1], box_aspect=0.9), chi2)
     if title:
         figure.suptitle(title)
-    legend_outside(figure, panels[1], 3)
+    full_legend(panels[1], 3)
     return figure
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from models import SE2
 from nls.missions.scans.scans import in_world
-from nls.plot.picture import add_lines, legend_outside
+from nls.plot.picture import add_lines, full_legend
 from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, REJECTED
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def scan_map(
     axes.plot(*poses[0, :2], "o", color=color, markersize=5, label="start")
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title, aspect="equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    legend_outside(figure, axes, 4)
+    full_legend(axes, 4)
     return figure
 
 
