@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.values import Values
 
-SIDE = 5.2  # inches of a map
-
 
 def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Values]) -> Figure:
     """One map for each estimate over the truth, wide and gray; its title is the name and the error.
@@ -47,7 +45,8 @@ def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Val
     >>> [axes.get_title() for axes in figure.axes]
     ['dead reckoning: 1.7 m off', 'solution: 0.12 m off']
     """
-    figure = new_figure(SIDE * len(estimates), SIDE)
+    # a map is 5.2 inches wide and high
+    figure = new_figure(5.2 * len(estimates), 5.2)
     panels = figure.subplots(1, len(estimates), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, values), color in zip(panels, estimates.items(), (BEFORE, ESTIMATE, *SERIES[2:]), strict=False):
         segments, _ = closures(graph, values, {*truth.stacks})

@@ -65,7 +65,7 @@ class Rejected:
     """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off.
 
     `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0. `keys` are
-    its variables. `chance` is the probability that noise takes one right measurement among all doubted ones so far off.
+    its variables. `chance` bounds the probability that noise takes one of all doubted measurements so far off.
     """
 
     factor: str
@@ -241,11 +241,10 @@ def gnc(
     for kind, mask in gone.items():
         keys, counts = Keys(kind, values.stack(kind).numbers[mask]), landmarks.counts(kind, masks)[mask]
         left += [Left(repr(key), int(count)) for key, count in zip(keys, counts, strict=True)]
-    tails = [total * chi2_tail(s / variance, np.array(dim)) for s, dim in zip(choice.s, dims, strict=True)]
-    chances = [np.minimum(tail, 1.0).tolist() for tail in tails]
-    rows = zip(graph.factors, masks, choice.inliers, choice.s, chances, landmarks.leaving(gone), strict=True)
+    tails = [np.minimum(total * chi2_tail(s / variance, np.array(m)), 1) for s, m in zip(choice.s, dims, strict=True)]
+    rows = zip(graph.factors, masks, choice.inliers, choice.s, tails, landmarks.leaving(gone), strict=True)
     off = [
-        Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n, tuple(keys[[n]] for keys in factor.keys), p[n])
+        Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n, tuple(keys[[n]] for keys in factor.keys), float(p[n]))
         for k, (factor, d, m, s, p, leaves) in enumerate(rows)
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]

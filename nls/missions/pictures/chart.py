@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.missions.charts.chart import Chart, near
-from nls.plot.picture import figure_of, full_legend
+from nls.plot.picture import figure_of, full_legend, new_figure
 from nls.plot.style import ESTIMATE, LANDMARK
 
 if TYPE_CHECKING:
@@ -35,14 +35,13 @@ def depth_chart(chart: Chart) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     places = [chart.track.p[:, :2], chart.depths[:, :2], *(points.p[:, :2] for points in chart.points)]
     p = np.concatenate(places)[:, ::-1]
     wide = max(float(np.ptp(p, axis=0).max()), 1e-3)
     middle, half = (p.min(axis=0) + p.max(axis=0)) / 2, np.maximum(np.ptp(p, axis=0) / 2 + 0.05 * wide, 0.3 * wide)
     low, high = middle - half, middle + half
-    figure = Figure(figsize=(*(LONG * half / half.max() + [3.0, 1.4]),), layout="constrained")
+    width, height = LONG * half / half.max() + [3.0, 1.4]
+    figure = new_figure(width, height)
     axes = figure.add_subplot(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=chart.name)
     _depths(axes, chart.depths, wide)
     axes.plot(*chart.track.p[:, 1::-1].T, color=ESTIMATE, linewidth=1.6, label="track")
@@ -56,8 +55,6 @@ def depth_chart(chart: Chart) -> Figure:
 
 def _depths(axes: Axes, p: Array, wide: float) -> None:
     """Depths of points (n, 3) in color and as contours, linear between the means of the cells."""
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
     from matplotlib.tri import Triangulation
 
     cells, cell = np.unique(np.floor(p[:, :2] * CELLS / wide), axis=0, return_inverse=True)
@@ -68,16 +65,14 @@ def _depths(axes: Axes, p: Array, wide: float) -> None:
     triangulation = Triangulation(east, north)
     corners = np.stack([east, north], axis=1)[triangulation.triangles]
     gap = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    if (gap > GAP * wide).all():
-        return
-    triangulation.set_mask(gap > GAP * wide)
-    blues = colormaps["Blues"](np.linspace(0.05, 0.7, 256))  # numbers can be read on the darkest
-    shades = axes.tricontourf(triangulation, depth, levels=12, cmap=ListedColormap(blues))
+    triangulation.set_mask(gap > max(GAP * wide, gap.min()))
+    # numbers can be read on the darkest
+    dark = float(depth.max() + 0.4 * np.ptp(depth))
+    shades = axes.tricontourf(triangulation, depth, levels=12, cmap="Blues", vmax=dark)
     levels = np.asarray(shades.levels)
     lines = axes.tricontour(triangulation, depth, levels=levels, colors="0.2", linewidths=0.6)
     axes.clabel(lines, levels[::2], fmt="%g", fontsize=8)
-    bar = figure_of(axes).colorbar(shades, ax=axes, label="depth [m]", shrink=0.8)
-    bar.ax.invert_yaxis()
+    figure_of(axes).colorbar(shades, ax=axes, label="depth [m]", shrink=0.8).ax.invert_yaxis()
 
 
 def _graticule(axes: Axes, chart: Chart, low: Array, high: Array) -> None:

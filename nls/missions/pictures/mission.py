@@ -14,7 +14,7 @@ from factors.keys import kinds
 from models.algebra import Array, distance_along
 from models.listing import number
 from nls.plot.ellipses import ellipses, visible_scale
-from nls.plot.picture import add_lines, full_legend
+from nls.plot.picture import add_lines, full_legend, name_plane, new_figure
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import SHARED, closures, convergence, in_words, mark
 
@@ -64,10 +64,8 @@ def track(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     sure = marginals is not None and marginals.underconstrained is None
-    figure = Figure(figsize=(11, 5.8) if errors or sure else (7, 5.8), layout="constrained")
+    figure = new_figure(11 if errors or sure else 7, 5.8)
     axes = figure.subplots(1, 2 if errors or sure else 1, squeeze=False)[0]
     _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
@@ -75,8 +73,7 @@ def track(
     _path(axes[0], values, color=ESTIMATE, linewidth=1.0, label="solution")
     if marginals is not None:
         ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)
-    axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
-    axes[0].set_aspect("equal", adjustable="datalim")
+    name_plane(axes[0], "y, east [m]", "x, north [m]", title="Track from above")
     full_legend(axes[0], 4)
     if errors or sure:
         figure.suptitle(_along(axes[1], values, errors or {}, marginals if sure else None))
@@ -135,8 +132,6 @@ def landmark_map(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.collections import LineCollection
-
     points = values[l[elevations.landmarks]]
     known = np.isfinite(elevations.sigma)
     sigma = np.degrees(elevations.sigma)
@@ -156,7 +151,7 @@ def landmark_map(
             ax.scatter(P[~known, 0], P[~known, 1], label=unknown, **HOLLOW)
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
-            ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
+            add_lines(ax, ends, color="0.45", linewidth=0.9, label="one sigma of elevation")
             dots = ax.scatter(P[known, 0], P[known, 1], c=sigma[known], vmax=most, label="landmark", **SHADED)
     if known.any():
         label = "elevation at first view known to [deg]"
@@ -246,11 +241,9 @@ def _plan(panels: tuple[Axes, Axes], values: Values) -> None:
 
 def _views(low: Array, high: Array, beside: float = 0.0) -> tuple[Figure, tuple[Axes, Axes], GridSpec]:
     """Two panels for a box at one scale: from above, north up; from the side, z downwards; beside them some inches."""
-    from matplotlib.figure import Figure
-
     north, east, down = high - low
     inch = min(7.5 / east, HIGHEST / (north + down))
-    figure = Figure(figsize=(inch * east + 2.4 + beside, inch * (north + down) + 2.2), layout="constrained")
+    figure = new_figure(inch * east + 2.4 + beside, inch * (north + down) + 2.2)
     widths = [inch * east, beside] if beside else [1.0]
     grid = figure.add_gridspec(2, len(widths), height_ratios=[north, down], width_ratios=widths)
     above = figure.add_subplot(grid[0, 0], ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))

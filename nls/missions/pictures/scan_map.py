@@ -8,7 +8,7 @@ import numpy as np
 
 from models import SE2
 from nls.missions.scans.scans import in_world
-from nls.plot.picture import add_lines, full_legend
+from nls.plot.picture import add_lines, full_legend, new_figure
 from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, REJECTED
 
 if TYPE_CHECKING:
@@ -44,8 +44,6 @@ def scan_map(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     points = in_world(poses, scans)
     tracks = poses[:, :2] if dead is None else np.concatenate([poses[:, :2], dead[:, :2]])
     # single points far away do not shrink the map
@@ -54,7 +52,7 @@ def scan_map(
     margin = 0.04 * max(float((high - low).max()), 1e-3)
     low, high = low - margin, high + margin
     width, height = np.clip(LONG * (high - low) / (high - low).max(), LONG / 2, LONG)
-    figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
+    figure = new_figure(width + 0.8, height + 1.4)
     axes = figure.add_subplot()
     _echoes(axes, points, low, high)
     if matches is not None:

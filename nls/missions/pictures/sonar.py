@@ -207,7 +207,7 @@ def frustum(
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     ['sonar', 'frustum', 'in view', 'same range and azimuth', 'place in the image, at elevation 0', 'out of view']
     """
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     axes = axes_or_new(axes, (7, 5.5), projection="3d")
     T = SE3.identity(1) if pose is None else SE3.stack(np.atleast_2d(np.asarray(pose, dtype=float)))
@@ -231,12 +231,12 @@ def frustum(
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="frustum")
     faces = [*sides, np.concatenate([front[:, 0], front[::-1, -1]])]
     axes.add_collection3d(Poly3DCollection(faces, facecolors=ESTIMATE, alpha=0.10, linewidths=0))  # type: ignore[attr-defined]
-    axes.add_collection3d(Line3DCollection(rims, colors=ESTIMATE, linewidths=1.0))  # type: ignore[attr-defined]
+    add_lines(axes, rims, color=ESTIMATE, linewidth=1.0)
     if inside.any():
         r, az = range_azimuth(SE3.act(SE3.inverse(T), p[inside]))[0].T
         arcs = placed(r[:, None], az[:, None], elevation)
         axes.plot(*p[inside].T, "o", color=LANDMARK, markersize=6, label="in view")
-        axes.add_collection3d(Line3DCollection(list(arcs), colors=ARC, linewidths=2.0, label="same range and azimuth"))  # type: ignore[attr-defined]
+        add_lines(axes, list(arcs), color=ARC, linewidth=2.0, label="same range and azimuth")
         axes.plot(*placed(r, az, 0.0).T, "x", color=CONTACT, markersize=6, label="place in the image, at elevation 0")
     if not inside.all():
         axes.plot(*p[~inside].T, "o", color=ECHO, markersize=5, label="out of view")
