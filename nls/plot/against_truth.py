@@ -9,7 +9,7 @@ import numpy as np
 
 from factors.keys import Keys
 from nls.plot.picture import add_lines, full_legend, new_figure
-from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, SERIES
+from nls.plot.style import BEFORE, BELOW, CLOSURE, ESTIMATE, SERIES
 from nls.plot.trajectory import closures
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Val
             p, q = (np.asarray(stack.manifold.position(poses[keys])) for poses in (values, truth))
             if p.shape[1] == stack.manifold.dim:  # a point
                 continue
-            axes.plot(*q[:, :2].T, color="0.8", linewidth=7.0, zorder=0, label="truth")
+            axes.plot(*q[:, :2].T, color=BELOW, linewidth=7.0, zorder=0, label="truth")
             axes.plot(*p[:, :2].T, color=color, linewidth=2.0)
             axes.plot(*p[0, :2], "o", color=color, markersize=9)
             errors.append(np.sum((p - q) ** 2, axis=1))

@@ -27,7 +27,7 @@ from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
 from nls.plot.ellipses import draw_outlines, larger, magnification
 from nls.plot.picture import axes_or_new, figure_of, full_legend, legend_below, name_plane, new_figure
-from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
+from nls.plot.style import BEFORE, BELOW, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-BELOW = "0.82"  # of a true track, wide under the estimate
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 UNITS = np.array([1.0, 1.0, 180 / np.pi])

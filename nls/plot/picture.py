@@ -64,13 +64,14 @@ def legend_below(*panels: Axes) -> None:
     # 13 letters of a legend in an inch
     rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / (13 * width))))
     # 0.4 inches for the numbers and the name of the axis
-    below = (0.5, -0.4 / height)
-    columns = -(-len(labels) // rows)
-    axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
+    style: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.4 / height), "ncols": -(-len(labels) // rows), "fontsize": 8}
+    axes.legend(handles, labels, loc="upper center", frameon=False, **style)
 
 
 def full_legend(axes: Axes, columns: int = 2, outside: bool = True) -> None:
     """A legend of some axes, below the figure or inside, whose lines are seen however faint those of the map are."""
+    from matplotlib.lines import Line2D
+
     handles, labels = axes.get_legend_handles_labels()
     if outside:
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
@@ -78,7 +79,7 @@ def full_legend(axes: Axes, columns: int = 2, outside: bool = True) -> None:
     else:
         legend = axes.legend(handles, labels, loc="best", fontsize=8)
     for handle in legend.legend_handles:
-        if handle is not None and handle.get_alpha() is not None:
+        if isinstance(handle, Line2D):
             handle.set_alpha(1.0)
 
 

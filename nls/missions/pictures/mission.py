@@ -15,7 +15,7 @@ from models.algebra import Array, distance_along
 from models.listing import number
 from nls.plot.ellipses import ellipses, visible_scale
 from nls.plot.picture import add_lines, full_legend, name_plane, new_figure
-from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
+from nls.plot.style import BEFORE, BELOW, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import SHARED, closures, convergence, in_words, mark
 
 if TYPE_CHECKING:
@@ -67,9 +67,9 @@ def track(
     sure = marginals is not None and marginals.underconstrained is None
     figure = new_figure(11 if errors or sure else 7, 5.8)
     axes = figure.subplots(1, 2 if errors or sure else 1, squeeze=False)[0]
-    _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
-        _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
+        _path(axes[0], truth, color=BELOW, linewidth=5.0, label="truth")
+    _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     _path(axes[0], values, color=ESTIMATE, linewidth=1.0, label="solution")
     if marginals is not None:
         ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)

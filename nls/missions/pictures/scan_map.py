@@ -9,7 +9,7 @@ import numpy as np
 from models import SE2
 from nls.missions.scans.scans import in_world
 from nls.plot.picture import add_lines, full_legend, new_figure
-from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, REJECTED
+from nls.plot.style import BEFORE, BELOW, CLOSURE, ESTIMATE, REJECTED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def scan_map(
     if truth is not None and dead is not None:
         error = truth.ate(poses)
         aligned = SE2.act(SE2.inverse(error.T[None]), truth.poses[:, :2])
-        axes.plot(*aligned.T, color="0.7", linewidth=3.0, label="truth, aligned")
+        axes.plot(*aligned.T, color=BELOW, linewidth=5.0, label="truth, aligned")
         title = f"{error.rmse:.2f} m rmse from the truth, dead reckoning {truth.ate(dead).rmse:.2f} m"
     if dead is not None:
         axes.plot(*dead[:, :2].T, color=BEFORE, linewidth=1.4, linestyle="--", label="dead reckoning")
