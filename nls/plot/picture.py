@@ -60,12 +60,12 @@ def legend_below(*panels: Axes) -> None:
     """A legend under axes and their twins, in as many rows as it needs, where it covers nothing."""
     axes, pairs = panels[0], [panel.get_legend_handles_labels() for panel in panels]
     handles, labels = ([entry for entries in column for entry in entries] for column in zip(*pairs, strict=True))
-    width, height = axes.get_position().size * figure_of(axes).get_size_inches()
     # 13 letters of a legend in an inch
-    rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / (13 * width))))
-    # 0.4 inches for the numbers and the name of the axis
-    style: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.4 / height), "ncols": -(-len(labels) // rows), "fontsize": 8}
-    axes.legend(handles, labels, loc="upper center", frameon=False, **style)
+    room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
+    rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))
+    # 4 lines for the numbers and the name of the axis
+    style: dict[str, Any] = {"bbox_to_anchor": (0.5, 0), "borderaxespad": 4, "fontsize": 8, "frameon": False}
+    axes.legend(handles, labels, loc="upper center", ncols=-(-len(labels) // rows), **style)
 
 
 def full_legend(axes: Axes, columns: int = 2, outside: bool = True) -> None:

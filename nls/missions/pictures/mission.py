@@ -68,7 +68,7 @@ def track(
     figure = new_figure(11 if errors or sure else 7, 5.8)
     axes = figure.subplots(1, 2 if errors or sure else 1, squeeze=False)[0]
     if truth is not None and "x" in truth.stacks:
-        _path(axes[0], truth, color=BELOW, linewidth=5.0, label="truth")
+        _path(axes[0], truth, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     _path(axes[0], values, color=ESTIMATE, linewidth=1.0, label="solution")
     if marginals is not None:
