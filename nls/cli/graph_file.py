@@ -26,11 +26,10 @@ from nls.optimizers import OPTIMIZERS, default_optimizer
 from nls.stages import listened
 
 if TYPE_CHECKING:
-    from models.algebra import Array
     from nls.missions.charts import Projection
     from nls.plot.report.page import Page
+    from nls.robust.graduated import Rejected
 
-Judged = tuple["nls.FactorGraph", list["Array"], "nls.LoadReport"]
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
 Meaningless = tuple[tuple[str, tuple[str, ...]], ...]  # reasons, and the options of `solve` that do nothing
@@ -313,7 +312,7 @@ class GraphFile:
         write_bytes(path, data)
         solved.report.notes.extend(notes)
 
-    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
         """The picture of ``nls plot``."""
         from nls.plot import trajectory
 
@@ -327,7 +326,7 @@ class GraphFile:
         """The picture of ``--plot``."""
         from nls.plot import before_after
 
-        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
+        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path), solved.rejected)
 
     def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
         """Tracks and clouds of the files, as `nls.plot.view` takes them."""
@@ -344,22 +343,17 @@ class GraphFile:
 
     def view_solved(self, solved: Solved) -> Page:
         """The page of ``--view``: the solution with its sigmas, the values before it, and what was rejected."""
-        result, (graph, weights, report) = solved.result, self.judged(solved)
-        marginals = None if solved.solution is None else solved.solution.marginals
-        if result.converged and solved.solution is None:
-            marginals = nls.Marginals(solved.graph, result.values, solved.solver, solved.options.gauge)
+        result, marginals = solved.result, solved.marginals if solved.result.converged else None
+        as_read = replace(solved.report, sources=list(solved.sources))
+        lines = [as_read.place(r.number, r.measurement) for r in solved.rejected]
         remark = f"{result.status.value}: chi2 {number(result.chi2_final)}, {number(result.dof)} expected"
         remark = "; ".join([remark, *self.doubts(solved)])
-        read = graph, result.values, report
-        return self.view(read, remark, solved.before, weights=weights, marginals=marginals)
+        about: dict[str, Any] = {"marginals": marginals, "rejected": self.rejected(solved), "lines": lines}
+        return self.view((solved.graph, result.values, solved.report), remark, solved.before, **about)
 
-    def judged(self, solved: Solved) -> Judged:
-        """All measurements, rejected ones too, the weight of each, and a report with their lines."""
-        from nls.cli.outliers import judged
-
-        if solved.choice is None or solved.given is None:
-            return solved.graph, [], solved.report
-        return judged(solved.given, solved.choice, replace(solved.report, sources=list(solved.sources)))
+    def rejected(self, solved: Solved) -> Sequence[Rejected]:
+        """The measurements that were rejected."""
+        return solved.rejected
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""

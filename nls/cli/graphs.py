@@ -62,7 +62,7 @@ def plot(options: argparse.Namespace) -> int:
     from nls.plot.picture import write_picture
 
     def draw(kind: GraphFile, read: Read, output: str) -> None:
-        figure = kind.plan(*read[:2])
+        figure = kind.plan(*read)
         figure.suptitle(files.title_of(read[2].path))
         write_picture(output, figure)
 

@@ -255,7 +255,7 @@ class Mission(Folder):
         """Components of a pose that nothing measures."""
         return self.mission(report).unmeasured
 
-    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
         """The mission from above and from the side."""
         from nls.missions.pictures.mission import plan
 
@@ -266,7 +266,7 @@ class Mission(Folder):
         from nls.missions.pictures.mission import plan_before_after
 
         title = title_of(solved.report.path)
-        return plan_before_after(solved.graph, solved.before, solved.result, title=title)
+        return plan_before_after(solved.graph, solved.before, solved.result, title, solved.rejected)
 
     def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
         """The truth, and the bottom below the track, where the files have them."""

@@ -14,7 +14,6 @@ from nls.cli.choices import GNC, PROBABILITIES
 
 if TYPE_CHECKING:
     from factors.base import Factor
-    from models.algebra import Array, Mask
     from nls.io.report import Source
     from nls.robust.graduated import Rejected
 
@@ -133,26 +132,10 @@ def without_rejected(
 
     The given report stays that of the whole graph; both have one list of notes.
     """
-    return _part(as_read, [weight > 0 for weight in choice.weights], report)
-
-
-def judged(
-    given: nls.FactorGraph, choice: nls.Robustified, report: nls.LoadReport
-) -> tuple[nls.FactorGraph, list[Array], nls.LoadReport]:
-    """All measurements of the variables that were kept, the rejected ones too, their weights, and their report."""
-    values = choice.result.values
-    kept = [[np.isin(k.numbers, values.stack(k.kind).numbers) for k in f.keys] for f in given.factors]
-    masks = [np.all(keys, axis=0) for keys in kept]
-    weights = [weight[mask] for weight, mask in zip(choice.weights, masks, strict=True) if mask.any()]
-    graph, report = _part(given, masks, report)
-    return graph, weights, report
-
-
-def _part(graph: nls.FactorGraph, masks: list[Mask], report: nls.LoadReport) -> tuple[nls.FactorGraph, nls.LoadReport]:
-    """Some of the measurements, with their report."""
-    part, left = graph.only(masks), [k for k, mask in enumerate(masks) if mask.any()]
-    parts = [(k, masks[k], new) for k, new in zip(left, part.factors, strict=True)]
-    return part, report.of_parts(graph.factors, parts)
+    masks = [weight > 0 for weight in choice.weights]
+    graph, left = as_read.only(masks), [k for k, mask in enumerate(masks) if mask.any()]
+    parts = [(k, masks[k], new) for k, new in zip(left, graph.factors, strict=True)]
+    return graph, report.of_parts(as_read.factors, parts)
 
 
 def without_left(values: nls.Values, kept: nls.Values) -> nls.Values:

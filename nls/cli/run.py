@@ -9,6 +9,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from nls.io.report import Source
 
 if TYPE_CHECKING:
     from nls.missions.charts import Projection
+    from nls.robust.graduated import Rejected
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -111,7 +113,6 @@ class Problem(Run):
     projection : of the coordinates in the files of a mission; None for local ones.
     sources : of the factors as they were read, those that were rejected, too.
     choice : of `nls.gnc`; None where all measurements are believed.
-    given : the graph that it chose from.
     sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     """
 
@@ -127,8 +128,12 @@ class Problem(Run):
     projection: Projection | None = None
     sources: Sequence[Source] = ()
     choice: nls.Robustified | None = None
-    given: nls.FactorGraph | None = None
     sigmas: nls.VarianceComponents | None = None
+
+    @property
+    def rejected(self) -> Sequence[Rejected]:
+        """The measurements that `choice` does not believe."""
+        return () if self.choice is None else self.choice.rejected
 
     @property
     def before(self) -> nls.Values:
@@ -149,7 +154,6 @@ class Problem(Run):
             report=report,
             sources=self.report.sources,
             choice=choice,
-            given=self.graph,
             graph=choice.graph,
             start=choice.result.values,
             init=name,
@@ -178,6 +182,12 @@ class Solved(Problem):
     def optimized(self) -> tuple[nls.FactorGraph, nls.Values, nls.Result, nls.LoadReport, nls.LinearSolver | None, str]:
         """Graph, values before, result, report, and solver and gauge of the covariances."""
         return self.graph, self.values, self.result, self.report, self.solver, self.options.gauge
+
+    @cached_property
+    def marginals(self) -> nls.Marginals:
+        """Covariances of the optimum."""
+        known: nls.Marginals | None = None if self.solution is None else self.solution.marginals
+        return known or nls.Marginals(self.graph, self.result.values, self.solver, self.options.gauge)
 
     @property
     def timings(self) -> dict[str, float]:

@@ -10,13 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import nls
-from factors import Between, Covariance
 from factors.keys import kinds
 from models.options import did_you_mean
-from nls.cli.graph_file import Judged, named
+from nls.cli.graph_file import named
 from nls.cli.mission import Folder
 from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
@@ -31,6 +28,7 @@ from nls.missions.summary import scan_lines
 
 if TYPE_CHECKING:
     from nls.missions.scans import Round
+    from nls.robust.graduated import Rejected
 
 x = kinds("x")[0]
 
@@ -117,6 +115,13 @@ class ScanMission(Folder):
         """The lines of the table that say what the map is worth, from the report for programs."""
         return scan_lines(record["scans"])
 
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
+        """The scans where dead reckoning has them."""
+        from nls.missions.pictures.scan_map import scan_map
+
+        assert isinstance(report, ScanReport)
+        return scan_map(values[x], report.scans)
+
     def picture(self, solved: Solved) -> Any:
         """The map from above."""
         return solved.solution.picture()
@@ -132,14 +137,10 @@ class ScanMission(Folder):
         clouds = {"scans": (in_world(poses, scans), report.vertex_times["x"][scans.keyframe])}
         return {"tracks": {} if report.truth is None else {"truth": report.truth.onto(poses)}, "clouds": clouds}
 
-    def judged(self, solved: Solved) -> Judged:
-        """The closures, and those that the others contradict."""
-        kept, m = solved.graph.factors, solved.solution.matches
-        wrong = m.accepted & ~m.kept
-        C = Covariance(m.covariance[wrong])
-        rejected = [Between(x[m.i[wrong]], x[m.j[wrong]], m.pose[wrong], C)] if wrong.any() else []
-        weights = [np.ones(len(factor)) for factor in kept] + [np.zeros(len(factor)) for factor in rejected]
-        return nls.FactorGraph([*kept, *rejected]), weights, solved.report
+    def rejected(self, solved: Solved) -> Sequence[Rejected]:
+        """The closures that the others contradict."""
+        rejected: Sequence[Rejected] = solved.solution.rejected
+        return rejected
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """The map, and errors of positions against the truth, rmse, before and after."""

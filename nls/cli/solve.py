@@ -196,10 +196,7 @@ def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Underconst
 def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
     from nls.io.table import write_covariances
 
-    marginals = None if solved.solution is None else solved.solution.marginals
-    if marginals is None:
-        marginals = nls.Marginals(solved.graph, solved.result.values, solved.solver, solved.options.gauge)
-    write_covariances(path, marginals, unmeasured=kind.unmeasured(solved.report))
+    write_covariances(path, solved.marginals, unmeasured=kind.unmeasured(solved.report))
 
 
 def _plot(kind: GraphFile, solved: Solved, path: str) -> None:

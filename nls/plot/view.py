@@ -7,8 +7,8 @@ chi-squared with m degrees of freedom with probability p, if its sigmas are righ
 from __future__ import annotations
 
 import html
-import os
 from collections.abc import Iterator, Mapping, Sequence, Sized
+from os.path import basename
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from nls.plot.ellipses import MOST as MOST_ELLIPSES
 from nls.plot.ellipses import every_nth
 from nls.plot.report.page import Page
 from nls.plot.style import BEFORE, CLOSURE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT, TRUE
-from nls.plot.trajectory import DOWN
+from nls.plot.trajectory import is_down
 from nls.posegraph import closures, places
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io.report import LoadReport
+    from nls.robust.graduated import Rejected
     from nls.values import Stack, Values
 
     Layer = dict[str, Any]
@@ -57,7 +58,8 @@ def view(
     *,
     tracks: Mapping[str, Values] | None = None,
     clouds: Mapping[str, tuple[Array, Array]] | None = None,
-    weights: Sequence[Array] = (),
+    rejected: Sequence[Rejected] = (),
+    lines: Sequence[str] = (),
     marginals: Marginals | None = None,
     down: bool = False,
     title: str = "",
@@ -67,13 +69,13 @@ def view(
 
     Parameters
     ----------
-    graph : its measurements are drawn, colored by their residuals at the values.
+    graph : its measurements are drawn, colored by their residuals at the values; of `nls.gnc` the graph that was kept.
     values : the variables; kinds without positions are left out.
-    report : of the file that was read: times of the poses, file and line of every measurement.
+    report : of the graph: times of the poses, file and line of every measurement.
     tracks : further values by what they are called, such as ``truth`` or ``dead reckoning``.
     clouds : further points by what they are called: (n, 2 or 3), m, and for each when it was seen: the time where the
         report has times of the poses, the number of the pose elsewhere.
-    weights : of `nls.gnc`, per factor (n,): measurements of weight 0 were rejected.
+    rejected, lines : measurements that `nls.gnc` has rejected, dashed and red; and the file and line of each.
     marginals : of the same values: sigmas, and 95 % ellipses as in `ellipses`.
     down : whether z points down, also where no factor says so.
     title, remark : head of the figure, and what is said below it.
@@ -99,14 +101,12 @@ def view(
     >>> nls.plot.view_page(figure).save("ring.html")  # doctest: +SKIP
     """
     go, scene = drawing_package(), Scene(graph, values, report)
-    weights = weights or [np.ones(len(factor)) for factor in graph.factors]
-    layers = [*scene.clouds(clouds or {}), *scene.measurements(weights), *scene.others(tracks or {})]
+    layers = [*scene.clouds(clouds or {}), *scene.measurements(rejected, lines), *scene.others(tracks or {})]
     layers += scene.variables(marginals)
-    rejected = sum(int((weight == 0).sum()) for weight in weights)
     words = [
         f"{len(stack):,} {'poses' if kind in scene.poses else 'points'} {kind}" for kind, stack in scene.stacks.items()
     ]
-    words += [f"{len(graph):,} measurements"] + [f"{rejected:,} of them rejected"] * (rejected > 0)
+    words += [f"{len(graph):,} measurements"] + [f"{len(rejected):,} more rejected"] * bool(rejected)
     sentence = f"{remark}. " * bool(remark) + ", ".join(words)
     head = {"text": _escaped(title), "subtitle": {"text": _escaped(sentence)}}
     legend = {"itemsizing": "constant", "groupclick": "togglegroup", "traceorder": "reversed"}
@@ -199,7 +199,7 @@ class Scene:
         if self.dim == 2:
             axes["yaxis"]["scaleanchor"] = "x"
             return {**axes, "dragmode": "pan"}
-        if down or any(isinstance(factor, DOWN) for factor in self.graph.factors):
+        if down or is_down(self.graph):
             axes["yaxis"]["autorange"] = axes["zaxis"]["autorange"] = "reversed"
             axes["zaxis"]["title"] = {"text": "z, down [m]"}
         return {"scene": {**axes, "aspectmode": "data"}}
@@ -252,7 +252,7 @@ class Scene:
                 stack = stack.only(np.isin(stack.numbers, own.numbers))
                 P, rows = _positions(stack), self.pattern.offsets[kind] + own.index(Keys(kind, stack.numbers))
                 line = {"line": {"color": color, "width": 2, "dash": "dot" if self.dim == 2 else "solid"}}
-                style = line if pose else {"marker": {"color": color, "size": 4, "symbol": "cross"}}
+                style: dict[str, Any] = line if pose else {"marker": {"color": color, "size": 4, "symbol": "cross"}}
                 near = pose and bool(np.ptp(P, axis=0).max(initial=0.0) <= WIDER * width)
                 label = name if kind in self.poses[:1] else f"{name} {kind}"
                 yield self._layer(label, P, *_line(P, self.since[rows], self.part[rows]), near, **style)
@@ -264,36 +264,42 @@ class Scene:
             color = {"color": P[rows, 2], "colorscale": "Viridis"} if self.dim == 3 else {"color": ECHO}
             yield self._layer(name, P, P[rows], since[rows], marker={"size": 2, "opacity": 0.6, **color})
 
-    def measurements(self, weights: Sequence[Array]) -> Iterator[Layer]:
+    def measurements(self, rejected: Sequence[Rejected], lines: Sequence[str]) -> Iterator[Layer]:
         """Loop closures by chance, rejected ones, lines of sight, and the dots of all others; a dot says what it is."""
-        lines = {f"loop closures {words}": {"color": color, "width": 1.5} for words, color in COLORS.items()}
-        lines["rejected"] = {"color": REJECTED, "width": 2.5, "dash": "dash"}
-        lines |= {"lines of sight": {"color": SIGHT, "width": 1}, "other measurements": {}}
+        looks = {f"loop closures {words}": {"color": color, "width": 1.5} for words, color in COLORS.items()}
+        looks["rejected"] = {"color": REJECTED, "width": 2.5, "dash": "dash"}
+        looks |= {"lines of sight": {"color": SIGHT, "width": 1}, "other measurements": {}}
         scale = {"colorscale": [[k / 2, color] for k, color in enumerate(COLORS.values())], "cmin": 0, "cmax": 2}
-        columns = [np.concatenate(column) for column in zip(*self._columns(weights), strict=True)] or [np.zeros(0)]
-        for number, (name, line) in enumerate(lines.items()):
+        columns = [np.concatenate(column) for column in zip(*self._columns(rejected), strict=True)] or [np.zeros(0)]
+        for number, (name, line) in enumerate(looks.items()):
             if not len(members := np.flatnonzero(columns[0] == number)):
                 continue
             rows = members[_rows(columns[-1][members])]
             chance, factor, row, i, j, sigmas, since = (column[rows] for column in columns[1:])
-            a, b, shown = self.place[i, None], self.place[j, None], number < 4
+            a, b, shown, red = self.place[i, None], self.place[j, None], number < 4, name == "rejected"
             if line:
                 ends = np.concatenate([a, b, np.full_like(a, np.nan)], axis=1)
                 yield self._layer(name, members, ends, since, shown, line=line)
-            at = np.linspace(0, 1, 5 if name == "rejected" else 3)[1:-1, None]  # of the way from one end to the other
-            color = {"color": REJECTED} if name == "rejected" else {"color": chance, **scale}
-            text = [self._text(*numbers) for numbers in zip(*(c.tolist() for c in (factor, row, sigmas)), strict=True)]
-            dots: dict[str, Any] = {
-                "marker": {"size": 8 - 2 * self.dim if len(rows) < FEW else 2, **color},
-                "showlegend": not line,
-            }
-            dots |= {"text": np.repeat(text, len(at)).tolist(), "hoverinfo": "text"}
-            yield self._layer(name, members, a + at * (b - a), since, shown, **dots)
+            at = np.linspace(0, 1, 5 if red else 3)[1:-1, None]  # of the way from one end to the other
+            dot = {"size": 8 - 2 * self.dim if len(rows) < FEW else 2, "color": chance, **scale}
+            texts = [
+                _text(rejected[r].factor, s, lines[r : r + 1])
+                if red
+                else _text(self.graph.factors[f].describe(r), s, self._place(f, r))
+                for f, r, s in zip(factor.tolist(), row.tolist(), sigmas.tolist(), strict=True)
+            ]
+            about: dict[str, Any] = {"text": np.repeat(texts, len(at)).tolist(), "hoverinfo": "text"}
+            about |= {"marker": {"size": 4, "color": REJECTED} if red else dot, "showlegend": not line}
+            yield self._layer(name, members, a + at * (b - a), since, shown, **about)
 
-    def _columns(self, weights: Sequence[Array]) -> Iterator[tuple[Array | Index, ...]]:
+    def _place(self, factor: int, row: int) -> list[str]:
+        """The file and the line of a measurement, where they are known."""
+        known = self.report is not None and factor < len(self.report.sources)
+        return [self.report.place(factor, row)] if self.report is not None and known else []
+
+    def _columns(self, rejected: Sequence[Rejected]) -> Iterator[tuple[Array | Index, ...]]:
         """Of every batch (k,): layer, chance, factor, row, the two variables on the map, sigmas, and since when."""
-        batches = zip(self.pattern.batches, weights, closures(self.pattern), strict=True)
-        for f, (batch, weight, closes) in enumerate(batches):
+        for f, (batch, closes) in enumerate(zip(self.pattern.batches, closures(self.pattern), strict=True)):
             placed = [v for kind, v in zip(batch.kinds, batch.variables, strict=True) if kind in self.stacks]
             if not placed:
                 continue
@@ -305,15 +311,18 @@ class Scene:
             chance = np.searchsorted([chi2_gate(batch.model.dim, p) for p in CHANCES], s)
             apart = (np.abs(self.order[i] - self.order[j]) > 1) | (batch.kinds[0] != batch.kinds[len(placed) - 1])
             sight = apart & (len(placed) > 1 and not batch.model.factor.sequential)
-            layer = np.select([weight == 0, closes, sight], [3, chance, 4], 5)
+            layer = np.select([closes, sight], [chance, 4], 5)
             yield layer, chance, np.full(len(i), f), np.arange(len(i)), i, j, np.sqrt(s), self.moments[f]
+        if rejected:
+            i, j = np.array([self._ends(measurement) for measurement in rejected]).T
+            rows, sigmas = np.arange(len(i)), np.array([measurement.sigmas for measurement in rejected])
+            yield 0 * rows + 3, 0 * rows, 0 * rows, rows, i, j, sigmas, np.maximum(self.since[i], self.since[j])
 
-    def _text(self, factor: int, row: int, sigmas: float) -> str:
-        """What the mouse says of a measurement: variables, residual, file and line."""
-        lines = [f"<b>{_escaped(self.graph.factors[factor].describe(row))}</b>", f"{sigmas:.3g} sigmas"]
-        if self.report is not None and factor < len(self.report.sources):
-            lines.append(_escaped(os.path.basename(self.report.place(factor, row))))
-        return "<br>".join(lines)
+    def _ends(self, measurement: Rejected) -> tuple[int, int]:
+        """The two variables on the map, or the one twice, among all."""
+        keys = [key for key in measurement.keys if key.kind in self.stacks]
+        rows = [self._rows(key.kind).start + int(self.stacks[key.kind].index(key)[0]) for key in keys]
+        return rows[0], rows[1 % len(rows)]
 
     def _layer(self, name: str, members: Sized, P: Array, since: Array, shown: bool = True, **style: Any) -> Layer:
         """A layer, or the part of its members that is drawn, in the order of time.
@@ -349,6 +358,11 @@ def _line(P: Array, since: Array, part: Array, most: int = MOST) -> tuple[Array,
     rows = _rows(since, most)
     begins = np.append(0, np.diff(part[rows]))[: len(rows)] != 0
     return np.where(begins[:, None] & (begins.sum() < len(rows) - 1), np.nan, P[rows]), since[rows]
+
+
+def _text(name: str, sigmas: float, place: Sequence[str]) -> str:
+    """What the mouse says of a measurement: variables, residual, file and line."""
+    return f"<b>{_escaped(name)}</b><br>{sigmas:.3g} sigmas" + "".join(f"<br>{_escaped(basename(p))}" for p in place)
 
 
 def _escaped(text: str) -> str:

@@ -189,6 +189,11 @@ class Chart:
     bottom: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 
     @property
+    def depths(self) -> Array:
+        """(n, 3) points whose depth a map shows: landmarks, and the bottom below the vehicle, m."""
+        return np.concatenate([*(points.p for points in self.points if points.name == "landmark"), self.bottom])
+
+    @property
     def way(self) -> Array:
         """(n,) distance travelled up to every pose, m."""
         return distance_along(self.track.p)

@@ -45,7 +45,7 @@ def test_what_is_rejected_is_red_and_names_its_line(shell: Shell) -> None:
     page = (shell / "page.html").read_text()
     layers = figure_of(page)
     line = SPOILED.splitlines().index(next(text for text in SPOILED.splitlines() if text.startswith("EDGE_SE2 1 5 ")))
-    assert "1 of them rejected" in page
+    assert "14 measurements, 1 more rejected" in page
     for text in layers["rejected"]["text"]:
         assert re.fullmatch(rf"<b>Between\(x1, x5\)</b><br>\S+ sigmas<br>graph.g2o:{line + 1}", text)
     assert layers["rejected"]["marker"]["color"] == nls.plot.style.REJECTED
@@ -82,16 +82,24 @@ def test_a_scan_mission_has_its_points_and_its_times(shell: Shell) -> None:
 
 
 def test_the_slider_knows_since_when() -> None:
-    """A closure is there when its later pose is; the clock is that of the file, where it has one."""
-    values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [5, 6, 7])})
+    """A closure is there when its later pose is; the clock is that of the file, unless its times go back."""
+    values = Values({x: (SE2, [[2, 0, 0], [0, 0, 0], [1, 0, 0]], [7, 5, 6])})
     graph = FactorGraph([Between(x[[5, 6, 7]], x[[6, 7, 5]], [[1, 0, 0], [1, 0, 0], [-2, 0, 0]], Isotropic(0.1))])
-    report = LoadReport("", "", "", "", vertex_times={"x": np.array([30.0, 20.0, 10.0])})
-    for given, order, since in ((None, [0, 1, 2], 7), (report, [2, 1, 0], 30)):
-        *_, line, dots = nls.plot.view(graph, values, given).data
-        np.testing.assert_array_equal(line.x, order)
-        assert dots.meta["since"] == line.meta["since"] == sorted(line.meta["since"])
-        closure = nls.plot.view(graph, values, given).data[0]
-        assert (closure.meta["since"], closure.meta["stride"]) == ([since], 3)
+    for times, since in (([30.0, 10.0, 20.0], [10, 20, 30]), ([10.0, 30.0, 20.0], [5, 6, 7])):
+        report = LoadReport("", "", "", "", vertex_times={"x": np.array(times)})
+        closure, *_, line, dots = nls.plot.view(graph, values, report).data
+        np.testing.assert_array_equal(line.x, [0, 1, 2])
+        assert dots.meta["since"] == line.meta["since"] == since
+        assert (closure.meta["since"], closure.meta["stride"]) == (since[2:], 3)
+
+
+def test_a_track_is_broken_where_a_dive_begins() -> None:
+    values = Values({x: (SE2, np.eye(3)[[0, 1, 2, 0, 1, 2]], [0, 1, 2, 100, 101, 102])})
+    graph = FactorGraph([Between(x[[0, 1, 100, 101]], x[[1, 2, 101, 102]], np.zeros((4, 3)), Isotropic(0.1))])
+    *_, line, _ = nls.plot.view(graph, values).data
+    assert np.isnan(line.x).tolist() == [False] * 3 + [True] + [False] * 2
+    *_, line, _ = nls.plot.view(FactorGraph(), values).data  # poses alone
+    assert np.isfinite(line.x).all()
 
 
 def test_sixty_thousand_poses_are_thinned_with_a_word() -> None:
