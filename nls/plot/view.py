@@ -157,7 +157,9 @@ class Scene:
     """
 
     def __init__(self, graph: FactorGraph, values: Values, report: LoadReport | None) -> None:
-        self.graph, self.values, self.report = graph, values, report
+        lines = [] if report is None else [len(source.lines) for source in report.sources]
+        self.report = report if lines == [len(factor) for factor in graph.factors] else None  # else of another graph
+        self.graph, self.values = graph, values
         self.pattern = graph.pattern(values)
         stacks = [stack for kind, stack in values.stacks.items() if kind not in placeless_kinds(self.pattern)]
         self.dim = max((_positions(stack).shape[1] for stack in stacks), default=2)
@@ -289,13 +291,12 @@ class Scene:
                 for f, r, s in zip(factor.tolist(), row.tolist(), sigmas.tolist(), strict=True)
             ]
             about: dict[str, Any] = {"text": np.repeat(texts, len(at)).tolist(), "hoverinfo": "text"}
-            about |= {"marker": {"size": 4, "color": REJECTED} if red else dot, "showlegend": not line}
+            about |= {"marker": dot | {"color": REJECTED} if red else dot, "showlegend": not line}
             yield self._layer(name, members, a + at * (b - a), since, shown, **about)
 
     def _place(self, factor: int, row: int) -> list[str]:
         """The file and the line of a measurement, where they are known."""
-        known = self.report is not None and factor < len(self.report.sources)
-        return [self.report.place(factor, row)] if self.report is not None and known else []
+        return [] if self.report is None else [self.report.place(factor, row)]
 
     def _columns(self, rejected: Sequence[Rejected]) -> Iterator[tuple[Array | Index, ...]]:
         """Of every batch (k,): layer, chance, factor, row, the two variables on the map, sigmas, and since when."""
