@@ -106,9 +106,7 @@ def view(
     go, scene = drawing_package(), Scene(graph, values, report)
     layers = [*scene.clouds(clouds or {}), *scene.measurements(rejected, lines), *scene.others(tracks or {})]
     layers += scene.variables(marginals)
-    words = [
-        f"{len(stack):,} {'poses' if kind in scene.poses else 'points'} {kind}" for kind, stack in scene.stacks.items()
-    ]
+    words = [f"{len(s):,} {'poses' if kind in scene.poses else 'points'} {kind}" for kind, s in scene.stacks.items()]
     words += [f"{len(graph):,} measurements"] + [f"{len(rejected):,} more rejected"] * bool(rejected)
     sentence = f"{remark}. " * bool(remark) + ", ".join(words)
     head = {"text": _escaped(title), "subtitle": {"text": _escaped(sentence)}}
@@ -324,8 +322,8 @@ class Scene:
 
     def _ends(self, measurement: Rejected) -> tuple[int, int]:
         """The two variables on the map, or the one twice, among all."""
-        keys = [key for key in measurement.keys if key.kind in self.stacks]
-        rows = [self._rows(key.kind).start + int(self.stacks[key.kind].index(key)[0]) for key in keys]
+        keys = [key for key in measurement.keys if key.kind in self.stacks] or measurement.keys
+        rows = [self.pattern.offsets[key.kind] + int(self.values.stack(key.kind).index(key)[0]) for key in keys]
         return rows[0], rows[1 % len(rows)]
 
     def _layer(self, name: str, members: Sized, P: Array, since: Array, shown: bool = True, **style: Any) -> Layer:
