@@ -118,9 +118,9 @@ def view_page(figure: Figure) -> Page:
     """The page of a figure of `view`: the script of plotly is inside, and nothing is loaded over a network."""
     from plotly.offline import get_plotlyjs
 
-    title, inside = figure.layout.title, figure.to_json().replace("</", "<\\/").replace("<!", "\\u003c!")
+    title, inside = figure.layout.title, {"plotly": get_plotlyjs(), "figure": figure.to_json()}  # with < escaped
     texts = {"title": title.text or "Map", "sentence": title.subtitle.text or ""}
-    return Page(Template(PAGE.read_text(encoding="utf-8")).substitute(texts, plotly=get_plotlyjs(), figure=inside))
+    return Page(Template(PAGE.read_text(encoding="utf-8")).substitute(texts | inside))
 
 
 def drawing_package() -> Any:
