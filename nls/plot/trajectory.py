@@ -102,14 +102,14 @@ def convergence(result: Result, axes: Axes | None = None, before: float | None =
         height = expected if value < expected < 2 * value else max(value, least)  # above the line of the expectation
         style: dict[str, Any] = {"textcoords": "offset points", "color": BEFORE if word else ESTIMATE}
         axes.annotate(number(value) + word, (step, height), (3, 5), **style)
-    heights = [max(value, least) for value, _ in labels.values()] + [expected] * (expected > 0)
+    heights = np.maximum([*chi2, *(value for value, _ in labels.values()), expected or chi2[-1]], least)
     if expected:
         axes.axhline(expected, color=ECHO, linestyle="--", zorder=0)
         near = 2 * chi2[-1] > expected  # the words are below the line and the last point, or above the line
         style = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "color": "0.4", "ha": "right"}
         place, off, side = ((1, min(expected, chi2[-1])), -6, "top") if near else ((1, expected), 3, "bottom")
         axes.annotate(f"{number(expected)} expected", place, (-4, off), va=side, **style)
-    middle, half = np.sqrt(min(heights) * max(heights)), max(np.sqrt(max(heights) / min(heights)), 3.0) ** 1.2
+    middle, half = np.sqrt(heights.min() * heights.max()), max(np.sqrt(heights.max() / heights.min()), 3.0) ** 1.2
     axes.set(yscale="log", ylim=(middle / half, middle * half), ylabel="robust cost" if result.robust else "chi2")
     axes.set(xlabel="iteration", xlim=(min(labels) - 0.2, 1.15 * steps[-1] + 0.6))
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -105,9 +106,13 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     assert names == ["loop closures", "trajectory"]  # once for both maps
     assert [axes.get_legend() for axes in figure.axes[:2]] == [None, None]
     worse = pose_graph(group, start=0.4).values
-    start, steps, expected = before_after(sample.graph, worse, result).axes[2].get_lines()
+    risen = result.history[1]._replace(chi2=1e9)  # Gauss-Newton may go up
+    history = (result.history[0], risen, *result.history[2:])
+    curve = before_after(sample.graph, worse, replace(result, history=history)).axes[2]
+    assert curve.get_ylim()[1] > 1e9
+    start, steps, expected = curve.get_lines()
     np.testing.assert_array_equal(start.get_xydata(), [[-1, sample.graph.chi2(worse)], [0, result.chi2_initial]])
-    np.testing.assert_array_equal(steps.get_ydata(), [it.chi2 for it in result.history])
+    np.testing.assert_array_equal(steps.get_ydata(), [it.chi2 for it in history])
     assert {*expected.get_ydata()} == {result.dof}  # type: ignore[misc]
 
 
