@@ -75,7 +75,7 @@ def view(options: argparse.Namespace) -> int:
 
     drawing_package()  # before the work
     name = "stdin" if options.file == "-" else files.title_of(options.file)
-    remark = "as read, nothing is solved; nls solve has --view for the solution"
+    remark = "as read; nls solve --view shows the solution"
     output = options.output or f"{name.partition('.')[0]}-view.html"
     return _drawn(options, output, PAGES, lambda kind, read, output: kind.view(read, remark).save(output))
 
