@@ -71,9 +71,6 @@ def plot(options: argparse.Namespace) -> int:
 
 def view(options: argparse.Namespace) -> int:
     """Read, draw the page, write; returns the exit status."""
-    from nls.plot.view import drawing_package
-
-    drawing_package()  # before the work
     name = "stdin" if options.file == "-" else files.title_of(options.file)
     remark = "as read; nls solve --view shows the solution"
     output = options.output or f"{name.partition('.')[0]}-view.html"
