@@ -46,6 +46,7 @@ ONLY_IN = {
     "sksparse": {"nls/linear/cholesky.py"},
     "sparseqr": {"nls/linear/qr.py"},
     "pyproj": {"nls/missions/charts/chart.py"},
+    "plotly": {"nls/plot/view.py"},
 }
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
 SLOW = {
@@ -56,6 +57,7 @@ SLOW = {
     "sksparse",
     "sparseqr",
     "pyproj",
+    "plotly",
 }  # to import: only where used
 SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}

@@ -1,6 +1,7 @@
 """Alternative text for the figures that executed cells draw: the titles in the source of the cell, or its section.
 
-A cell that says more in its metadata (``mystnb: image: alt``) keeps what it says.
+A cell that says more in its metadata (``mystnb: image: alt``) keeps what it says. In the dark, figures are turned over.
+Sonar images are dark already and keep their shades: they have the class ``sonar``.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from sphinx.application import Sphinx
 __all__ = ["alternative", "setup"]
 
 TITLE = re.compile(r"""(?:title\(|title=)\s*f?(["'])(.+?)\1""")
+SONAR = re.compile(r"(fan|polar)_image\(|cmap=.gray.")
 FIELD = re.compile(r"\{[^}]*\}")
 
 
@@ -33,18 +35,20 @@ def alternative(source: str, section: str) -> str:
 
 def _describe(app: Sphinx, doctree: nodes.document) -> None:
     for image in doctree.findall(nodes.image):
-        if image.get("alt"):
-            continue
         cell = image.parent
         while cell is not None and not (isinstance(cell, nodes.container) and cell.get("nb_element") == "cell_code"):
             cell = cell.parent
         if cell is None:
             continue
+        source = "\n".join(block.astext() for block in cell.findall(nodes.literal_block))
+        if SONAR.search(source):
+            image["classes"].append("sonar")
+        if image.get("alt"):
+            continue
         section = cell.parent
         while not isinstance(section, nodes.section):
             section = section.parent
         title = section.next_node(nodes.title)
-        source = "\n".join(block.astext() for block in cell.findall(nodes.literal_block))
         image["alt"] = alternative(source, title.astext())
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import nls
 from factors.robust import kernel_from_text
+from models.listing import number
 from models.options import did_you_mean
 from nls.cli import formats
 from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
@@ -26,6 +27,8 @@ from nls.stages import listened
 
 if TYPE_CHECKING:
     from nls.missions.charts import MapProjection
+    from nls.plot.report.page import Page
+    from nls.robust.graduated import Rejected
 
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
@@ -56,6 +59,7 @@ class GraphFile:
     explains = True  # whether measurements have lines to explain
     unnumbered = "no output"  # for which --renumber is refused
     read_values = "file"  # the name of the start where it was read
+    values_before = "as read"  # how they are called beside a solution
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, given = options, vars(options)
@@ -308,7 +312,7 @@ class GraphFile:
         write_bytes(path, data)
         solved.report.notes.extend(notes)
 
-    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
         """The picture of ``nls plot``."""
         from nls.plot import trajectory
 
@@ -322,7 +326,34 @@ class GraphFile:
         """The picture of ``--plot``."""
         from nls.plot import before_after
 
-        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path))
+        return before_after(solved.graph, solved.before, solved.result, title_of(solved.report.path), solved.rejected)
+
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
+        """Tracks and clouds of the files, as `nls.plot.view` takes them."""
+        return {"tracks": {}, "clouds": {}}
+
+    def view(self, read: Read, remark: str, before: nls.Values | None = None, **more: Any) -> Page:
+        """The page of ``nls view``, with another track before; ``more`` as for `nls.plot.view`."""
+        from nls.plot import view, view_page
+
+        graph, values, report = read
+        layers = self.layers(values, report)
+        layers["tracks"] |= {} if before is None else {self.values_before: before}
+        return view_page(view(graph, values, report, title=title_of(report.path), remark=remark, **layers, **more))
+
+    def view_solved(self, solved: Solved) -> Page:
+        """The page of ``--view``: the solution with its sigmas, the values before it, and what was rejected."""
+        result, marginals = solved.result, solved.marginals if solved.result.converged else None
+        as_read = replace(solved.report, sources=list(solved.sources))
+        lines = [as_read.place(r.number, r.measurement) for r in solved.rejected]
+        remark = f"{result.status.value}: chi2 {number(result.chi2_final)}, {number(result.dof)} expected"
+        remark = "; ".join([remark, *self.doubts(solved)])
+        about: dict[str, Any] = {"marginals": marginals, "rejected": self.rejected(solved), "lines": lines}
+        return self.view((solved.graph, result.values, solved.report), remark, solved.before, **about)
+
+    def rejected(self, solved: Solved) -> Sequence[Rejected]:
+        """The measurements that were rejected."""
+        return solved.rejected
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """Parts of the page that other kinds of input do not have, as `nls.plot.report.report` takes them."""

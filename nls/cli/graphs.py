@@ -1,13 +1,15 @@
-"""``nls info``, ``plot`` and ``convert``: a graph as it was read, in numbers, as a picture, and in another format."""
+"""``nls info``, ``plot``, ``view`` and ``convert``: a graph as it was read, in numbers, drawn, in another format."""
 
 import argparse
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from models.listing import several
 from nls.cli import formats
+from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable, say, write_json
+from nls.cli.outputs import PAGES, PICTURES, refuse_name, refuse_unwritable, say, write_json
 from nls.io import files
 from nls.io.formats import format_of
 
@@ -59,17 +61,35 @@ def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
     from nls.plot.picture import write_picture
 
-    refuse_unwritable({"OUT": options.output}, options.file)
-    refuse_name("OUT", options.output, PICTURES)
+    def draw(kind: GraphFile, read: Read, output: str) -> None:
+        figure = kind.plan(*read)
+        figure.suptitle(files.title_of(read[2].path))
+        write_picture(output, figure)
+
+    return _drawn(options, options.output, PICTURES, draw)
+
+
+def view(options: argparse.Namespace) -> int:
+    """Read, draw the page, write; returns the exit status."""
+    name = "stdin" if options.file == "-" else files.title_of(options.file)
+    remark = "as read; nls solve --view shows the solution"
+    output = options.output or f"{name.partition('.')[0]}-view.html"
+    return _drawn(options, output, PAGES, lambda kind, read, output: kind.view(read, remark).save(output))
+
+
+def _drawn(
+    options: argparse.Namespace, output: str, suffixes: Sequence[str], draw: Callable[[GraphFile, Read, str], None]
+) -> int:
+    """Read, draw into a file, say what is not in it; returns the exit status."""
+    refuse_unwritable({"OUT": output}, options.file)
+    refuse_name("OUT", output, suffixes)
     kind = input_of(options)
-    graph, values, report = kind.read()
-    options.phase.now(f"while writing {options.output}")
-    figure = kind.plan(graph, values)
-    figure.suptitle(files.title_of(report.path))
-    write_picture(options.output, figure)
-    options.phase.written.append(options.output)
-    say(f"written     {options.output}")
-    for note in kind.not_drawn(report):
+    read = kind.read()
+    options.phase.now(f"while writing {output}")
+    draw(kind, read, output)
+    options.phase.written.append(output)
+    say(f"written     {output}")
+    for note in kind.not_drawn(read[2]):
         say(f"note        {note}")
     return 0
 

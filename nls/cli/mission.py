@@ -37,7 +37,7 @@ class Folder(GraphFile):
 
     MEANINGLESS: Meaningless = (("the solution of a mission is a folder with files of their own", ("to",)),)
     unnumbered = "mission"
-    read_values = "dead reckoning"
+    read_values = values_before = "dead reckoning"
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
@@ -254,7 +254,7 @@ class Mission(Folder):
         """Components of a pose that nothing measures."""
         return self.mission(report).unmeasured
 
-    def plan(self, graph: nls.FactorGraph, values: nls.Values) -> Any:
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
         """The mission from above and from the side."""
         from nls.missions.pictures.mission import plan
 
@@ -264,7 +264,18 @@ class Mission(Folder):
         """Before and after, from above and from the side."""
         from nls.missions.pictures.mission import plan_before_after
 
-        return plan_before_after(solved.graph, solved.before, solved.result, title=title_of(solved.report.path))
+        title = title_of(solved.report.path)
+        return plan_before_after(solved.graph, solved.before, solved.result, title, solved.rejected)
+
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
+        """The truth, and the bottom below the track, where the files have them."""
+        from nls.missions.charts.chart import bottom
+
+        mission = self.mission(report)
+        times, points = bottom(values, mission)
+        clouds = {"sea floor below the track": (points, times)} if len(points) else {}
+        truth = {"truth": mission.truth} if mission.truth.stacks else {}
+        return {"tracks": truth, "clouds": clouds, "down": True}
 
     def made(self, solved: Solved) -> MissionFiles:
         """The files of the solution."""

@@ -22,6 +22,7 @@ COORDINATES = (
     "coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
     "origin.csv and pyproj, and add columns to the tables"
 )
+VIEW = "write one HTML page to turn, zoom and ask, with layers and a slider of time; needs the package plotly"
 SOLVED_GRAPH = (
     "of a mission: write the graph that was solved, with the landmarks found for contacts without names, and its "
     "optimum; the suffix says the format"
@@ -61,6 +62,8 @@ EXAMPLES = """examples:
   nls evaluate solved dive                             how far a trajectory is from the true one
   nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
+  nls view survey.g2o -o survey.html                   the graph as it was read, as a page to turn, zoom and ask
+  nls solve survey.g2o --view solved.html              the solution on such a page
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
   nls solve - < survey.g2o                             from a pipe or standard input, also compressed
@@ -186,6 +189,7 @@ def parser() -> Parser:
     _json(solve)
     add("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
     add("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    add("--view", metavar="OUT.html", help=VIEW)
     add("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
     how = solve.add_mutually_exclusive_group()
     _flag(how, "--quiet", "print nothing but errors")
@@ -232,6 +236,9 @@ def parser() -> Parser:
 
     plot = command("plot", "draw the graph as it was read", "graphs")
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+
+    view = command("view", "write a page to turn, zoom and ask: the graph as it was read", "graphs")
+    view.add_argument("-o", "--output", metavar="OUT.html", help="the page to write (default: NAME-view.html)")
 
     imports = command("import", "make a mission folder of logs", "logs", "import_logs", reads_graph=False)
     add = imports.add_argument

@@ -9,6 +9,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from nls.io.report import Source
 
 if TYPE_CHECKING:
     from nls.missions.charts import MapProjection
+    from nls.robust.graduated import Rejected
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -129,6 +131,11 @@ class Problem(Run):
     sigmas: nls.VarianceComponents | None = None
 
     @property
+    def rejected(self) -> Sequence[Rejected]:
+        """The measurements that `choice` does not believe."""
+        return () if self.choice is None else self.choice.rejected
+
+    @property
     def before(self) -> nls.Values:
         """The values as read, or the start where these have no chi2: what a picture can show."""
         return self.start if self.chi2_read is None else self.values
@@ -175,6 +182,12 @@ class Solved(Problem):
     def optimized(self) -> tuple[nls.FactorGraph, nls.Values, nls.Result, nls.LoadReport, nls.LinearSolver | None, str]:
         """Graph, values before, result, report, and solver and gauge of the covariances."""
         return self.graph, self.values, self.result, self.report, self.solver, self.options.gauge
+
+    @cached_property
+    def marginals(self) -> nls.Marginals:
+        """Covariances of the optimum."""
+        known: nls.Marginals | None = None if self.solution is None else self.solution.marginals
+        return known or nls.Marginals(self.graph, self.result.values, self.solver, self.options.gauge)
 
     @property
     def timings(self) -> dict[str, float]:

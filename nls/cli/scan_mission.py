@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import nls
+from factors.keys import kinds
 from models.options import did_you_mean
 from nls.cli.graph_file import named
 from nls.cli.mission import Folder
@@ -21,11 +22,15 @@ from nls.missions.checks.scan_setup import check_setup
 from nls.missions.scans import close
 from nls.missions.scans.closing import ROUNDS, SELECTIONS
 from nls.missions.scans.folder import ScanReport, is_scan_mission
+from nls.missions.scans.scans import in_world
 from nls.missions.scans.solution import GRAPH, SolvedScans
 from nls.missions.summary import scan_lines
 
 if TYPE_CHECKING:
     from nls.missions.scans import Round
+    from nls.robust.graduated import Rejected
+
+x = kinds("x")[0]
 
 
 class ScanMission(Folder):
@@ -110,6 +115,13 @@ class ScanMission(Folder):
         """The lines of the table that say what the map is worth, from the report for programs."""
         return scan_lines(record["scans"])
 
+    def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:
+        """The scans where dead reckoning has them."""
+        from nls.missions.pictures.scan_map import scan_map
+
+        assert isinstance(report, ScanReport)
+        return scan_map(values[x], report.scans)
+
     def picture(self, solved: Solved) -> Any:
         """The map from above."""
         return solved.solution.picture()
@@ -117,6 +129,18 @@ class ScanMission(Folder):
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
         """Makers of the files of the folder, by name."""
         return {**solved.solution.files()}
+
+    def layers(self, values: nls.Values, report: nls.LoadReport) -> dict[str, Any]:
+        """The points of the scans, and the truth, moved onto the track by the rigid motion of least squares."""
+        assert isinstance(report, ScanReport)
+        poses, scans = values[x], report.scans
+        clouds = {"scans": (in_world(poses, scans), report.vertex_times["x"][scans.keyframe])}
+        return {"tracks": {} if report.truth is None else {"truth": report.truth.onto(poses)}, "clouds": clouds}
+
+    def rejected(self, solved: Solved) -> Sequence[Rejected]:
+        """The closures that the others contradict."""
+        rejected: Sequence[Rejected] = solved.solution.rejected
+        return rejected
 
     def page(self, solved: Solved) -> dict[str, Any]:
         """The map, and errors of positions against the truth, rmse, before and after."""

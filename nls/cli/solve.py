@@ -50,7 +50,7 @@ def _checked(kind: GraphFile) -> Run:
     clock = Clock(options.began, options.startup)
     solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
-    others = ("covariance", "write_graph", "plot", "report", "json")
+    others = ("covariance", "write_graph", "plot", "view", "report", "json")
     files = {"-o": kind.output_file, **{f"--{name.replace('_', '-')}": getattr(options, name) for name in others}}
     refuse_unwritable(files, *kind.files)
     kind.check_options()
@@ -58,7 +58,12 @@ def _checked(kind: GraphFile) -> Run:
     if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
         refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
     refuse_name("--plot", options.plot, PICTURES)
-    refuse_name("--report", options.report, PAGES)
+    for option in ("report", "view"):
+        refuse_name(f"--{option}", getattr(options, option), PAGES)
+    if options.view:
+        from nls.plot.view import drawing_package
+
+        drawing_package()  # before the work
     form = kind.output_format()
     kind.check_renumber(form)
     clock.lap("imports")
@@ -179,6 +184,8 @@ def _write(kind: GraphFile, solved: Solved) -> None:
         attempt(solved, {options.covariance: partial(_covariance, kind, solved)})
     if options.plot:
         attempt(solved, {options.plot: partial(_plot, kind, solved)})
+    if options.view:
+        attempt(solved, {options.view: lambda path: kind.view_solved(solved).save(path)})
     solved.clock.lap("write")
 
 
@@ -189,10 +196,7 @@ def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Underconst
 def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
     from nls.io.table import write_covariances
 
-    marginals = None if solved.solution is None else solved.solution.marginals
-    if marginals is None:
-        marginals = nls.Marginals(solved.graph, solved.result.values, solved.solver, solved.options.gauge)
-    write_covariances(path, marginals, unmeasured=kind.unmeasured(solved.report))
+    write_covariances(path, solved.marginals, unmeasured=kind.unmeasured(solved.report))
 
 
 def _plot(kind: GraphFile, solved: Solved, path: str) -> None:

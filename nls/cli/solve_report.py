@@ -218,10 +218,10 @@ def write_page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Under
 
     of_result: dict[str, Any] = {}
     if isinstance(problem, Solved):
-        timings, choice = problem.timings, problem.choice
+        timings = problem.timings
         of_result = {
             "certificate": problem.certificate,
-            "rejected": () if choice is None else choice.rejected,
+            "rejected": problem.rejected,
             "doubts": kind.doubts(problem),
             "seconds": {name: timings[name] for name in time_rows(timings) if name != "process"},
             **kind.page(problem),

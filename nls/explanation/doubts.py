@@ -246,7 +246,10 @@ def unverified(group: Unverified, keys: tuple[Keys, ...] = ()) -> Finding:
 def of_choice(choice: Robustified, contacts: bool = False) -> list[Finding]:
     """How many measurements, or contacts, a robust choice rejected, and which landmarks left with them."""
     names = ("doubted", "probability", "sigma0")
+    # one of 20 choices has a right measurement so far off
+    far = [rejected.sigmas for rejected in choice.rejected if rejected.chance < 0.05]
     numbers = {"count": len(choice.rejected), "by_chance": choice.expected_by_chance}
+    numbers |= {"far": len(far), "most": max(far, default=0.0)}
     numbers |= {name: getattr(choice, name) for name in names}
     out = [Finding(ChoiceKind.CONTACTS if contacts else ChoiceKind.REJECTED, (), numbers)]
     if choice.left:

@@ -194,9 +194,11 @@ def _unchecked(f: Finding) -> str:
 def _rejected(f: Finding) -> str:
     n = f.numbers
     scaled = "" if f"{n['sigma0']:.3g}" == "1" else f" (sigmas times {n['sigma0']:.3g})"
+    which = "all of them" if n["far"] == n["count"] else f"{n['far']:,} of them"
+    far = f", {which} far off, by up to {n['most']:.3g} sigmas" if n["far"] else ""
     right = "less than one is" if n["by_chance"] < 1 else f"about {n['by_chance']:.0f} are"
-    expected = f"{right} expected by chance at {100 * n['probability']:.6g} %"
-    return f"{n['count']:,} of {n['doubted']:,} doubted measurements rejected{scaled}; {expected}"
+    expected = f"; {right} expected by chance at {100 * n['probability']:.6g} %" if n["far"] < n["count"] else ""
+    return f"{n['count']:,} of {n['doubted']:,} doubted measurements rejected{scaled}{far}{expected}"
 
 
 def _left(f: Finding) -> str:

@@ -35,7 +35,7 @@ MAP = (
 OF_ALL = ("map.csv", "beacons.csv", "map.ply", "landmarks.png")  # files of the map, which the dives share
 OF_EACH = (
     *("trajectory.tum", "trajectory.csv", "calibration.csv", "track.geojson", "track.kml", "track.png"),
-    *("map.ply", "depth.asc"),  # with the bottom below the track
+    *("map.ply", "depth.asc", "chart.png"),  # with the bottom below the track
 )
 
 
@@ -72,6 +72,7 @@ class MissionFiles:
             "track.kml": (lambda: charts.kml_text(self.chart), plane is not None),
             "map.ply": (lambda: charts.points_text(self.chart, self.projection), mapped or sounded or "b" in stacks),
             "depth.asc": (lambda: charts.depths_text(self.chart, self.projection), mapped or sounded),
+            "chart.png": (self.depths, mapped or sounded),
             "track.png": (self.track, True),
             "landmarks.png": (self.landmarks, mapped),
             "sonar.png": (self.fan, mapped),
@@ -127,6 +128,12 @@ class MissionFiles:
 
         own = self.solution
         return track(self.values, own.dead, self.report.truth, own.marginals, own.tracks)
+
+    def depths(self) -> Any:
+        """chart.png: depths, contours, track, graticule."""
+        from nls.missions.pictures.chart import depth_chart
+
+        return depth_chart(self.chart)
 
     def landmarks(self) -> Any:
         """landmarks.png: the map, and how well the elevations are known."""

@@ -5,6 +5,7 @@ Pictures of missions are registered in `OF_MISSIONS`, and imported when they are
 """
 
 from nls.lazy import importer
+from nls.plot.against_truth import against_truth as against_truth
 from nls.plot.ellipses import ellipses as ellipses
 from nls.plot.factor_graph import factor_graph as factor_graph
 from nls.plot.filters import belief as belief
@@ -13,6 +14,7 @@ from nls.plot.offsets import offsets as offsets
 from nls.plot.player import animation as animation
 from nls.plot.report import report as report
 from nls.plot.trajectory import before_after as before_after, convergence as convergence, trajectory as trajectory
+from nls.plot.view import view as view, view_page as view_page
 
 TYPE_CHECKING = False  # to a type checker always true
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ OF_MISSIONS = {
     "nls.missions.pictures.sonar": "fan_image frustum polar_image",
 }
 
-NOW = "animation before_after belief convergence correlations ellipses factor_graph offsets report spy trajectory"
+NOW = "against_truth animation before_after belief convergence correlations ellipses factor_graph offsets report spy"
+NOW += " trajectory view view_page"
 
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = importer("nls.plot", OF_MISSIONS, *NOW.split())

@@ -17,8 +17,8 @@ import numpy as np
 from factors.keys import Keys, Kind
 from models.options import check_between, check_whole
 from nls.covariance.frames import outlines
-from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane
-from nls.plot.style import ELLIPSE, LANDMARK
+from nls.plot.picture import add_lines, axes_or_new, figure_of, legend_below, name_plane
+from nls.plot.style import ELLIPSE, ESTIMATE, LANDMARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,13 +39,12 @@ def ellipses(
     kind: Kind | None = None,
     north_up: bool = False,
 ) -> Figure:
-    """Where the positions are, each with the ellipse that holds it with the given probability.
+    """Tracks and landmarks, their positions with the ellipses that hold them with the given probability.
 
     Parameters
     ----------
     marginals : covariances of a graph; what is held has no ellipse.
-    axes : where; a new figure, with the positions as dots, when omitted. On axes with ``projection="3d"`` the ellipses
-        lie level.
+    axes : where, the ellipses alone; a new figure when omitted. With ``projection="3d"`` they lie level.
     probability : between 0 and 1.
     every : draw that of every so many variables of a kind, in the order of their numbers; as many as can be told apart
         (120) when omitted.
@@ -93,14 +92,15 @@ def ellipses(
             position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
-        label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}{larger(scale)}"
+        label = f"{100 * probability:g} % ellipse of {every_nth(step)}{stack.kind}{larger(scale)}"
         draw_outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
-            axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
+            path = position[np.argsort(stack.numbers), :2].T
+            axes.plot(*path, "-" if pose else ".", markersize=3, linewidth=1.0, color=ESTIMATE if pose else LANDMARK)
     if alone:
         name_plane(axes, *("y [m]", "x [m]") * north_up)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper left", fontsize=8)
+            legend_below(axes)
     return figure_of(axes)
 
 
@@ -121,7 +121,7 @@ def draw_outlines(axes: Axes, center: Array, around: Array, **style: Any) -> Non
         axes.add_collection(shape)
 
 
-def _every(step: int) -> str:
+def every_nth(step: int) -> str:
     if step == 1:
         return "every "
     ending = {1: "st", 2: "nd", 3: "rd"}.get(step % 10, "th") if step % 100 not in (11, 12, 13) else "th"

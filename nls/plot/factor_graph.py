@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.errors import GraphError
-from nls.plot.picture import axes_or_new, figure_of
+from nls.plot.picture import axes_or_new, figure_of, full_legend
 from nls.plot.style import ESTIMATE, HELD, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
@@ -107,11 +107,7 @@ def factor_graph(graph: FactorGraph, values: Values | None = None, axes: Axes | 
     else:
         space = values.stack(names[0][0]).manifold.position(values.stack(names[0][0]).X).shape[1] == 3
         axes.set(xlabel="y [m]" if space else "x [m]", ylabel="x [m]" if space else "y [m]")
-    handles, labels = axes.get_legend_handles_labels()
-    if alone:
-        figure_of(axes).legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    else:
-        axes.legend(handles, labels, fontsize=9)
+    full_legend(axes, 4, alone)
     return figure_of(axes)
 
 

@@ -26,8 +26,8 @@ from nls.filters import consistency
 from nls.filters.base import POSE, Filter
 from nls.filters.fastslam import FastSLAM
 from nls.plot.ellipses import draw_outlines, larger, magnification
-from nls.plot.picture import axes_or_new, figure_of, legend_below, name_plane, new_figure
-from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
+from nls.plot.picture import axes_or_new, figure_of, full_legend, legend_below, name_plane, new_figure
+from nls.plot.style import BEFORE, BELOW, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +38,8 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-BELOW = "0.82"  # of a true track, wide under the estimate
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
-ROOM = 1.1  # above the highest line
 SHOWN_UNITS = np.array([1.0, 1.0, 180 / np.pi])
 
 
@@ -82,7 +80,9 @@ def estimator_figure(
     estimator_map(track, truth, figure.add_subplot(grid[:3, 0]), sightings)
     vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
     estimator_errors(track, truth, [figure.add_subplot(grid[row, 0]) for row in (3, 4, 5)])
-    landmark_sigmas(track, history, figure.add_subplot(grid[3:, 1]))
+    walls = len(track.landmarks) and track.values.stack(track.landmarks.kind).manifold is LINE
+    right = grid[3:, 1].subgridspec(1 + walls, 1).subplots(squeeze=False, sharex=True)
+    landmark_sigmas(track, history, [*right[:, 0]])
     figure.suptitle(f"{title}: {track.method}" if title else track.method)
     return figure
 
@@ -147,9 +147,17 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
         axes.plot(track.x.numbers, sigma[:, k], color=SERIES[k], linewidth=1.0, label=f"{name} [{unit}]")
     right = axes.twinx()
     right.plot(track.x.numbers, sigma[:, 2], color=SERIES[2], linewidth=1.0, linestyle="--", label="heading [deg]")
-    axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
-    right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
+    axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]")
+    right.set_ylabel("sigma [deg]")
+    _from_zero(axes, right)
     legend_below(axes, right)
+
+
+def _from_zero(*panels: Axes) -> None:
+    """Panels from zero up, with room above the highest line and for a line on zero."""
+    for axes in panels:
+        top = max((float(np.max(line.get_ydata())) for line in axes.lines), default=1.0)
+        axes.set_ylim(-0.03 * top, 1.1 * top)
 
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
@@ -165,32 +173,30 @@ def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
     rows[-1].set_xlabel("step")
 
 
-def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: Axes) -> None:
-    """Sigma of each landmark against the step: of the position, or of each component where it has none."""
+def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], panels: Sequence[Axes]) -> None:
+    """Sigma of each landmark against the step: of the position, on one panel; of r and alpha of a wall, on two."""
     manifold = track.values.stack(track.landmarks.kind).manifold
     units = ", ".join(dict.fromkeys(filter(None, manifold.units)))
-    axes.set(title="sigma of the landmarks", xlabel="step", ylabel=f"sigma [{units}]" if units else "sigma")
+    panels[0].set(title="sigma of the landmarks", ylabel=f"sigma [{units}]" if units else "sigma")
+    panels[-1].set_xlabel("step")
     counts = [len(keys) for keys, _ in history]
     if not any(counts):
         return
     steps, numbers = np.repeat(track.x.numbers, counts), np.concatenate([keys.numbers for keys, _ in history])
     variances = np.concatenate([np.diagonal(P, axis1=1, axis2=2) for _, P in history if len(P)])
-    walls = manifold is LINE
-    panels = [axes, axes.twinx()] if walls else [axes]
-    for k, number in enumerate(np.unique(numbers).tolist()):
-        again, color = divmod(k, len(SERIES))
-        at, style = numbers == number, {"color": SERIES[color], "linewidth": 1.0 + again}
-        sigma = np.sqrt(variances[at, 1] if walls else variances[at].mean(axis=1))
-        axes.plot(steps[at], sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
-        if walls:
-            alpha = np.degrees(np.sqrt(variances[at, 0]))
-            panels[1].plot(steps[at], alpha, linestyle=":", **style)  # type: ignore[arg-type]
-    for panel in panels:
-        panel.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in panel.lines))
-    if walls:
-        axes.set_ylabel("sigma of r [m]")
-        panels[1].set_ylabel("sigma of alpha [deg], dotted")
-    legend_below(axes)
+    if manifold is LINE:
+        sigmas = [np.sqrt(variances[:, 1]), np.degrees(np.sqrt(variances[:, 0]))]
+        for axes, name in zip(panels, ("r [m]", "alpha [deg]"), strict=True):
+            axes.set_ylabel(f"sigma of {name}")
+    else:
+        sigmas = [np.sqrt(variances.mean(axis=1))]
+    for axes, sigma in zip(panels, sigmas, strict=True):
+        for k, number in enumerate(np.unique(numbers).tolist()):
+            again, color = divmod(k, len(SERIES))
+            at, label = numbers == number, f"{track.landmarks.kind}{number}"
+            axes.plot(steps[at], sigma[at], color=SERIES[color], linewidth=1.0 + again, label=label)
+    _from_zero(*panels)
+    legend_below(panels[-1])
 
 
 def belief(
@@ -263,7 +269,7 @@ def belief(
     name_plane(axes, title=f"{pose!r}{drawn_larger}")
     figure = figure_of(axes)
     if alone:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        full_legend(axes)
     else:
         legend_below(axes)
     return figure
@@ -310,7 +316,8 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
     name_plane(places, title="tracks")
     errors.set(title="error of the position", xlabel="step", ylabel="[m], logarithmic")
-    sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]", ylim=(0, None))
+    sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]")
+    _from_zero(sigmas)
     nees.set(title=f"NEES, {100 * probability:g} % between the dashed lines", xlabel="step", yscale="log")
     handles, labels = places.get_legend_handles_labels()
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)

@@ -63,9 +63,24 @@ def legend_below(*panels: Axes) -> None:
     # 13 letters of a legend in an inch
     room = 13 * axes.get_position().width * figure_of(axes).get_size_inches()[0]
     rows = min(len(labels), int(np.ceil(sum(len(label) + 5 for label in labels) / room)))
-    below = (0.5, -0.12)
-    columns = -(-len(labels) // rows)
-    axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
+    # 4 lines for the numbers and the name of the axis
+    style: dict[str, Any] = {"bbox_to_anchor": (0.5, 0), "borderaxespad": 4, "fontsize": 8, "frameon": False}
+    axes.legend(handles, labels, loc="upper center", ncols=-(-len(labels) // rows), **style)
+
+
+def full_legend(axes: Axes, columns: int = 2, outside: bool = True) -> None:
+    """A legend of some axes, below the figure or inside, whose lines are seen however faint those of the map are."""
+    from matplotlib.lines import Line2D
+
+    handles, labels = axes.get_legend_handles_labels()
+    if outside:
+        style: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
+        legend = figure_of(axes).legend(handles, labels, fontsize=9, **style)
+    else:
+        legend = axes.legend(handles, labels, loc="best", fontsize=8)
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):
+            handle.set_alpha(1.0)
 
 
 def write_picture(path: str | Path, figure: Figure, doubts: Sequence[str] = ()) -> None:

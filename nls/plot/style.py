@@ -3,6 +3,7 @@
 ESTIMATE = "#0b4f6c"  # the solution, its track
 BEFORE = "#e07a2f"  # what was there before it: dead reckoning, a start
 TRUE = "#202020"
+BELOW = "0.8"  # a true track, wide under an estimate
 LANDMARK = "#399470"
 ELLIPSE = "#b752c2"  # of poses; not the color of the track they lie on
 CLOSURE, REJECTED = "#35b57c", "#ac0921"  # pairs of poses that are not neighbors

@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from factors import XYH, ZPR, DvlLeg
+from models.listing import number
 from nls.gauge import placeless_kinds
-from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane, new_figure
-from nls.plot.style import CLOSURE, LANDMARK, SERIES, SIGHT
+from nls.plot.picture import add_lines, axes_or_new, figure_of, full_legend, name_plane, new_figure
+from nls.plot.style import BEFORE, CLOSURE, ECHO, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from factors.keys import Keys
     from models.algebra import Array
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
     from nls.values import Stack, Values
 
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY = 300  # lines, from which they are fainter the more there are
-PAD = 9.0  # points between the numbers of an axis of space and its name
+PAD = 1.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
 SHARED = 3.0  # times the width of the optimum: so wide the values before may be to be drawn at one scale with it
 MOST_EDGES = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
-def before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
+def before_after(
+    graph: FactorGraph, before: Values, result: Result, title: str = "", rejected: Sequence[Rejected] = ()
+) -> Figure:
     """The initial guess, the optimum and the convergence, side by side; the maps have one scale, or say theirs.
 
     Parameters
@@ -39,83 +44,77 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     before : the values as they came, from a file or dead reckoning (the optimizer may have had a better start).
     result : after.
     title : of the figure.
+    rejected : measurements that `nls.gnc` has rejected, dashed and red on both maps.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     figure = new_figure(11.5, 4.2)
-    figure.set_layout_engine("constrained", wspace=0.12)
+    figure.set_layout_engine("constrained", wspace=0.08)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left, middle = (figure.add_subplot(1, 3, k, **space) for k in (1, 2))
     right = figure.add_subplot(1, 3, 3)
     chi2 = graph.chi2(before)
-    trajectory(graph, before, left)
-    trajectory(graph, result.values, middle)
+    for axes, values in ((left, before), (middle, result.values)):
+        named = _map(graph, values, axes, rejected)
     times = one_scale(graph, (left, before), (middle, result.values))
-    annotate((left, middle, right), chi2, result, times, title)
-    legends = [legend for axes in (left, middle) if (legend := axes.get_legend()) is not None]
-    if legends:  # once for both
-        names = [text.get_text() for text in legends[0].get_texts()]
-        handles = [handle for handle in legends[0].legend_handles if handle is not None]
-        figure.legend(handles, names, loc="outside lower left", ncols=4, fontsize=9, frameon=False)
-    for legend in legends:
-        legend.remove()
+    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
+    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
+    convergence(result, right, chi2)
+    if title:
+        figure.suptitle(title)
+    if named:
+        full_legend(middle, 4)
     return figure
 
 
-def annotate(axes: Sequence[Axes], chi2: float, result: Result, times: float, title: str) -> None:
-    """Draw the convergence into the last of three axes, and write the titles of all.
-
-    Parameters
-    ----------
-    axes : the map before, the map after, and where the convergence is drawn.
-    chi2 : before.
-    result : after.
-    times : by how much the map before is drawn smaller.
-    title : of the figure; none where it is empty.
-    """
-    from models.listing import number
-
-    left, middle, right = axes
-    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
-    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
-    figure = convergence(result, right)
-    if not np.isclose(chi2, result.chi2_initial):
-        right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {number(result.chi2_initial)}")
-    if title:
-        figure.suptitle(title)
-
-
-def convergence(result: Result, axes: Axes | None = None) -> Figure:
-    """chi2 (left axis) and max |dx| (right axis) per iteration, logarithmic; chi2 that falls by less than 10 is linear.
+def convergence(result: Result, axes: Axes | None = None, before: float | None = None) -> Figure:
+    """chi2 by iteration, on a logarithmic axis from that of the values as they came to the optimum; its expectation.
 
     Parameters
     ----------
     result : of an optimization.
     axes : where; a new figure when omitted.
+    before : chi2 of the values as they came; the optimizer may have had a better start.
 
     Returns
     -------
     matplotlib.figure.Figure
+
+    Notes
+    -----
+    The expectation of chi2 at the optimum is the number of degrees of freedom; a robust cost has none. chi2 below a
+    millionth of the expectation is rounding, and is drawn there.
     """
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import MaxNLocator, NullFormatter
 
     axes = axes_or_new(axes, (5, 4))
-    number = [iteration.number for iteration in result.history]
-    chi2 = np.array([iteration.chi2 for iteration in result.history])
-    # a smaller range has no ticks on a logarithmic axis
-    falls = bool((chi2 > 0).all()) and chi2.max() > 10 * chi2.min()
-    # a smaller part cannot be read off the number itself
-    last = chi2[-1] if np.ptp(chi2) < 1e-3 * chi2.max() else 0.0
-    (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0])
-    axes.set_xlabel("iteration")
-    axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])  # a legend would cover the curves
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    if len(number) > 1:
-        twin = axes.twinx()
-        twin.semilogy(number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=SERIES[1])
-        twin.set_ylabel("max |dx|", color=SERIES[1])
+    steps = [iteration.number for iteration in result.history]
+    chi2 = [iteration.chi2 for iteration in result.history]
+    least, expected = 1e-6 * max(result.dof, 1), 0 if result.robust else max(result.dof, 0)
+    labels = {steps[0]: (chi2[0], ""), steps[-1]: (chi2[-1], "")}
+    if before is not None and not np.isclose(before, chi2[0]):
+        axes.plot([-1, 0], np.maximum([before, chi2[0]], least), "o:", color=BEFORE)
+        labels[-1] = before, " before"
+    axes.plot(steps, np.maximum(chi2, least), "o-", color=ESTIMATE)
+    for step, (value, word) in labels.items():
+        height = expected if value < expected < 2 * value else max(value, least)  # above the line of the expectation
+        style: dict[str, Any] = {"textcoords": "offset points", "color": BEFORE if word else ESTIMATE}
+        axes.annotate(number(value) + word, (step, height), (3, 5), **style)
+    heights = np.maximum([*chi2, *(value for value, _ in labels.values()), expected or chi2[-1]], least)
+    if expected:
+        axes.axhline(expected, color=ECHO, linestyle="--", zorder=0)
+        near = 2 * chi2[-1] > expected  # the words are below the line and the last point, or above the line
+        style = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "color": "0.4", "ha": "right"}
+        place, off, side = ((1, min(expected, chi2[-1])), -6, "top") if near else ((1, expected), 3, "bottom")
+        axes.annotate(f"{number(expected)} expected", place, (-4, off), va=side, **style)
+    middle, half = np.sqrt(heights.min() * heights.max()), max(np.sqrt(heights.max() / heights.min()), 3.0) ** 1.2
+    axes.set(yscale="log", ylim=(middle / half, middle * half), ylabel="robust cost" if result.robust else "chi2")
+    axes.set(xlabel="iteration", xlim=(min(labels) - 0.2, 1.15 * steps[-1] + 0.6))
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.xaxis.set_major_formatter(lambda k, _: f"{k:.0f}" if k >= 0 else "")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
     return figure_of(axes)
 
@@ -126,6 +125,7 @@ def trajectory(
     axes: Axes | None = None,
     marginals: Marginals | None = None,
     every: int | None = None,
+    rejected: Sequence[Rejected] = (),
 ) -> Figure:
     """Positions in the order of their numbers, and the measurements between positions that are not neighbors.
 
@@ -135,6 +135,7 @@ def trajectory(
     axes : where; a new figure when omitted. Space needs axes with ``projection="3d"``.
     marginals : of the same values: positions get their 95 % ellipses, see `ellipses`.
     every : an ellipse on every so many variables of a kind.
+    rejected : measurements that `nls.gnc` has rejected, dashed and red.
 
     Returns
     -------
@@ -144,21 +145,31 @@ def trajectory(
     -----
     A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`) is drawn with z down.
     """
-
-    from matplotlib.lines import Line2D
-
     from nls.plot.ellipses import ellipses
 
+    alone = axes is None
+    space = _dimension(_places(graph, values)) == 3
+    axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if space else {}))
+    named = _map(graph, values, axes, rejected)
+    if marginals is not None:
+        ellipses(marginals, axes, every=every)
+        named = True
+    if named and axes.get_legend_handles_labels()[0]:
+        full_legend(axes, outside=alone)
+    return figure_of(axes)
+
+
+def _map(graph: FactorGraph, values: Values, axes: Axes, rejected: Sequence[Rejected]) -> bool:
+    """Draw tracks, points and measurements; whether there are lines that need a legend."""
     stacks = _places(graph, values)
     dim = _dimension(stacks)
-    alone = axes is None
-    axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
     segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
-        alpha = min(0.3 if points else 0.5, max(0.06, MANY / len(segments)))
-        add_lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
+        name += f", {len(segments)} of {total}" * (len(segments) < total)
+        alpha = (0.2 if points else 0.8) * min(1.0, max(0.08, MANY / len(segments)))
+        add_lines(axes, segments, color=color, linewidth=0.6 if points else 0.9, alpha=alpha, label=name)
     tracks = [stack.kind for stack in stacks if stack.manifold.dim > dim]
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
@@ -171,22 +182,36 @@ def trajectory(
             axes.plot(*X[:1].T, "o", color=own, markersize=5)
         else:
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
-    if marginals is not None:
-        ellipses(marginals, axes, every=every)
+    if rejected:
+        mark(axes, values, [measurement.keys for measurement in rejected], linestyle="--", label=in_words(rejected))
     if dim == 3:
-        space_box(axes, _points(graph, values), _is_down(graph))
+        space_box(axes, _points(graph, values), is_down(graph))
     else:
         name_plane(axes)
-    handles, labels = axes.get_legend_handles_labels()
-    if len(segments):  # a line that can be seen, however faint they are
-        shown = f", {len(segments)} of {total}" if len(segments) < total else ""
-        handles, labels = [Line2D([], [], color=color), *handles], [name + shown, *labels]
-    if len(segments) or (marginals is not None and handles):
-        if alone:
-            figure_of(axes).legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
-        else:
-            axes.legend(handles, labels, loc="best", fontsize=8)
-    return figure_of(axes)
+    return bool(len(segments) or rejected)
+
+
+def in_words(rejected: Sequence[Rejected]) -> str:
+    """How many loop closures were rejected, or measurements where some are of another kind."""
+    closing = all(len({key.kind for key in measurement.keys}) == 1 < len(measurement.keys) for measurement in rejected)
+    return f"{len(rejected):,} {'loop closure' if closing else 'measurement'}{'s' * (len(rejected) > 1)} rejected"
+
+
+def mark(
+    axes: Axes, values: Values, measurements: Iterable[tuple[Keys, ...]], view: Sequence[int] = (), **style: Any
+) -> None:
+    """Draw a red line through the places of the variables of each measurement; all in one piece.
+
+    `view` says which coordinates the axes show; all of them when omitted.
+    """
+    view = view or (0, 1, 2)[: 3 if axes.name == "3d" else 2]
+    pieces = [np.zeros((0, len(view)))]
+    for keys in measurements:
+        stacks = [values.stack(key.kind) for key in keys]
+        ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, keys, strict=True)]
+        pieces += [*(end[:, view] for end in ends if end.shape[1] > max(view)), np.full((1, len(view)), np.nan)]
+    alpha = max(0.25, min(1.0, 40 / len(pieces)))
+    axes.plot(*np.concatenate(pieces).T, color=REJECTED, marker=".", zorder=5, alpha=alpha, **style)
 
 
 def one_scale(graph: FactorGraph, before: tuple[Axes, Values], after: tuple[Axes, Values]) -> float:
@@ -204,7 +229,7 @@ def one_scale(graph: FactorGraph, before: tuple[Axes, Values], after: tuple[Axes
     together = np.concatenate(points)
     for axes, _ in (before, after) if len(together) else ():
         if together.shape[1] == 3:
-            space_box(axes, together, _is_down(graph))
+            space_box(axes, together, is_down(graph))
             continue
         axes.update_datalim(together)
         axes.autoscale_view()
@@ -222,7 +247,10 @@ def space_box(axes: Axes, points: Array, down: bool) -> None:
     widest = max(float((high - low).max()), LEAST)
     # the sides of a box in space have at least 0.15 of the widest
     half = np.maximum(0.52 * (high - low), 0.15 / 2 * widest)
-    axes.set_box_aspect(half.copy(), zoom=0.85)  # type: ignore[call-arg]  # which scales the array in place
+    # width and height of the box as it is seen from 30 deg above: the larger one fills the axes
+    extent = max(half @ [1.0, 0.58, 0.0], half @ [0.25, 0.43, 0.87])
+    zoom = float(np.linalg.norm(half) / extent)
+    axes.set_box_aspect(half.copy(), zoom=zoom)  # type: ignore[call-arg]  # which scales the array in place
     for name, middle, size in zip("xyz", (low + high) / 2, half, strict=True):
         sign = -1 if down and name in "yz" else 1
         axes.set(**{f"{name}lim": (middle - sign * size, middle + sign * size)})
@@ -231,8 +259,8 @@ def space_box(axes: Axes, points: Array, down: bool) -> None:
         axis.set_major_locator(MaxNLocator(max(2, round(5 * size / half.max()))))
     axes.set_xlabel("x [m]", labelpad=PAD)
     axes.set_ylabel("y [m]", labelpad=PAD)
-    axes.set_zlabel("z, down [m]" if down else "z [m]")  # type: ignore[attr-defined]
-    axes.tick_params(labelsize=7)
+    axes.set_zlabel("z, down [m]" if down else "z [m]", labelpad=-6)  # type: ignore[attr-defined]
+    axes.tick_params(labelsize=7, pad=-2)
 
 
 def _positions(stack: Stack) -> Array:
@@ -258,7 +286,7 @@ def _points(graph: FactorGraph, values: Values) -> Array:
     return np.concatenate([np.zeros((0, dim)), *(_positions(stack) for stack in stacks if _dimension([stack]) == dim)])
 
 
-def _is_down(graph: FactorGraph) -> bool:
+def is_down(graph: FactorGraph) -> bool:
     """Whether the graph knows where down is, and z is down."""
     return any(isinstance(factor, DOWN) for factor in graph.factors)
 

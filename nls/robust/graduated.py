@@ -43,7 +43,7 @@ from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.options import check_between
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, chi2_tail
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result
@@ -64,13 +64,16 @@ from nls.values import Values, refuse_other
 class Rejected:
     """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off.
 
-    `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0.
+    `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0. `keys` are
+    its variables. `chance` bounds the probability that noise takes one of all doubted measurements so far off.
     """
 
     factor: str
     sigmas: float
     number: int
     measurement: int
+    keys: tuple[Keys, ...]
+    chance: float
 
 
 @dataclass(frozen=True)
@@ -219,7 +222,8 @@ def gnc(
         message = "this graph has no loop closures, and sightings of landmarks and other measurements are not judged"
         raise GraphError(message, advice=[Advice.robust("Cauchy", 1), Advice("doubt")])
     landmarks = landmarks_of(graph, values, masks)
-    c2 = [chi2_gate(values.gather(factor)[0].dim, probability) for factor in graph.factors]
+    dims = [values.gather(factor)[0].dim for factor in graph.factors]
+    c2 = [chi2_gate(dim, probability) for dim in dims]
     problem = Truncated(graph, masks, c2, landmarks)
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
@@ -237,10 +241,11 @@ def gnc(
     for kind, mask in gone.items():
         keys, counts = Keys(kind, values.stack(kind).numbers[mask]), landmarks.counts(kind, masks)[mask]
         left += [Left(repr(key), int(count)) for key, count in zip(keys, counts, strict=True)]
-    rows = zip(graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
+    tails = [np.minimum(total * chi2_tail(s / variance, np.array(m)), 1) for s, m in zip(choice.s, dims, strict=True)]
+    rows = zip(graph.factors, masks, choice.inliers, choice.s, tails, landmarks.leaving(gone), strict=True)
     off = [
-        Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n)
-        for k, (factor, d, m, s, leaves) in enumerate(rows)
+        Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n, tuple(keys[[n]] for keys in factor.keys), float(p[n]))
+        for k, (factor, d, m, s, p, leaves) in enumerate(rows)
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]
     rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))

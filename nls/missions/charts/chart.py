@@ -189,6 +189,11 @@ class Chart:
     bottom: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 
     @property
+    def depths(self) -> Array:
+        """(n, 3) points whose depth a map shows: landmarks, and the bottom below the vehicle, m."""
+        return np.concatenate([*(points.p for points in self.points if points.name == "landmark"), self.bottom])
+
+    @property
     def way(self) -> Array:
         """(n,) distance travelled up to every pose, m."""
         return distance_along(self.track.p)
@@ -235,18 +240,21 @@ def chart_of(
         p, Sigma[:, 2], Sigma[:, :, 2] = p[:, :2], np.nan, np.nan
     track = Points("pose", stack.numbers[order], p, Sigma)
     times = None if times is None else times[order]
-    bottom = _bottom(track.p, times, report.soundings)
-    return Chart(visible(Path(report.path).name or report.path), track, times, points, report.plane, bottom)
+    name = visible(Path(report.path).name or report.path)
+    return Chart(name, track, times, points, report.plane, bottom(values, report)[1])
 
 
-def _bottom(p: Array, times: Array | None, soundings: Array | None) -> Array:
-    """Points (n, 3) at the depth of the vehicle plus its height over the bottom, at the times within the track."""
+def bottom(values: Values, report: MissionReport) -> tuple[Array, Array]:
+    """Times (n,) within the track, s, and points (n, 3) at the depth of the vehicle plus its height over the bottom."""
+    times, soundings, stack = report.vertex_times.get("x"), report.soundings, values.stack("x")
     if times is None or soundings is None:
-        return np.zeros((0, 3))
+        return np.zeros(0), np.zeros((0, 3))
+    order = np.argsort(times, kind="stable")
+    p, times = np.asarray(stack.manifold.position(stack.X))[order], times[order]
     t, height = soundings[(soundings[:, 0] >= times[0]) & (soundings[:, 0] <= times[-1])].T
     below = np.column_stack([np.interp(t, times, axis) for axis in p.T])
     below[:, 2] += height
-    return below
+    return t, below
 
 
 def _covariances(values: Values, marginals: Marginals | None, kind: str, elevations: Elevations | None) -> Array:

@@ -17,6 +17,7 @@ from models import SE3
 from models.errors import OptionError
 from models.sensors import ImagingSonar, cartesian
 from nls.missions.sonar.elevation import elevation_sigma
+from nls.plot.picture import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,7 +77,6 @@ def elevation_map(
     """
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
     near, far = sonar.window
     r = (near + far) / 2 if distance is None else distance
@@ -96,7 +96,7 @@ def elevation_map(
 
     columns = min(3, len(flown))
     rows = -(-len(flown) // columns)
-    figure = Figure(figsize=(3.3 * columns + 1.1, 2.2 * rows + 1.5), layout="constrained")
+    figure = new_figure(3.3 * columns + 1.1, 2.2 * rows + 1.5)
     grid, norm = (np.degrees(azimuth), np.degrees(elevation)), LogNorm(BEST * known, known)
     shades = colormaps["viridis"].with_extremes(over=NOTHING, bad=UNSEEN)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)

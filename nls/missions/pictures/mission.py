@@ -5,31 +5,35 @@ Maps are charts: north (x) up, east (y) to the right. Side views look north, z, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from factors.keys import kinds
 from models.algebra import Array, distance_along
+from models.listing import number
 from nls.plot.ellipses import ellipses, visible_scale
-from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
-from nls.plot.trajectory import SHARED, annotate, closures
+from nls.plot.picture import add_lines, full_legend, name_plane, new_figure
+from nls.plot.style import BEFORE, BELOW, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
+from nls.plot.trajectory import SHARED, closures, convergence, in_words, mark
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
 
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.missions.solution import TrackErrors
     from nls.missions.sonar.elevation import Elevations
     from nls.optimizers import Result
+    from nls.robust.graduated import Rejected
     from nls.values import Values
 
 LEAST = 1e-3  # m; what is below is nothing to see
 HIGHEST = 7.5  # inches of the panels
-SIDE = 4.2  # inches of the widest of three panels side by side
+SIDE = 4.2  # inches of the panel of the convergence
 VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 SHADED: dict[str, Any] = {"s": 14, "cmap": "YlOrRd", "vmin": 0.0, "edgecolors": "0.3", "linewidths": 0.4, "zorder": 3}
@@ -60,20 +64,17 @@ def track(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     sure = marginals is not None and marginals.underconstrained is None
-    figure = Figure(figsize=(11, 5.8) if errors or sure else (7, 5.8), layout="constrained")
+    figure = new_figure(11 if errors or sure else 7, 5.8)
     axes = figure.subplots(1, 2 if errors or sure else 1, squeeze=False)[0]
-    _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
-        _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
+        _path(axes[0], truth, color=BELOW, linewidth=5.0, zorder=0, label="truth")
+    _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     _path(axes[0], values, color=ESTIMATE, linewidth=1.0, label="solution")
     if marginals is not None:
         ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)
-    axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
-    axes[0].set_aspect("equal", adjustable="datalim")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
+    name_plane(axes[0], "y, east [m]", "x, north [m]", title="Track from above")
+    full_legend(axes[0], 4)
     if errors or sure:
         figure.suptitle(_along(axes[1], values, errors or {}, marginals if sure else None))
     return figure
@@ -131,15 +132,14 @@ def landmark_map(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.collections import LineCollection
-
     points = values[l[elevations.landmarks]]
     known = np.isfinite(elevations.sigma)
     sigma = np.degrees(elevations.sigma)
     most = float(sigma[known].max(initial=0.0) if aperture is None else np.degrees(aperture / np.sqrt(12)))
     reach = (elevations.range * elevations.sigma)[:, None] * elevations.along  # one sigma along the arc, m
     path = _positions(values)
-    figure, panels = _views(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
+    places = np.concatenate([path, points, (points + reach)[known], (points - reach)[known]])
+    figure, panels, _ = _views(*_box(places))
     panels[0].set_title("Landmarks from above")
     for ax, rows in zip(panels, VIEWS, strict=True):
         P = points[:, rows]
@@ -151,7 +151,7 @@ def landmark_map(
             ax.scatter(P[~known, 0], P[~known, 1], label=unknown, **HOLLOW)
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
-            ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
+            add_lines(ax, ends, color="0.45", linewidth=0.9, label="one sigma of elevation")
             dots = ax.scatter(P[known, 0], P[known, 1], c=sigma[known], vmax=most, label="landmark", **SHADED)
     if known.any():
         label = "elevation at first view known to [deg]"
@@ -159,7 +159,7 @@ def landmark_map(
         extend = "max" if sigma[known].max() > most else "neither"
         bar = figure.colorbar(dots, ax=list(panels), label=label, extend=extend, aspect=30)
         bar.ax.yaxis.set_major_formatter("{x:g}")
-    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    full_legend(panels[1])
     return figure
 
 
@@ -175,61 +175,62 @@ def plan(graph: FactorGraph, values: Values) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    figure, panels = _views(_places(values))
-    _plan(panels, graph, values)
+    figure, panels, _ = _views(*_box(_places(values)))
+    _plan(panels, values)
+    sights, _ = closures(graph, values, {"x", *POINTS})
+    for ax, rows in zip(panels, VIEWS, strict=True) if len(sights) else ():
+        # from 300 lines on, the more there are, the fainter
+        alpha = min(0.3, 90 / len(sights))
+        add_lines(ax, sights[:, :, rows], color=SIGHT, linewidth=0.4, alpha=alpha, zorder=1, label="lines of sight")
     panels[0].set_title("From above")
-    _legend(figure, panels[1])
+    full_legend(panels[1], 3)
     return figure
 
 
-def plan_before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
-    """`plan` before and after, and the convergence; the maps have one scale, or the first says its own.
+def plan_before_after(
+    graph: FactorGraph, before: Values, result: Result, title: str = "", rejected: Sequence[Rejected] = ()
+) -> Figure:
+    """Dead reckoning beside the solution, from above and from the side, and the convergence.
+
+    A thin line leads to each landmark from where it was before. Dead reckoning that is much wider than the solution
+    leaves the map.
 
     Parameters
     ----------
-    graph, before, result, title : as for `nls.plot.before_after`.
+    graph, before, result, title, rejected : as for `nls.plot.before_after`.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    places = [_places(before), _places(result.values)]
-    first, second = map(_box, places)
-    times = float(np.max((first[1] - first[0]) / (second[1] - second[0])))
-    if times > SHARED:
-        half = times * (second[1] - second[0]) / 2
-        first = sum(first) / 2 - half, sum(first) / 2 + half
-    else:
-        times, first = 1.0, _box(np.concatenate(places))
-        second = first
-    north, east, down = second[1] - second[0]
-    inch = min(SIDE / east, HIGHEST / (north + down))
-    figure = Figure(figsize=(2 * inch * east + 2.6 + SIDE, inch * (north + down) + 2.4), layout="constrained")
-    grid = figure.add_gridspec(2, 3, height_ratios=[north, down], width_ratios=[inch * east, inch * east, SIDE])
-    columns = []
-    for k, (box, values) in enumerate(((first, before), (second, result.values))):
-        above = figure.add_subplot(grid[0, k])
-        columns.append((above, figure.add_subplot(grid[1, k], sharex=above)))
-        _chart(columns[k], *box)
-        _plan(columns[k], graph, values)
-    right = figure.add_subplot(grid[:, 2])
-    annotate((columns[0][0], columns[1][0], right), graph.chi2(before), result, times, title)
-    _legend(figure, columns[1][1])
+    values = result.values
+    near, far = _box(_places(values)), _box(np.concatenate([_places(before), _places(values)]))
+    half = SHARED * (near[1] - near[0]) / 2
+    low, high = np.maximum(far[0], sum(near) / 2 - half), np.minimum(far[1], sum(near) / 2 + half)
+    figure, panels, grid = _views(low, high, SIDE)
+    for ax, rows in zip(panels, VIEWS, strict=True):
+        if "l" in values.stacks:
+            moved = np.stack([before.stack(l).X, values.stack(l).X], axis=1)[:, :, rows]
+            add_lines(ax, moved, color=BEFORE, linewidth=0.7, alpha=0.5, label="landmarks moved")
+        label = _dead_reckoning(before, values)
+        ax.plot(*_positions(before)[:, rows].T, color=BEFORE, linewidth=1.4, linestyle="--", label=label)
+        if rejected:
+            wrong = [measurement.keys for measurement in rejected]
+            mark(ax, values, wrong, rows, linestyle="--", linewidth=0.8, label=in_words(rejected))
+    _plan(panels, values)
+    chi2 = graph.chi2(before)
+    panels[0].set_title(f"chi2 = {number(chi2)} before, {number(result.chi2_final)} after")
+    convergence(result, figure.add_subplot(grid[:, 1], box_aspect=0.9), chi2)
+    if title:
+        figure.suptitle(title)
+    full_legend(panels[1], 3)
     return figure
 
 
-def _plan(panels: tuple[Axes, Axes], graph: FactorGraph, values: Values) -> None:
-    """Track, landmarks, beacons and lines of sight, in the panels from above and from the side."""
-    from matplotlib.collections import LineCollection
-
+def _plan(panels: tuple[Axes, Axes], values: Values) -> None:
+    """Track, landmarks and beacons, in the panels from above and from the side."""
     path = _positions(values)
-    sights, _ = closures(graph, values, {"x", *POINTS})
-    # from 500 lines on, the more there are, the fainter
-    sight = {"colors": SIGHT, "alpha": min(0.5, 250 / max(len(sights), 1))}
     for ax, rows in zip(panels, VIEWS, strict=True):
-        ax.add_collection(LineCollection([ends[:, rows] for ends in sights], linewidths=0.4, zorder=1, **sight))
         for kind, (name, style) in POINTS.items():
             if kind in values.stacks:
                 points = values.stack(kind).X
@@ -238,37 +239,19 @@ def _plan(panels: tuple[Axes, Axes], graph: FactorGraph, values: Values) -> None
         ax.plot(*path[:1, rows].T, "o", color=ESTIMATE, markersize=5, label="first pose")
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
-    """Below the figure: the lines of one panel of `_plan`, and those of sight, which are too faint for a legend."""
-    from matplotlib.collections import LineCollection
-
-    handles, labels = axes.get_legend_handles_labels()
-    if any(len(lines.get_paths()) for lines in axes.collections):
-        handles.append(LineCollection([], colors=SIGHT))
-        labels.append("lines of sight")
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
-
-
-def _views(points: Array) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Two panels for points (n, 3) at one scale: from above, north up; from the side, z downwards."""
-    from matplotlib.figure import Figure
-
-    low, high = _box(points)
+def _views(low: Array, high: Array, beside: float = 0.0) -> tuple[Figure, tuple[Axes, Axes], GridSpec]:
+    """Two panels for a box at one scale: from above, north up; from the side, z downwards; beside them some inches."""
     north, east, down = high - low
     inch = min(7.5 / east, HIGHEST / (north + down))
-    figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
-    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
-    _chart((above, beside), low, high)
-    return figure, (above, beside)
-
-
-def _chart(panels: tuple[Axes, Axes], low: Array, high: Array) -> None:
-    """Names, limits and directions of the axes of two panels for a box: from above, north up; from the side, z down."""
-    above, beside = panels
-    above.set(ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
-    beside.set(title="from the side, looking north", xlabel="y, east [m]", ylabel="z, down [m]", ylim=(high[2], low[2]))
-    for ax in panels:
+    figure = new_figure(inch * east + 2.4 + beside, inch * (north + down) + 2.2)
+    widths = [inch * east, beside] if beside else [1.0]
+    grid = figure.add_gridspec(2, len(widths), height_ratios=[north, down], width_ratios=widths)
+    above = figure.add_subplot(grid[0, 0], ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
+    side = figure.add_subplot(grid[1, 0], sharex=above, xlabel="y, east [m]", ylabel="z, down [m]")
+    side.set(title="from the side, looking north", ylim=(high[2], low[2]))
+    for ax in (above, side):
         ax.set_aspect("equal")
+    return figure, (above, side), grid
 
 
 def _places(values: Values) -> Array:

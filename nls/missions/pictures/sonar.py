@@ -19,7 +19,7 @@ from factors.range_azimuth import RangeAzimuth
 from models import SE3
 from models.errors import GraphError
 from models.sensors import ImagingSonar, cartesian, plane_projection, range_azimuth
-from nls.plot.picture import axes_or_new, figure_of
+from nls.plot.picture import add_lines, axes_or_new, figure_of
 from nls.plot.style import ARC, CONTACT, ECHO, ESTIMATE, LANDMARK
 from nls.plot.trajectory import space_box
 
@@ -103,7 +103,7 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     """In the fan of one pose: its contacts, the landmarks, and each landmark's arc of another pose.
 
     Every landmark with a contact here has a contact of the pose farthest from here. That one is spread over the
-    aperture, to the arc on which the landmark must lie. The arc is seen from here. The longest one is pointed at.
+    aperture, to the arc on which the landmark must lie. The arc is seen from here. An inset shows the longest one.
 
     Parameters
     ----------
@@ -153,42 +153,33 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     landmark = plane_projection(SE3.act(from_here, X[1][own]))
     r, azimuth = contacts.z[own].T
 
-    from matplotlib.collections import LineCollection
-
     alone = axes is None
-    axes = axes_or_new(axes, (5, 6))
-    at = r * np.sin(azimuth), r * np.cos(azimuth)
-    axes.plot(*at, "o", markerfacecolor="none", color=CONTACT, markersize=7, label="measured here: range and azimuth")
-    axes.plot(*landmark[:, ::-1].T, "+", color=LANDMARK, markersize=7, label="estimate")
-    label = "where it may be, says its farthest other contact"
-    axes.add_collection(LineCollection(list(arc[:, :, ::-1]), color=ARC, linewidth=1.5, label=label))
+    axes = axes_or_new(axes, (6, 6))
+    at = np.column_stack([r * np.sin(azimuth), r * np.cos(azimuth)])
+    arc, landmark = arc[:, :, ::-1], landmark[:, ::-1]
+    panels = [(axes, at, landmark, arc, 7)]
     if alone:
         edge = np.linspace(-sonar.fan / 2, sonar.fan / 2, ALONG)
         around, rim = np.append(edge, edge[::-1]), np.repeat(sonar.window, ALONG)  # near rim, then far rim
         edges = rim * np.sin(around), rim * np.cos(around)
         axes.fill(*edges, facecolor="none", edgecolor="0.7", linewidth=0.8)
-        axes.set_xlim(1.5 * edges[0].min(), 1.5 * edges[0].max())
-        if len(farthest):
-            longest = int(np.argmax(np.linalg.norm(np.diff(arc, axis=1), axis=2).sum(axis=1)))
-            target_index = farthest[longest]
-            k = int(np.argmax(target.numbers[own] == target.numbers[target_index]))
-            end = arc[longest, np.argmax(np.linalg.norm(arc[longest] - [at[1][k], at[0][k]], axis=1)), ::-1]
-            message = (
-                f"it may be anywhere\nalong this arc, says\n{of[[target_index]]!r}: its elevation\nis not measured"
-            )
-            _point_at(axes, (at[0][k], at[1][k]), True, f"{target[[target_index]]!r}:\nmeasured\nhere", CONTACT)
-            _point_at(axes, (end[0], end[1]), False, message, ARC)
+        axes.set_xlim(1.6 * edges[0].min(), 1.6 * edges[0].max())
+    if alone and len(farthest):
+        longest = [int(np.argmax(np.linalg.norm(np.diff(arc, axis=1), axis=2).sum(axis=1)))]
+        k = np.flatnonzero(target.numbers[own] == target.numbers[farthest[longest]])[:1]
+        inset = axes.inset_axes((0.6, 0.03, 0.38, 0.38), xticks=[], yticks=[], aspect="equal", xmargin=0.3, ymargin=0.3)
+        inset.set_title(f"{target[farthest[longest]]!r}, seen from {of[farthest[longest]]!r}, too", fontsize=8)
+        panels.append((inset, at[k], landmark[k], arc[longest], 12))
+    for panel, measured, estimated, possible, size in panels:
+        label = "measured here: range and azimuth"
+        panel.plot(*measured.T, "o", markerfacecolor="none", color=CONTACT, markersize=size, label=label)
+        panel.plot(*estimated.T, "+", color=LANDMARK, markersize=size, label="estimate")
+        label = "where it may be, says its farthest other contact"
+        add_lines(panel, possible, color=ARC, linewidth=size / 5, label=label)
+    for inset, *_ in panels[1:]:
+        axes.indicate_inset_zoom(inset, edgecolor="0.3")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=5, fontsize=8)  # 40 points below the axes
     return _as_map(axes)
-
-
-def _point_at(axes: Axes, at: tuple[float, float], above: bool, text: str, color: str) -> None:
-    """Words beside the fan, on the side of a point and above it or in the lower corner, and an arrow to that."""
-    side, x = ("left", 0.02) if at[0] < 0 else ("right", 0.98)
-    y, edge = (0.6, 0.0) if above else (0.03, 1.0)  # of the words, the edge that the arrow leaves from
-    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, edge)}
-    style: dict[str, Any] = {"ha": side, "va": "bottom", "color": color, "fontsize": 9, "arrowprops": arrow}
-    axes.annotate(text, at, (x, y), textcoords="axes fraction", **style)
 
 
 def frustum(
@@ -216,7 +207,7 @@ def frustum(
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     ['sonar', 'frustum', 'in view', 'same range and azimuth', 'place in the image, at elevation 0', 'out of view']
     """
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     axes = axes_or_new(axes, (7, 5.5), projection="3d")
     T = SE3.identity(1) if pose is None else SE3.stack(np.atleast_2d(np.asarray(pose, dtype=float)))
@@ -240,12 +231,12 @@ def frustum(
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="frustum")
     faces = [*sides, np.concatenate([front[:, 0], front[::-1, -1]])]
     axes.add_collection3d(Poly3DCollection(faces, facecolors=ESTIMATE, alpha=0.10, linewidths=0))  # type: ignore[attr-defined]
-    axes.add_collection3d(Line3DCollection(rims, colors=ESTIMATE, linewidths=1.0))  # type: ignore[attr-defined]
+    add_lines(axes, rims, color=ESTIMATE, linewidth=1.0)
     if inside.any():
         r, az = range_azimuth(SE3.act(SE3.inverse(T), p[inside]))[0].T
         arcs = placed(r[:, None], az[:, None], elevation)
         axes.plot(*p[inside].T, "o", color=LANDMARK, markersize=6, label="in view")
-        axes.add_collection3d(Line3DCollection(list(arcs), colors=ARC, linewidths=2.0, label="same range and azimuth"))  # type: ignore[attr-defined]
+        add_lines(axes, list(arcs), color=ARC, linewidth=2.0, label="same range and azimuth")
         axes.plot(*placed(r, az, 0.0).T, "x", color=CONTACT, markersize=6, label="place in the image, at elevation 0")
     if not inside.all():
         axes.plot(*p[~inside].T, "o", color=ECHO, markersize=5, label="out of view")

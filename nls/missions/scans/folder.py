@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from models import SE2
 from models.algebra import Array, Index, Numbers
 from models.errors import GraphFileError
 from models.listing import some
@@ -70,6 +71,11 @@ class Truth:
             All keyframes on one spot.
         """
         return ate(poses[self.rows], self.poses, align="rigid")
+
+    def onto(self, poses: Array) -> Values:
+        """The true poses x, moved onto keyframes (count, 3) by the rigid motion of `ate`."""
+        back = SE2.inverse(self.ate(poses).T[None])
+        return Values({"x": (SE2, SE2.compose(np.repeat(back, len(self.poses), axis=0), self.poses), self.rows)})
 
 
 @dataclass

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from factors import Between, Covariance
 from factors.keys import kinds
 from models.algebra import distance_along
 from models.errors import SingularGeometryError
@@ -24,6 +25,7 @@ from nls.missions.scans import Closing, Matches, Verdict
 from nls.missions.scans.folder import ScanReport
 from nls.missions.scans.scans import in_world
 from nls.missions.solution import Solution
+from nls.robust.graduated import Rejected
 
 GRAPH = "graph.npz"
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
@@ -56,6 +58,17 @@ class SolvedScans(Solution):
     def matches(self) -> Matches:
         """Candidates of the last round."""
         return self.closing.matches
+
+    @property
+    def rejected(self) -> list[Rejected]:
+        """Accepted candidates that the others contradict."""
+        m, wrong = self.matches, self.matches.accepted & ~self.matches.kept
+        if not wrong.any():
+            return []
+        closures = Between(x[m.i[wrong]], x[m.j[wrong]], m.pose[wrong], Covariance(m.covariance[wrong]))
+        sigmas = np.sqrt(closures.chi2(self.values)).tolist()
+        parts = zip(closures, sigmas, strict=True)
+        return [Rejected(part.describe(0), off, 0, k, part.keys, 0.0) for k, (part, off) in enumerate(parts)]
 
     @property
     def verdicts(self) -> list[str]:
@@ -121,7 +134,7 @@ class SolvedScans(Solution):
         from nls.missions.pictures.scan_map import scan_map
 
         truth = self.report.truth if self.errors else None
-        return scan_map(self.poses, self.reckoned, self.report.scans, self.matches, truth)
+        return scan_map(self.poses, self.report.scans, self.reckoned, self.matches, truth)
 
     def files(self) -> dict[str, Callable[[], Any]]:
         """Makers of the files by name: each gives bytes, or a figure of matplotlib."""

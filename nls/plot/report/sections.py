@@ -17,16 +17,14 @@ from nls.explanation.findings import FindingKind
 from nls.explanation.words import together
 from nls.gauge import choose_gauge, fixed_variables
 from nls.plot.report.markup import Html, across, bar, joined, listed, picture, section, table, tag
-from nls.plot.style import REJECTED
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from nls.certificate import Certificate
     from nls.covariance import Marginals
-    from nls.explanation import Explanation, Measurement
+    from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
     from nls.robust.graduated import Rejected
@@ -95,6 +93,8 @@ class ReportData:
 
 def verdict(data: ReportData) -> Html:
     """One word, and why; of an optimum the sentences of its explanation."""
+    from nls.plot.trajectory import in_words
+
     says = data.explanation.summary
     if isinstance(data.outcome, UnderconstrainedError):
         word, grade, says = "Not solved", "bad", data.outcome.message
@@ -107,6 +107,7 @@ def verdict(data: ReportData) -> Html:
     else:
         doubted = [finding for finding in data.explanation.findings if finding.kind not in NOTED]
         word, grade = "Converged", "warn" if doubted else "good"
+        says += f" {in_words(data.rejected)}." if data.rejected else ""
     head = tag("h1", tag("span", word, class_=f"verdict {grade}"), f" {says}")
     cures = listed_advice(data.outcome.advice, data.shell)
     return joined([head, tag("p", f"What helps: {'; '.join(cures)}", class_="quiet")], "\n") if cures else head
@@ -135,7 +136,7 @@ def key_figures(data: ReportData) -> Html:
 
 def maps(data: ReportData) -> Html | None:
     """Before and after; or the pictures that were given."""
-    from nls.plot.trajectory import one_scale, trajectory
+    from nls.plot.trajectory import mark, one_scale, trajectory
 
     if data.pictures:
         shown = [picture(figure, name, name, data.size) for name, figure in data.pictures.items()]
@@ -147,12 +148,12 @@ def maps(data: ReportData) -> Html | None:
         snapshots.append(("After" if data.result is not None else "Where it stopped", data.values))
     wrong = data.explanation.suspects
     shown = []
-    figures = [trajectory(data.graph, values) for _, values in snapshots]
+    figures = [trajectory(data.graph, values, rejected=data.rejected) for _, values in snapshots]
     drawn = [(figure.axes[0], values) for figure, (_, values) in zip(figures, snapshots, strict=True)]
     times = one_scale(data.graph, drawn[0], drawn[-1])
     for k, (figure, (name, values)) in enumerate(zip(figures, snapshots, strict=True)):
         chi2 = number(data.graph.chi2(values))
-        _marked(figure.axes[0], values, wrong)
+        mark(figure.axes[0], values, [suspect.keys for suspect in wrong], linewidth=2.0)
         alt = f"{name}: positions of {len(values):,} variables and the measurements between them, chi2 {chi2}"
         red = "; red: measurements that do not fit the others" if wrong else ""
         scale = f"; drawn {times:.2g} times smaller" if times > 1 and k == 0 else ""
@@ -217,10 +218,11 @@ def worst(data: ReportData) -> Html | None:
         )
         inside += [table("Measurements that fit worst", heads, rows, range(1, 4)), _note(note)]
     if data.rejected:
-        shown = [(suspect.factor, f"{suspect.sigmas:.3g}") for suspect in data.rejected]
-        inside.append(table(f"{len(shown):,} measurements were rejected", ("measurement", "sigmas"), shown[:ROWS], [1]))
+        shown = [(wrong.factor, f"{wrong.sigmas:.3g}", _chance(wrong.chance)) for wrong in data.rejected]
+        columns = ("measurement", "sigmas", "by chance")
+        inside.append(table(f"{len(shown):,} measurements were rejected", columns, shown[:ROWS], (1, 2)))
         if len(shown) > ROWS:
-            remaining = table("All others", ("measurement", "sigmas"), shown[ROWS:], [1])
+            remaining = table("All others", columns, shown[ROWS:], (1, 2))
             inside.append(tag("details", tag("summary", f"and {len(shown) - ROWS:,} more"), remaining))
     return section("worst", "Which measurements fit worst?", *inside) if inside else None
 
@@ -268,7 +270,8 @@ def convergence(data: ReportData) -> Html | None:
     if result is None:
         return None
     alt = f"chi2 falls from {number(result.chi2_initial)} to {number(result.chi2_final)} in {result.iterations} steps"
-    figure = picture(convergence(result), alt, f"{result.status.name}: {result.ending}", len(result.history), MAP)
+    drawn = convergence(result, before=data.graph.chi2(data.start))
+    figure = picture(drawn, alt, f"{result.status.name}: {result.ending}", len(result.history), MAP)
     rows = [
         (
             f"{iteration.number}",
@@ -342,16 +345,6 @@ SECTIONS: dict[str, Callable[[ReportData], Html | None]] = {  # by the words of 
     "Source": provenance,
     "Time": time,
 }
-
-
-def _marked(axes: Axes, values: Values, wrong: Sequence[Measurement]) -> None:
-    """Red lines along measurements that do not fit."""
-    dim = 3 if axes.name == "3d" else 2
-    for factor in wrong:
-        stacks = [values.stack(key.kind) for key in factor.keys]
-        ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, factor.keys, strict=True)]
-        X = np.concatenate([end for end in ends if end.shape[1] == dim] or [np.zeros((0, dim))])
-        axes.plot(*X.T, ".-", color=REJECTED, linewidth=2.0, zorder=5)
 
 
 def _note(text: str) -> Html:

@@ -70,8 +70,8 @@ FINDINGS = (
     Finding(Kind.UNCHECKED, (x[3],), {"count": 1, "of": 9, "factors": ("ZPR(x3)",), "believed": False}),
     Finding(Kind.UNCHECKED, (x[0],), {"count": 9, "of": 9, "factors": ("Prior(x0)",), "believed": False}),
 )
-CHOICE = {"count": 17, "doubted": 2450, "by_chance": 24.6, "probability": 0.99, "sigma0": 1.01}
-FEW = {"count": 2, "doubted": 30, "by_chance": 0.028, "probability": 0.999, "sigma0": 1.0}
+CHOICE = {"count": 17, "doubted": 2450, "by_chance": 24.6, "probability": 0.99, "sigma0": 1.01, "far": 3, "most": 291.2}
+FEW = {"count": 2, "doubted": 30, "by_chance": 0.028, "probability": 0.999, "sigma0": 1.0, "far": 0, "most": 0.0}
 OFF = {"value": 0.2, "sigma": 0.01, "mount": [0.5, 0.0, 0.2]}
 CHI2 = {"chi2": 360.0, "dof": 90.0, "scale": 2.0}
 DECLINATION = Trial(Reading(Cause.CALIBRATION, "calibration.csv", "declination_rad", -0.22), 0.003, 95.0, 100)

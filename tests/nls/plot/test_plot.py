@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -22,7 +23,9 @@ from models.errors import OptionError
 from models.listing import number
 from nls import FactorGraph, Marginals, Values
 from nls.missions.scans import dead_reckoning
-from nls.plot import before_after, convergence, ellipses, spy, trajectory
+from nls.plot import against_truth, before_after, convergence, ellipses, spy, trajectory
+from nls.plot.style import REJECTED
+from nls.robust.graduated import Rejected
 from tests.nls.graphs import ODD, Sample, Seen, in_frame, l, mixed, pose_graph, x
 
 ROOT = Path(__file__).parents[3]
@@ -102,11 +105,45 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == ["loop closures", "trajectory"]  # once for both maps
     assert [axes.get_legend() for axes in figure.axes[:2]] == [None, None]
-    titles = [axes.get_title() for axes in before_after(sample.graph, pose_graph(group, start=0.4).values, result).axes]
-    assert titles[2].endswith(f",\nfrom a better start: chi2 = {number(result.chi2_initial)}")
-    alone = convergence(result)
-    np.testing.assert_array_equal(alone.axes[0].get_lines()[0].get_ydata(), [it.chi2 for it in result.history])
-    np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
+    worse = pose_graph(group, start=0.4).values
+    risen = result.history[1]._replace(chi2=1e9)  # Gauss-Newton may go up
+    history = (result.history[0], risen, *result.history[2:])
+    curve = before_after(sample.graph, worse, replace(result, history=history)).axes[2]
+    assert curve.get_ylim()[1] > 1e9
+    start, steps, expected = curve.get_lines()
+    np.testing.assert_array_equal(start.get_xydata(), [[-1, sample.graph.chi2(worse)], [0, result.chi2_initial]])
+    np.testing.assert_array_equal(steps.get_ydata(), [it.chi2 for it in history])
+    assert {*expected.get_ydata()} == {result.dof}  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_what_was_rejected_is_dashed_and_red_on_both_maps(group: LieGroup) -> None:
+    sample = pose_graph(group, start=0.3)
+    result = sample.graph.optimize(sample.values)
+    wrong = [Rejected(f"Between(x{i}, x{j})", 291.0, 0, 0, (x[i], x[j]), 0.0) for i, j in ((0, 5), (2, 7))]
+    figure = before_after(sample.graph, sample.values, result, rejected=wrong)
+    drawn(figure)
+    for axes, values in zip(figure.axes[:2], (sample.values, result.values), strict=True):
+        (line,) = (line for line in axes.get_lines() if line.get_color() == REJECTED)
+        X = np.stack(line.get_data_3d() if axes.name == "3d" else line.get_data(), axis=1)  # type: ignore[attr-defined]
+        t = group.position(values[x])
+        np.testing.assert_array_equal(X[[0, 1, 3, 4]], t[[0, 5, 2, 7]])
+        assert line.get_linestyle() == "--"
+    assert figure.legends[0].get_texts()[-1].get_text() == "2 loop closures rejected"
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_each_estimate_is_drawn_over_the_truth_with_its_error(group: LieGroup) -> None:
+    sample = pose_graph(group)
+    X = sample.truth[x].copy()
+    X[:, :2] += [3.0, 4.0]
+    figure = against_truth(sample.graph, sample.truth, {"moved": Values({x: (group, X)}), "true": sample.truth})
+    drawn(figure)
+    assert [axes.get_title() for axes in figure.axes] == ["moved: 5 m off", "true: 0 m off"]
+    for axes, positions in zip(figure.axes, (X, sample.truth[x]), strict=True):
+        truth, estimate, _ = axes.get_lines()
+        np.testing.assert_array_equal(truth.get_xydata(), sample.truth[x][:, :2])
+        np.testing.assert_array_equal(estimate.get_xydata(), positions[:, :2])
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
@@ -153,16 +190,15 @@ def test_a_graph_that_knows_where_down_is_has_z_down() -> None:
     assert down.get_zlabel() == "z, down [m]"  # type: ignore[attr-defined]
 
 
-def test_a_small_fall_of_chi2_is_drawn_linearly() -> None:
-    """Numbers of a logarithmic axis would all be the same in the digits that fit."""
+def test_rounding_is_no_curve() -> None:
+    """The axis of chi2 spans nearly a decade at least, and ends at a millionth of what is expected."""
     sample = pose_graph(SE2, start=0.3)
-    far = sample.graph.optimize(sample.values)
-    assert convergence(far).axes[0].get_yscale() == "log"
-    near = sample.graph.optimize(far.values)
-    axes = convergence(near).axes[0]
-    assert (axes.get_yscale(), axes.get_ylabel()) == ("linear", f"chi2 - {near.chi2_final:.6g}")
-    expected = [iteration.chi2 - near.chi2_final for iteration in near.history]
-    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), expected)
+    near = sample.graph.optimize(sample.graph.optimize(sample.values).values)
+    axes = convergence(near, before=near.chi2_initial * (1 + 1e-12)).axes[0]
+    assert axes.get_yscale() == "log"
+    assert axes.get_ylim()[1] > 9 * axes.get_ylim()[0]
+    assert min(axes.get_lines()[0].get_xdata()) == 0  # type: ignore[type-var]
+    assert f"{number(near.chi2_final)}" in [text.get_text() for text in axes.texts]
 
 
 def test_convergence_to_zero_and_without_a_step() -> None:
@@ -171,8 +207,10 @@ def test_convergence_to_zero_and_without_a_step() -> None:
     convergence(sample.graph.optimize(sample.values)).draw_without_rendering()
     graph = FactorGraph(sample.graph.factors[:1])
     exact = graph.optimize(graph.optimize(sample.values).values)
-    convergence(exact).draw_without_rendering()
+    figure = convergence(exact)
+    figure.draw_without_rendering()
     assert exact.converged
+    assert {*figure.axes[0].get_lines()[0].get_ydata()} == {1e-6}  # type: ignore[misc]
 
 
 def test_spy_counts_every_number() -> None:

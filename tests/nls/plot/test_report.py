@@ -21,6 +21,7 @@ from nls.plot.report.markup import SMALL, Html, across, picture
 from nls.plot.report.page import STYLE
 from nls.plot.report.sections import number
 from nls.plot.style import REJECTED
+from nls.robust.graduated import Rejected
 from tests.nls.graphs import l, mixed, pose_graph, x
 from tests.nls.plot.html_page import Page, undrawn
 
@@ -120,8 +121,8 @@ def test_a_wrong_closure_is_named_and_red(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr("matplotlib.axes.Axes.plot", watched)
     page = Page(report(graph, start, result))
     assert "Between(x10, x30)" in page.text
-    np.testing.assert_allclose(drawn[0], X[[10, 30], :2])
-    np.testing.assert_allclose(drawn[1], result.values[x][[10, 30], :2])
+    np.testing.assert_allclose(drawn[0][:2], X[[10, 30], :2])
+    np.testing.assert_allclose(drawn[1][:2], result.values[x][[10, 30], :2])
     assert len(drawn) == 2  # before, after
     assert "red: measurements that do not fit the others" in page.text
 
@@ -157,15 +158,14 @@ def test_what_was_rejected_and_certified(monkeypatch: pytest.MonkeyPatch) -> Non
     undrawn(monkeypatch)
     graph, start, result = solved()
 
-    class Rejection:
-        factor = "Between(x3, x90)"
-        sigmas = 12.25
-
+    rejected = [Rejected("Between(x3, x7)", 291.25, 0, 3, (x[3], x[7]), 1e-9)] * 12
     certificate = nls.certify(nls.FactorGraph([f for f in graph.factors if f.name == "Between"]), result.values)
-    page = Page(report(graph, start, result, certificate=certificate, rejected=[Rejection()] * 12))
+    page = Page(report(graph, start, result, certificate=certificate, rejected=rejected))
+    assert "12 loop closures rejected." in page.text  # in the headline
     assert "12 measurements were rejected" in page.text
+    assert "Between(x3, x7) 291 below 0.01 %" in " ".join(page.text.split())
     assert "and 2 more" in page.text
-    assert page.text.count("Between(x3, x90)") == 12
+    assert page.text.count("Between(x3, x7)") == 12
     for line in certificate.report().splitlines():
         assert line in page.text
     lower = replace(certificate, verdict="refuted", better=start)

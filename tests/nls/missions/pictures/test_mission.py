@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.tri import TriContourSet
 
 import nls
 from factors import Diagonal, Isotropic, Prior
 from models import SE2, SE3, R
+from models.geodesy import LocalPlane
 from models.listing import number
 from nls.missions import MissionReport, elevations, track_of
+from nls.missions.charts.chart import Chart, Points
+from nls.missions.pictures.chart import depth_chart
 from nls.missions.pictures.mission import landmark_map, plan, plan_before_after, track
 from nls.missions.pictures.scan_map import scan_map
 from nls.missions.scans import close
 from nls.missions.scans.folder import Truth, read_scan_mission
+from nls.missions.scans.scans import in_world
 from nls.plot.style import CLOSURE, REJECTED
+from nls.robust.graduated import Rejected
 from tests.nls.missions.folder.mission_files import folder
 from tests.nls.missions.scans import room_files
 
@@ -152,29 +160,32 @@ def test_a_mission_as_it_was_read(solved: Solved) -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 100.0])
 def test_a_mission_before_and_after(solved: Solved, factor: float) -> None:
-    """Both maps are those of `plan`; they have one scale, unless the solution would be too small to be seen."""
+    """Dead reckoning lies beside the map of `plan`; where it is far wider, it leaves the map."""
     graph, dead, _, _ = solved
     result, poses = graph.optimize(dead), dead[x].copy()
     poses[:, :3] *= factor
     before = dead.replaced({x: poses})
-    figure = plan_before_after(graph, before, result, title="a mission")
+    contacts = next(factor for factor in graph.factors if factor.name == "RangeAzimuth")
+    wrong = Rejected("a contact", 9.0, 0, 0, (contacts.keys[0][[0]], contacts.keys[1][[0]]), 0.0)
+    figure = plan_before_after(graph, before, result, "a mission", [wrong])
     assert figure.get_suptitle() == "a mission"
-    *maps, curve, _ = figure.axes
-    for panels, values in ((maps[:2], before), (maps[2:], result.values)):
-        for ax, alone in zip(panels, plan(graph, values).axes, strict=True):
-            for line, expected in zip(ax.lines, alone.lines, strict=True):
-                assert np.array_equal(line.get_xydata(), expected.get_xydata())
-                assert (line.get_marker(), line.get_label()) == (expected.get_marker(), expected.get_label())
-            assert_within(np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines]), ax)
-    before_size, size = (np.ptp(limits(ax), axis=0) for ax in maps[::2])
-    times = float((before_size / size)[0])
-    assert before_size == pytest.approx(times * size)
-    assert (times == 1.0) == (factor == 1.0)
-    assert maps[0].get_title().startswith(f"before: chi2 = {number(graph.chi2(before))}")
-    assert maps[0].get_title().endswith(f",\ndrawn {times:.2g} times smaller") == (factor > 1)
-    assert maps[2].get_title() == f"after: chi2 = {number(result.chi2_final)}"
+    *panels, curve = figure.axes
+    names = ["dead reckoning", "1 measurement rejected"]
+    for ax, rows, alone in zip(panels, VIEWS, plan(graph, result.values).axes, strict=True):
+        reckoned, red, *solution = ax.lines
+        assert [line.get_label() for line in (reckoned, red)] == names
+        assert np.array_equal(reckoned.get_xydata(), SE3.position(before[x])[:, rows])
+        ends = [SE3.position(result.values[wrong.keys[0]])[0], result.values[wrong.keys[1]][0]]
+        assert np.array_equal(np.asarray(red.get_xydata())[:2], np.array(ends)[:, rows])
+        for line, expected in zip(solution, alone.lines, strict=True):
+            assert np.array_equal(line.get_xydata(), expected.get_xydata())
+        assert np.array_equal(lines_of(ax), np.stack([before[l], result.values[l]], axis=1)[:, :, rows])
+        assert_within(np.concatenate([np.asarray(line.get_xydata()) for line in solution]), ax)
+        size = np.ptp(limits(ax), axis=0) / np.ptp(limits(alone), axis=0)
+        assert size.max() < (1.2 if factor == 1 else 3.01)
+    assert panels[0].get_title() == f"chi2 = {number(graph.chi2(before))} before, {number(result.chi2_final)} after"
     assert curve.get_xlabel() == "iteration"
-    assert legend_of(maps[0]) == legend_of(plan(graph, dead).axes[0])  # once for both
+    assert legend_of(panels[0]) == ["landmarks moved", *names, *legend_of(plan(graph, dead).axes[0])[:-1]]
 
 
 def limits(ax: Axes) -> np.ndarray:
@@ -206,10 +217,10 @@ def test_what_is_drawn(tmp_path: Path) -> None:
     matches = closing.matches
     matches.kept[np.flatnonzero(matches.kept)[:2]] = False
     elsewhere = SE2.compose(np.repeat([[30.0, -20.0, 2.0]], 90, axis=0), report.truth.poses)
-    figure = scan_map(closing.values[x], values[x], scans, matches, Truth(report.truth.rows, elsewhere))
+    figure = scan_map(closing.values[x], scans, values[x], matches, Truth(report.truth.rows, elsewhere))
     (axes,) = figure.axes
     lines = {str(line.get_label()): line for line in axes.lines}
-    assert [*lines] == ["dead reckoning", "truth, aligned", "solution", "start"]
+    assert [*lines] == ["truth, aligned", "dead reckoning", "solution", "start"]
     assert lines["dead reckoning"].get_linestyle() == "--"
     truth = np.column_stack(lines["truth, aligned"].get_data())
     solution = np.column_stack(lines["solution"].get_data())
@@ -219,14 +230,42 @@ def test_what_is_drawn(tmp_path: Path) -> None:
     rejected = int((matches.accepted & ~matches.kept).sum())
     kept = int(matches.kept.sum())
     assert {*closures} == {f"{rejected} closures rejected", f"{kept} closures kept"}
-    for label, color, alpha, count in (
-        (f"{kept} closures kept", CLOSURE, 0.45, kept),
-        (f"{rejected} closures rejected", REJECTED, 0.35, rejected),
+    for label, color, count in (
+        (f"{kept} closures kept", CLOSURE, kept),
+        (f"{rejected} closures rejected", REJECTED, rejected),
     ):
         lines_of = closures[label]
-        assert (lines_of.get_alpha(), len(lines_of.get_paths())) == (alpha, count)
+        assert len(lines_of.get_paths()) == count
         assert tuple(round(255 * c) for c in lines_of.get_edgecolor()[0][:3]) == tuple(bytes.fromhex(color[1:]))
     assert axes.get_aspect() == 1
-    alone = scan_map(values[x], values[x], scans).axes[0]
+    (cells,) = axes.images  # dark where points are, in the world
+    shade, (left, right, bottom, top) = np.asarray(cells.get_array()), cells.get_extent()
+    points = in_world(closing.values[x], scans)
+    rows = ((points - [left, bottom]) / [right - left, top - bottom] * shade.shape[::-1]).astype(int)[:, ::-1]
+    inside = ((rows >= 0) & (rows < shade.shape)).all(axis=1)
+    assert inside.mean() > 0.9
+    assert {*map(tuple, rows[inside])} == {*zip(*(i.tolist() for i in np.nonzero(shade)), strict=True)}
+    alone = scan_map(values[x], scans).axes[0]
     assert "90 keyframes" in alone.get_title()
-    assert [line.get_label() for line in alone.lines] == ["dead reckoning", "solution", "start"]
+    assert [line.get_label() for line in alone.lines] == ["dead reckoning", "start"]
+
+
+def test_a_chart_has_contours_of_depth_and_a_graticule() -> None:
+    """A slope of 0.1 to the north: the contour of a depth lies where the slope has it, and every degree, too."""
+    north, east = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 200, 41), np.linspace(0, 300, 61)))
+    bottom, plane = np.column_stack([north, east, 20 + 0.1 * north]), LocalPlane(54.1, 10.2)
+    ends = np.array([[0.0, 0.0, 5.0], [200.0, 300.0, 5.0]])
+    chart = Chart("m", Points("pose", np.arange(2), ends, np.full((2, 3, 3), np.nan)), None, (), plane, bottom)
+    axes, bar = depth_chart(chart).axes
+    assert bar.yaxis_inverted()
+    _, contours = (each for each in axes.collections if isinstance(each, TriContourSet))
+    for level, path in zip(contours.levels[1:-1], contours.get_paths()[1:-1], strict=True):
+        assert path.vertices[:, 1] == pytest.approx((level - 20) / 0.1, abs=10.0)  # a cell
+    for k, axis in enumerate((axes.yaxis, axes.xaxis)):
+        for tick, label in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=True):
+            degrees, minutes = re.findall(r"[0-9.]+", label.get_text())
+            at = np.array([54.1, 10.2])
+            at[k] = float(degrees) + float(minutes) / 60
+            assert plane.local(*at)[k] == pytest.approx(tick, abs=0.1)
+    flat = depth_chart(replace(chart, plane=None, bottom=bottom[:1])).axes  # nothing to draw contours of
+    assert [axes.get_xlabel() for axes in flat] == ["y, east [m]"]
