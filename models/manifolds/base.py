@@ -147,7 +147,7 @@ class LieGroup(Manifold):
     flat : whether the group commutes, so that every Jacobian is the identity (vectors, the circle).
     """
 
-    point_dim: ClassVar[int] = 0
+    point_dim: int = 0
     flat: ClassVar[bool] = False
 
     @abstractmethod

@@ -116,6 +116,18 @@ def sighting(kind: type[Factor], group: LieGroup, mode: str, target: str = "poin
     return seen(kind, kind.__name__, space, by_hand, mode, R(d) if target == "point" else group, where)
 
 
+def sighting_from_point(kind: type[Factor], group: LieGroup) -> Sample:
+    """The same from a point: from a pose with the axes of the world."""
+    of_poses, d, level = sighting(kind, group, "none"), group.point_dim, group.identity()[0, group.point_dim :]
+    return replace(
+        of_poses,
+        name=f"{kind.__name__}-from {R(d)}",
+        manifolds=(R(d), R(d)),
+        truth=lambda S, L: of_poses.truth(np.column_stack([S, np.tile(level, (len(S), 1))]), L),
+        around=(np.zeros(d), AHEAD[d]),
+    )
+
+
 def position(group: LieGroup, components: tuple[str, ...] | None, arm: Array | None) -> Sample:
     names = components or ("x", "y", "z")[: group.point_dim]
     rows = ["xyz".index(name) for name in names]
@@ -279,6 +291,7 @@ SENSOR_SAMPLES = [
     *(sighting(*choice) for choice in product(KINDS, PLANE_AND_SPACE, ("none", "fixed", "variable"))),
     *(sighting(*choice, "pose") for choice in product(KINDS, PLANE_AND_SPACE, ("none", "variable"))),
     *(sighting(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
+    *(sighting_from_point(kind, group) for kind in (Range, Bearing) for group in PLANE_AND_SPACE),
     position(SE2, None, None),
     position(SE2, ("y",), np.array([1.5, -0.5])),
     position(SE3, None, None),
