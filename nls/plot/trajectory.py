@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import XYH, ZPR, DvlLeg
+from factors import XYH, ZPR, DvlLeg, Gravity
 from nls.gauge import placeless_kinds
 from nls.plot.picture import add_lines, axes_or_new, figure_of, name_plane, new_figure
 from nls.plot.style import CLOSURE, LANDMARK, SERIES, SIGHT
@@ -142,7 +142,7 @@ def trajectory(
 
     Notes
     -----
-    A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`) is drawn with z down.
+    A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`, `Gravity`) is drawn with z down.
     """
 
     from matplotlib.lines import Line2D
@@ -260,7 +260,7 @@ def _points(graph: FactorGraph, values: Values) -> Array:
 
 def _is_down(graph: FactorGraph) -> bool:
     """Whether the graph knows where down is, and z is down."""
-    return any(isinstance(factor, DOWN) for factor in graph.factors)
+    return any(isinstance(f, DOWN) or (isinstance(f, Gravity) and f.down[2] > 0) for f in graph.factors)
 
 
 def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:

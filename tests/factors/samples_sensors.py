@@ -14,7 +14,7 @@ from factors import Bearing, BearingRange, DriftingStep, Factor, Landmark, Line,
 from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import LINE, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
+from models import LINE, S2, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
 from models.algebra import Array
 from models.sensors import Camera
 from tests.factors.samples import Sample, between, homogeneous, prior, stored
@@ -164,6 +164,18 @@ def head(group: LieGroup, name: str, around: Array) -> Sample:
     )
 
 
+def gravity(group: LieGroup, down: tuple[float, ...]) -> Sample:
+    g = np.array(down) / np.linalg.norm(down)
+    return Sample(
+        f"Gravity-{group}-down {down}",
+        (group,),
+        S2,
+        2,
+        lambda keys, z, noise: f.Gravity(keys[0], z, noise, down),
+        lambda X: np.array([homogeneous(group, x)[:3, :3].T @ g for x in X]),
+    )
+
+
 def prior_at(group: LieGroup, convention: str, components: tuple[str, ...] | None = None) -> Sample:
     at_vehicle, mount = prior(group, convention, components), MOUNT[group]
     return replace(
@@ -302,6 +314,7 @@ SENSOR_SAMPLES = [
     head(SE2, "level", np.array([1.0, 2.0, -3.0])),
     head(SE3, "level", SE3.identity()[0]),
     head(SE3, "tilted", TILTED),
+    *(gravity(group, down) for group in (SE3, SO3) for down in ((0, 0, 1), (0, 0, -2), (0.3, -0.5, 0.2))),
     *(prior_at(group, convention) for group in PLANE_AND_SPACE for convention in CONVENTIONS),
     prior_at(SE3, "g2o", ("z", "roll")),
     *(between_sensors(g, c, v) for g in PLANE_AND_SPACE for c in CONVENTIONS for v in (False, True)),
