@@ -172,17 +172,19 @@ class Sighting(Factor):
         return self.measured(2).size, self.measured(3).size
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        if self.from_points and manifolds[0] in (R(2), R(3)):
+        if self.from_points and manifolds[0] is manifolds[1] and manifolds[0] in (R(2), R(3)):
             group = R(manifolds[0].dim)
             if self.offset is not None:
                 raise self._refusal(f"{self.keys[0][[0]]} is a point in {group}, which has no axes for an offset")
         else:
-            group = pose_group(self, manifolds[0], ", or a point, R(2) or R(3)" * self.from_points)
+            group = pose_group(
+                self, manifolds[0], f", or a point like its target, in {manifolds[1]}" * self.from_points
+            )
         points = R(group.point_dim)
         if manifolds[1] is not points and manifolds[1] is not group:
             raise self._refusal(
-                f"the target {self.keys[1][[0]]} is in {manifolds[1]}; from {group} it must be in {points}"
-                f"{'' if group is points else f' or {group}'}"
+                f"the target {self.keys[1][[0]]} is in {manifolds[1]}; from a pose of {group} it must be in "
+                f"{points} or {group}"
             )
         check_offset(self, self.offset, group, manifolds[-1])
         return self.measured(group.point_dim)

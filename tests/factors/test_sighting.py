@@ -206,7 +206,7 @@ def test_points_have_the_axes_of_the_world_and_no_offset() -> None:
     values.add(Kind("x"), SE2, [0.0, 0.0, 0.3])
     for factor, named in (
         (Range(o[0], l[0], 1.0, UNIT, offset=[0, 0]), r"o0 is a point in R\(2\), which has no axes for an offset"),
-        (Range(o[0], x[0], 1.0, UNIT), r"target x0 is in SE2; from R\(2\) it must be in R\(2\)$"),
+        (Range(o[0], x[0], 1.0, UNIT), r"o0 is in R\(2\), expected a pose, SE2 or SE3, or a point like its target"),
         (f.Landmark(o[0], l[0], [1, 1], UNIT), r"o0 is in R\(2\), expected a pose, SE2 or SE3$"),
     ):
         refused(lambda factor=factor: values.gather(factor), GraphError, named)
