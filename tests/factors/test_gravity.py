@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import ZPR, Factor, Gravity, Heading, Isotropic, Position
+from factors import ZPR, Gravity, Heading, Isotropic, Position
 from models import SE3, SO3, R, euler
 from models.errors import GraphError, SingularGeometryError, UnderconstrainedError
 from nls import FactorGraph, Marginals, Values, kinds
@@ -23,7 +23,7 @@ def test_roll_and_pitch_are_those_of_a_tilt_sensor() -> None:
     same(error(ZPR(x[:4], np.column_stack([0 * roll + 5, pitch, roll]), UNIT), poses), 0.0, atol=1e-14)
     up = Gravity(x[0], [0.0, -np.sin(0.1), -np.cos(0.1)], UNIT, down=[0, 0, -1])
     same(error(up, LEVEL), [[0.1, 0.0]], atol=1e-14)  # the roll is about x of the body, whichever way z is
-    same(error(Gravity(x[0], [-np.sin(0.1), 0.0, np.cos(0.1)], UNIT), LEVEL), [[0.0, 0.1]], atol=1e-14)
+    same(error(Gravity(x[0], [-1.0, 0.0, 0.0], UNIT), LEVEL), [[0.0, np.pi / 2]], atol=1e-14)  # no gimbal lock
 
 
 def test_the_yaw_stays_free_and_has_no_part_in_the_covariance() -> None:
@@ -38,12 +38,6 @@ def test_the_yaw_stays_free_and_has_no_part_in_the_covariance() -> None:
     same(sigmas[3:5], 0.01, rtol=1e-6)
 
 
-def test_nothing_is_singular_where_the_vehicle_stands_on_end() -> None:
-    tilt, north = Gravity(x[0], [-9.81, 0.0, 0.0], UNIT), Position(x[0], [0, 0, 0], UNIT)
-    upright = Values({x: (SE3, SE3.from_rpy(0, 0, 0, 0, np.pi / 2, 0))})
-    same(FactorGraph([tilt, north]).linearize(upright).b, 0.0, atol=1e-14)
-
-
 def test_what_is_no_direction_of_gravity() -> None:
     attitude = Values({x: (SO3, SO3.identity())})
     accelerations = np.array([0.0, 0.0, -9.81])
@@ -51,12 +45,11 @@ def test_what_is_no_direction_of_gravity() -> None:
     named = r"Gravity\(x0\): its direction is opposite .* so give -z"
     refused(lambda: FactorGraph([wrong]).chi2(attitude), SingularGeometryError, named)
     assert FactorGraph([Gravity(x[0], -accelerations, UNIT)]).chi2(attitude) == 0.0
-    cases: tuple[tuple[Factor, str], ...] = (
-        (Gravity(x[0], [0.0, 0.0, 0.0], UNIT), "length 0"),
-        (Gravity(x[0], [0, 0, 1], UNIT, down=[0, 0, 0]), r"down is \[0.0, 0.0, 0.0\]"),
-        (Gravity(x[0], [0, 0, 1], UNIT, down=[0, 1]), r"down is \[0.0, 1.0\]"),
-    )
-    for factor, named in cases:
-        refused(lambda factor=factor: attitude.gather(factor), GraphError, named)
+    for z, down, named in (
+        ([0, 0, 0], [0, 0, 1], "length 0"),
+        ([0, 0, 1], [0, 0, 0], r"down is \[0.0, 0.0, 0.0\]"),
+        ([0, 0, 1], [0, 1], r"down is \[0.0, 1.0\]"),
+    ):
+        refused(lambda z=z, down=down: attitude.gather(Gravity(x[0], z, UNIT, down)), GraphError, named)
     points = Values({x: (R(3), [0, 0, 0])})
     refused(lambda: points.gather(wrong), GraphError, r"x0 is in R\(3\), expected SE3 or SO3")

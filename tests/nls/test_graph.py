@@ -133,22 +133,6 @@ def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same(
     assert graph.fixed == [x[3]]
 
 
-def test_a_copy_and_a_sum_leave_their_graphs_as_they_are() -> None:
-    graph, values = line()
-    graph.fix(x[0])
-    more = FactorGraph([Prior(x[2], [5.0], Isotropic(1))], [x[1]])
-    both, copied = graph + more, graph.copy()
-    assert both.factors == [*graph.factors, *more.factors]
-    assert both.fixed == [x[0], x[1]]
-    assert both.chi2(values) == graph.chi2(values) + more.chi2(values)
-    copied.add(more.factors[0])
-    copied.fix(x[2])
-    copied.remove(copied.factors[0])
-    assert (len(graph), graph.fixed, len(more), more.fixed, len(copied)) == (3, [x[0]], 1, [x[1]], 3)
-    with pytest.raises(TypeError, match="unsupported operand"):
-        graph + values  # type: ignore[operator]
-
-
 def test_masks_may_be_lists_and_must_fit() -> None:
     assert len(line()[0].only([[False], [True, False]])) == 1
     graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))])
@@ -212,14 +196,22 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
     assert graph.factors == [closures]
 
 
-def test_a_copy_takes_out_what_the_graph_was_given(world: sim.World) -> None:
-    singles = list(world.graph.factors[0])
-    graph = FactorGraph(singles)
-    graph.pattern(world.truth)
-    for other in (graph.copy(), FactorGraph() + graph):
+def test_a_copy_and_a_sum_leave_their_graphs_as_they_are(world: sim.World) -> None:
+    singles, more = list(world.graph.factors[0]), FactorGraph([world.graph.factors[1]], [x[1]])
+    graph = FactorGraph(singles, [x[0]])
+    before = graph.chi2(world.truth)
+    both = graph + more
+    assert (both.fixed, more.fixed, graph.fixed) == ([x[0], x[1]], [x[1]], [x[0]])
+    assert both.chi2(world.truth) == pytest.approx(before + more.chi2(world.truth))
+    for other in (both, graph.copy()):
         other.remove(singles[3])
-        assert (len(other), len(graph), len(graph.factors)) == (len(singles) - 1, len(singles), 1)
+        other.add(more.factors[0])
+        other.fix(x[2])
+    assert (len(both), len(more.factors)) == (len(world.graph) - 1 + len(more), 1)
+    assert graph.chi2(world.truth) == before
     graph.remove(singles[3])
+    with pytest.raises(TypeError, match="unsupported operand"):
+        graph + world.truth  # type: ignore[operator]
 
 
 def test_a_factor_that_is_given_twice_counts_twice() -> None:

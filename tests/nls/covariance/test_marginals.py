@@ -15,8 +15,6 @@ from models import SE2, SE3, SO2, SO3, LieGroup, R, euler
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, SingularGeometryError, UnderconstrainedError
 from nls import FactorGraph, Kind, Marginals, Values
-from nls.covariance import inverse
-from nls.covariance import marginals as marginals_module
 from nls.covariance.inverse import paired
 from tests.nls.graphs import ODD, SAMPLES, Sample, informations, l, mixed, pose_graph, two_components, x
 from tests.nls.solving import make
@@ -63,15 +61,14 @@ def test_every_marginal_and_the_joint_of_all(name: str) -> None:
 def test_many_variables_come_out_of_the_pass_over_all(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = pose_graph(SE2, numbers=ODD)
     some = x[[7, 1000, -3]]
-    solved = Marginals(sample.graph, sample.values).covariance(some, frame="world")
-    for module in (marginals_module, inverse):
-        monkeypatch.setattr(module, "ONE_BLOCK", 4)
+    whole = Marginals(sample.graph, sample.values)
+    solved, joint = whole.covariance(some, frame="world"), whole.joint(some, frame="body").matrix
+    monkeypatch.setattr("nls.covariance.marginals.ONE_BLOCK", 4)
+    monkeypatch.setattr("nls.covariance.inverse.ONE_BLOCK", 4)
     passed = Marginals(sample.graph, sample.values)
     np.testing.assert_allclose(passed.covariance(some, frame="world"), solved, rtol=1e-11)
     assert "_diagonal" in vars(passed)
-    close(
-        passed.joint(some, frame="body").matrix, Marginals(sample.graph, sample.values).joint(some, frame="body").matrix
-    )
+    close(passed.joint(some, frame="body").matrix, joint)
 
 
 @pytest.mark.parametrize("gauge", ["first", "free"])
