@@ -111,12 +111,13 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
         "quaternions where leadline has rotation vectors, 3 + 7 + 5 numbers a residual of which 1 + 2 are constant"
         if has
         else "- Ceres: not run, the Python given has no pyceres and pycolmap",
-        f"- common chi2: {common:.1f}, {SAME} of the highest final one, which all reach; lowest: {lowest:.1f}, of the "
-        "lowest one; Ceres ends where a step lowers chi2 by 1e-6 of itself, leadline where it also foresees no more, "
-        "or after 100 steps",
-        "- start: as in the file, first camera held, the scale left to the damping; no loss; Levenberg-Marquardt",
+        f"- common chi2: {common:.1f}, {SAME} times the highest final chi2, so all runs reach it; lowest: "
+        f"{lowest:.1f}, of the lowest one; Ceres stops when a step lowers chi2 by less than 1e-6 of it, leadline when "
+        "it also predicts no more, or after 100 steps",
+        "- initial guess of the file, first camera fixed, scale not fixed (damping decides); no robust loss; "
+        "Levenberg-Marquardt",
         f"- seconds: best of {rounds} interleaved rounds; other work changes processor time little, wall time much; "
-        "leadline from an unused graph (binding, ordering included), Ceres inside `Solve`",
+        "leadline includes binding and ordering, Ceres is timed inside `Solve`",
         f"- relative: processor seconds to the common chi2, to {first[1]} {first[0]} with one thread",
         "| | linear solver | threads | steps | chi2 at the start | final chi2 | to the common: processor, s | wall, s "
         "| relative | to the lowest: processor, s | to the end: processor, s | wall, s |",
@@ -165,12 +166,12 @@ def rigs(names: list[str]) -> list[str]:
     """All solvers on all rigs, and their table."""
     lines = [
         "## A camera and a sonar",
-        "- `sim.rig`, seed 1: every point seen from 10 poses by both, the pose of the sonar unknown, first pose held",
+        "- `sim.rig`, seed 1: every point seen from 10 poses by both, the pose of the sonar unknown, first pose fixed",
         "- seconds: of the processor, one thread; solve: at the start, damped by 1e-4 of the diagonal, median of "
         f"{RUNS}",
-        "- memory: what analysis and solves add to the process at their peak",
+        "- memory: peak of analysis and solves above the memory before them",
         "- difference: largest distance of a camera or point from that of `cholesky`, both by Levenberg-Marquardt",
-        "- `pcg`: 1e-10 of the residual; tol 0.1 is an inexact solver, good for Levenberg-Marquardt",
+        "- `pcg`: residual reduced to 1e-10; tol 0.1 is an inexact solver for Levenberg-Marquardt",
     ]
     titles = ["rig", "points", "unknowns", "numbers measured", "linear solver", "analysis, s", "solve, s", "memory, MB"]
     titles += ["Gauss-Newton, s", "steps", "Levenberg-Marquardt, s", "steps", "chi2 / dof", "difference, m"]
@@ -203,7 +204,7 @@ def page(rounds: int, ceres: str, quick: bool) -> list[str]:
 
 if __name__ == "__main__":
     make_page(
-        *("Many points", page, {"bundle": optimize_bundle, "rig": solve_rig}),
+        *("Many points: bundle adjustment", page, {"bundle": optimize_bundle, "rig": solve_rig}),
         rounds=(3, "of the bundle adjustment"),
         ceres={"default": sys.executable, "metavar": "PYTHON", "help": "one that has pyceres and pycolmap"},
         quick="the small rig only",

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
+PROCESSOR_TIME = "- processor time, one thread for every solver; other work on the machine hardly changes it"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RESULTS = Path(__file__).parent / "results"
 POSE_GRAPHS = {  # public ones, below the folder of the data
@@ -94,7 +94,7 @@ def make_page(
     if "out" in wanted:
         given["out"] = out
     head = [f"# {title.format(last=given.get('seeds', 1) - 1)}", *machine()]  # before the work: with the load by others
-    lines = list(spaced([*head, *page(**given)]))
+    lines = list(spaced(figure_first([*head, *page(**given)])))
     print("\n" + "\n".join(lines))
     (out / file).write_text("\n".join(lines).rstrip() + "\n")
 
@@ -255,6 +255,13 @@ def spread(numbers: Iterable[float], digits: int = 3) -> str:
     """Mean, and smallest and largest, of all that are numbers."""
     found = np.array([number for number in numbers if np.isfinite(number)])
     return f"{found.mean():.{digits}f} ({found.min():.{digits}f}-{found.max():.{digits}f})"
+
+
+def figure_first(lines: Sequence[str]) -> list[str]:
+    """Lines of a page, with the lists above its first picture or table moved below it."""
+    first = next((k for k, line in enumerate(lines) if line[:1] in ("!", "|")), len(lines))
+    end = next((k for k in range(first, len(lines)) if lines[k][:1] != lines[first][0]), len(lines))
+    return [*sorted(lines[:end], key=lambda line: line[:1] == "-"), *lines[end:]]
 
 
 def spaced(lines: Iterable[str]) -> Iterator[str]:

@@ -107,8 +107,8 @@ def page(quick: bool) -> list[str]:
         f"- processor time with one thread; median of {RUNS} runs, the column solves once",
         "- one pass: from the factor to the diagonal block of every variable; column solves: the same factor, "
         f"{COLUMNS} columns at a time, the blocks of every pose kept",
-        "- linearized at the values of the file, first pose held; difference of the two relative to the largest number "
-        "of each block",
+        "- linearized at the values of the file, first pose fixed; difference: relative to the largest number of each "
+        "block",
         *table,
     ]
 

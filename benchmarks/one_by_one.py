@@ -73,10 +73,10 @@ def page(edges: int, rounds: int, gtsam: str | None) -> list[str]:
     for way, runs in rows.items():
         add, solve, chi2 = (median(column) for column in zip(*runs, strict=True))
         table.add(TITLES[way], f"{add:.2f}", f"{solve:.2f}", f"{chi2:.6g}")
-    joined = "The first solve of single measurements joins them; the next one takes as long as that of a batch."
+    joined = "The first solve merges single measurements into batches; the next solve is as fast as that of a batch."
     return [PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane", *table, joined]
 
 
 if __name__ == "__main__":
     counts = {"edges": (100_000, "measurements, about"), "rounds": (3, "runs of each, interleaved")}
-    make_page("One by one", page, run, **counts, gtsam=GTSAM)
+    make_page("A graph built measurement by measurement", page, run, **counts, gtsam=GTSAM)

@@ -199,10 +199,10 @@ def notes() -> list[str]:
     """What the figures are."""
     return [
         PROCESSOR_TIME,
-        "- graph: `sim.manhattan`, plane poses, seed 1, first pose held, linearized at the true poses",
+        "- graph: `sim.manhattan`, plane poses, seed 1, first pose fixed, linearized at the true poses",
         f"- seconds: from A and b to dx, ordering included; median of up to {RUNS} runs, as many as begin within "
         f"{ENOUGH:g} s; relative: to sparse Cholesky",
-        "- memory: what the solve adds to the process at its peak; a fresh process for every row",
+        "- memory: peak of the solve above the memory before it; a fresh process for every row",
         "- difference: largest |dx - dx of the reference|, m and rad; the reference is the first of "
         f"{', '.join(TITLE[name] for name in REFERENCES)} that reaches the size",
     ]
@@ -249,7 +249,8 @@ def page(seconds: float, gigabytes: float, quick: bool, out: Path) -> list[str]:
     cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
     found = [run(name, sizes, cells, seconds, gigabytes) for name in (*DENSE, *SPARSE)]
     draw(found, out / "pinv.png", seconds, gigabytes)
-    return [*notes(), f"- limits: {seconds:g} s and {gigabytes:g} GB a solve", *table(found)]
+    picture = "![time and memory of one solve against unknowns, by solver](pinv.png)"
+    return [*notes(), f"- limits: {seconds:g} s and {gigabytes:g} GB a solve", picture, *table(found)]
 
 
 if __name__ == "__main__":

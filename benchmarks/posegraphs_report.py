@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import RESULTS, Table, line_of, markdown, spaced
+from harness import RESULTS, Table, figure_first, line_of, markdown, spaced
 
 STAGES = {  # key of Result.timings: title, whether it is shown for one iteration
     "build": ("pattern", False),
@@ -20,33 +20,28 @@ STAGES = {  # key of Result.timings: title, whether it is shown for one iteratio
 }
 HEAD = [
     "- a fresh process for every run, rounds interleaved, medians; libraries are imported before the clock starts",
-    "- ms: processor time from the file to the optimum (load + start + optimize), one thread; other work on the "
-    "machine hardly changes it. Ratios are of processor times; wall clocks are in the last table",
-    "- every optimization ends where the cost falls by less than 1e-6 of it. 'optimum': within 1e-6 of the lowest "
-    "cost any variant of that library reaches; 'not converged': further; 'another optimum': more than 1 % higher",
-    "- the variant shown is the fastest of those that reached the lowest cost of their library. A variant ran once "
-    "if it took twice the time of the fastest in the first round, or ten times leadline's",
-    "- chi2: of the solution, evaluated here, in g2o's residual for everybody and in GTSAM's. GTSAM's is Log, in "
-    "space with 4 times the rotation information of the file",
-    "- every solution is the optimum of its own cost. The cost that a library states for its solution is compared "
-    "with that first. A library that differs has no time",
-    "- every contender reads the same plain g2o file: compressed ones were unpacked, and FR079 and the iSAM files "
-    "converted, beforehand; C++ programs read manhattan, CSAIL and kitti_00, which have edges only, with a start for "
-    "every pose added",
+    "- ms: processor time from the file to the optimum (load, initial guess, optimize), one thread; other work hardly "
+    "changes it. The last table has wall times",
+    "- every optimization stops when the cost falls by less than 1e-6 of it. 'optimum': within 1e-6 of the lowest "
+    "cost that a variant of that library reaches; 'another optimum': more than 1 % above it; 'not converged': between",
+    "- shown is the fastest variant that reached the lowest cost of its library. A variant ran only once if its first "
+    "round took twice the fastest time, or ten times leadline's",
+    "- chi2: every solution is evaluated here with g2o's residual and with GTSAM's. GTSAM's is Log, in space with 4 "
+    "times the rotation information of the file",
+    "- the cost that a library states is first compared with ours for its solution. A library that differs has no time",
+    "- every library reads the same plain g2o file; compressed files, FR079 and the iSAM files were converted before. "
+    "manhattan, CSAIL and kitti_00 have edges only: for C++ programs the file has an initial guess of every pose, too",
     "- peak: resident memory of the whole process at the end, libraries included",
 ]
 PEERS = {
-    "gtsam": "gtsam: `readG2o`, a tight prior on the first pose. Starts: the file's, chordal (in the plane LAGO, "
-    "which refuses noise that is not diagonal) or FastSync (which refuses noise that is not isotropic). Methods: "
+    "gtsam": "gtsam: `readG2o`, a tight prior on the first pose. Initial guess: the file's, chordal (in the plane "
+    "LAGO, for diagonal noise only) or FastSync (for isotropic noise only). Methods: "
     "Gauss-Newton (GN) or Levenberg-Marquardt (LM), COLAMD or METIS, and GN also with the new MULTIFRONTAL_SOLVER",
-    "g2o_cpp": "g2o_cpp: g2o's C++ libraries, with CHOLMOD; own reader, start from the file or along a spanning tree",
-    "ceres_cpp": "ceres_cpp: Ceres' C++ library, with CHOLMOD; start from the file. The reader and the pose-graph "
-    "cost, with automatic derivatives, are ours: `benchmarks/peers/ceres_driver.cpp`",
+    "g2o_cpp": "g2o_cpp: g2o's C++ libraries, with CHOLMOD; own reader, initial guess of file or spanning tree",
+    "ceres_cpp": "ceres_cpp: Ceres' C++ library, with CHOLMOD; initial guess of the file. Reader and cost, with "
+    "automatic derivatives, are ours: `benchmarks/peers/ceres_driver.cpp`",
 }
-PICTURE = (
-    "![A bar a set: time of leadline over that of g2o in C++. Marks: over those of GTSAM and Ceres, "
-    "where they reach the optimum](posegraphs.png)"
-)
+PICTURE = "![A bar a set: time of leadline over that of g2o. Marks: over those of GTSAM and Ceres](posegraphs.png)"
 
 
 def ms(value: float) -> str:
@@ -75,7 +70,7 @@ def write(results: dict[str, Any], folder: Path) -> None:
         lines += [f"- {'. '.join([about, *sorted(versions)])}"] if runs else []
     lines += [f"- {note}" for note in results["notes"]]
     lines += [PICTURE] if charted(sets) else []
-    lines += [*fastest(sets), *matched(sets), *stages(sets)]
+    lines = figure_first([*lines, *fastest(sets), *matched(sets), *stages(sets)])
     shown = "\n".join(spaced(lines))
     (folder / "posegraphs.md").write_text("\n".join(spaced([*lines, *every(sets)])) + "\n")
     (folder / "posegraphs.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -122,7 +117,7 @@ def matched(sets: dict[str, Any]) -> list[str]:
         return []
     return [
         "## Costs after equally many iterations",
-        "Every library by its fastest variant; relative to where leadline's solution leads in the library's own cost.",
+        "Fastest variant of every library. The optimum: the library's own cost, minimized from leadline's solution.",
         *markdown(["set", "library", "variant", "iterations", "cost above the optimum"], rows, names=3),
     ]
 
@@ -159,11 +154,11 @@ def stages(sets: dict[str, Any]) -> list[str]:
         covariances.append([name, ms(ours), *other])
     return [
         "## Where leadline's time goes, ms of wall clock",
-        *markdown(["set", "parse and build", "start", *(title for title, _ in STAGES.values())], times),
-        "From 'linearize' on: per iteration. The start is evaluated once more than there are iterations.",
+        *markdown(["set", "parse and build", "initial guess", *(title for title, _ in STAGES.values())], times),
+        "From 'linearize' on: per iteration; there is one more evaluation than iterations, of the initial guess.",
         "## Covariances of all poses, ms of processor time",
         *markdown(["set", "leadline", "gtsam", "gtsam / leadline"], covariances),
-        "Both linearize, factorize and compute the covariance of every pose, at their own solution.",
+        "Leadline and GTSAM each linearize, factorize and compute the covariance of every pose, at their own solution.",
     ]
 
 

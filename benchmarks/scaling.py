@@ -315,10 +315,11 @@ def page(out: Path, quick: bool, largest: float | None, seconds: float, gigabyte
     largest = largest or (QUICK if quick else LARGEST)
     sizes = [n for k in range(3, 10) for n in (10**k, 3 * 10**k) if n <= largest]
     head = [
-        "- processor time with one thread, which other work on the machine hardly changes; wall: by the clock; seconds",
+        "- seconds of processor time with one thread, which other work on the machine hardly changes; wall: by the "
+        "clock",
         "- a fresh process for every row; seed 1; read: the .g2o file to graph and values; init: `nls.initialize`, "
-        "which takes the better of the start in the file, the odometry, and the chordal one; the rest: "
-        "`graph.optimize` with its defaults",
+        "which takes the best of the file's, the odometry's and the chordal initial guess; the rest: `graph.optimize` "
+        "with its defaults",
         f"- edges^p: fitted to the last {UPPER} sizes",
         f"- limits: {seconds:g} s and {gigabytes:g} GB from file to optimum",
     ]
@@ -327,7 +328,8 @@ def page(out: Path, quick: bool, largest: float | None, seconds: float, gigabyte
     record["worlds"] = [asdict(s) for s in found]
     (out / "scaling.json").write_text(json.dumps(record, indent=1) + "\n")
     draw(found, out / "scaling.png", seconds, max(sizes))
-    return [*head, *(line for s in found for line in table(s))]
+    picture = "![processor time by stage against edges, three worlds](scaling.png)"
+    return [*head, picture, *(line for s in found for line in table(s))]
 
 
 def edges(text: str) -> float:
@@ -339,7 +341,7 @@ def edges(text: str) -> float:
 
 if __name__ == "__main__":
     make_page(
-        *("From file to optimum as graphs grow", page, {"measure": measure, "write": write}),
+        *("Time and memory as graphs grow", page, {"measure": measure, "write": write}),
         quick=f"sizes up to {QUICK:,} edges",
         largest={"type": edges, "metavar": "EDGES", "help": f"default {LARGEST:,}"},
         seconds=(120.0, "a size predicted to take longer is left out"),

@@ -190,9 +190,8 @@ def page(quick: bool, largest: float) -> list[str]:
         f"{POINTS} points every meter",
         "- Times are processor times of one thread. Memory is the peak of a fresh process above its memory before "
         "the run",
-        "- map: rms error of the positions, m, with the first pose known; reckoned: the same of dead reckoning",
-        "- No closure joins two basins. So over several basins the map turns with the error of the heading between "
-        "them",
+        "- map: rms error of the positions, m, with the first pose known; reckoned: that error by dead reckoning",
+        "- No loop closure joins two basins. So the error of the heading between them turns a map of several basins",
         "- pairs: the search for submaps that may overlap; windows: covariances of their relative poses",
         "- solving: includes the choice of closures",
         f"- keyframes^p: exponents fitted to the {UPPER} largest sizes",

@@ -169,15 +169,15 @@ def page(gigabytes: float, flops: float, quick: bool, mission: str | None) -> li
         names = ["problem-49-7776", *names]
     return [
         PROCESSOR_TIME,
-        "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, at the start "
-        "of the file. Damping: 1e-4 of the diagonal. Not run where the data set is missing",
+        "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, at the start of "
+        "the file. Damping: 1e-4 of the diagonal. Not run without the data set",
         "- floor: `sim.hauv_floor`, seed 1, two passes over legs of 6 m, 14 deg of elevation. Factors: `XYH`, "
         "`ZPR` and `RangeAzimuth`; elevation free, linearized at the truth",
-        f"- order: {', '.join(f'`{solver}` {order}' for solver, order in SOLVERS.items())}. The last is CHOLMOD in "
-        "the order of the graph: poses before landmarks in a survey",
+        f"- order: {', '.join(f'`{solver}` {order}' for solver, order in SOLVERS.items())}. `natural` is the order of "
+        "the graph: poses before landmarks in a survey",
         "- analysis: ordering and symbolic factorization, once per graph; solve: filling A'A, factorization, solution, "
         f"median of up to {RUNS} runs; relative: to `schur`",
-        "- memory: what analysis and solve add to the process at their peak; a fresh process for every row",
+        "- memory: peak of analysis and solve above the memory before them; a fresh process for every row",
         "- residual: largest cosine between A dx - b (damping included) and a column of A",
         f"- not run: more than {flops:g} flops, or than {gigabytes:g} GB at 17 bytes a number of R",
         *table(rows(names, gigabytes, flops)),

@@ -64,5 +64,5 @@ if __name__ == "__main__":
     choices = tuple(SETS) if DATA else STAGED
     names = {"nargs": "+", "choices": choices, "default": STAGED, "metavar": "NAME", "help": ", ".join(choices)}
     counts = {"nargs": "+", "type": int, "default": [1, 2, 4], "help": "of 'free' runs"}
-    title, rounds = "What more threads would give", (5, "interleaved; medians are shown")
+    title, rounds = "Do more threads help?", (5, "interleaved; medians are shown")
     make_page(title, page, measure, threads=counts, sets=names, rounds=rounds)

@@ -30,6 +30,7 @@ extensions = [
     "factor_table",  # docs/_ext, to the end of the list
     "figure_alt",
     "forked_kernels",
+    "format_table",
     "gallery",
     "line_breaks",
     "made_figure",

@@ -175,7 +175,7 @@ def sizes(manifold: Manifold, X: Array) -> Array:
 
 
 class _Trial(NamedTuple):
-    """What one step gives.
+    """The result of one step.
 
     Attributes
     ----------

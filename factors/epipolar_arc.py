@@ -160,7 +160,7 @@ class EpipolarArc(Factor):
 
 
 def _elevation_information(A_p: Array) -> Array:
-    """What is said (m,) about el where r and az are unknown, 1/m^2: the Schur complement in A_p' A_p."""
+    """The information (m,) about el where r and az are unknown, 1/m^2: the Schur complement in A_p' A_p."""
     r, az, el = (A_p[:, :, k] for k in range(3))
     p, q, s, u, v = dot(r, r), dot(r, az), dot(az, az), dot(r, el), dot(az, el)
     return dot(el, el) - (s * u * u - 2 * q * u * v + p * v * v) / (p * s - q * q)

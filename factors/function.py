@@ -125,6 +125,6 @@ class FunctionFactor(Factor):
 
 
 def _stacks(X: tuple[Array, ...]) -> str:
-    """What a function for one measurement has to know."""
+    """The facts that a function for one measurement has to know."""
     shapes = ", ".join(str(stack.shape) for stack in X)
     return f". Your function gets stacks (n, size), one row per measurement, here {shapes}: take X[:, 0], not X[0]"

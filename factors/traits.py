@@ -46,7 +46,7 @@ class Traits:
         return f"{factor!r}: z = {' '.join(z.split())}, {factor.noise!r}"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """What IPython and Jupyter show."""
+        """The text that IPython and Jupyter show."""
         printer.text(str(self))
 
     def relative_poses(self, model: Any) -> Array | None:

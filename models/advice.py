@@ -102,7 +102,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
         None,
     ),
     "register": "write a factor class and name it with nls.io.register: files that end in .npz and .json then hold it",
-    "pyfg": "write a file that ends in .pyfg, which has a line for a range",
+    "range line": "write a file that ends in {0}, which has a line for a range",
     "ignore tags": ("leave these lines out", "ignore_tags={1}", "--ignore-tags {0}"),
     "drop absent": ("leave such edges out", "drop_absent=True", "--drop-absent"),
     "convert first": (

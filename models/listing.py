@@ -10,7 +10,7 @@ SOME = 5  # of a list that are named
 
 
 def number(value: float) -> str:
-    """With four digits; thousands set apart, and 0 for rounding.
+    """A number with four digits, thousands set apart, and 0 for rounding.
 
     Examples
     --------

@@ -251,7 +251,7 @@ def _pictured(name: str, figure: Any, report: dict[str, Any]) -> dict[str, bytes
 
 
 def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dict[str, int]) -> None:
-    """What was given twice, or would do nothing."""
+    """The options that were given twice, or would do nothing."""
     if len(set(names)) < len(names):
         raise OptionError("estimators", " ".join(names), "every one once")
     for option in options:

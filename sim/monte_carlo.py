@@ -213,7 +213,7 @@ def _bar(total: int, initial: int, progress: bool) -> Any:
 
 
 def _signature(function: Callable[[int], Record]) -> dict[str, Any]:
-    """What a function is and which options it has, as JSON gives it back: the first line of a file of its records."""
+    """The identity of a function and its options, as JSON gives it back: the first line of a file of its records."""
     arguments: tuple[Any, ...] = ()
     options: dict[str, Any] = {}
     bare = function
@@ -272,7 +272,7 @@ def _object(path: Path, number: int, line: bytes) -> dict[str, Any]:
 
 @contextmanager
 def _appending(path: Path) -> Iterator[Callable[[str], None]]:
-    """What adds whole lines to a file, each with one call to the system."""
+    """A writer that adds whole lines to a file, each with one call to the system."""
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
 
     def append(line: str) -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, Mask, distance_along
 from models.geodesy import LocalPlane
-from sim.survey_track import Track
+from sim.survey_track import TrueTrack
 
 __all__ = ["SurveyLog", "Tables"]
 
@@ -37,7 +37,7 @@ class SurveyLog:
 
     name: str
     tables: Tables
-    track: Track = field(repr=False)
+    track: TrueTrack = field(repr=False)
     beacons: Array = field(repr=False)
     landmarks: Array = field(repr=False)
     calibration: dict[str, float]

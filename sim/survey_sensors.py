@@ -23,7 +23,7 @@ from models.algebra import Array, Mask, wrap
 from models.geodesy import LocalPlane
 from models.sensors import dvl_velocity, spherical
 from sim.survey_log import Tables
-from sim.survey_track import Track, every, ship_pose, sounded, wandering
+from sim.survey_track import TrueTrack, every, ship_pose, sounded, wandering
 
 __all__ = ["Errors", "Sensors"]
 
@@ -70,7 +70,7 @@ class Sensors:
     """Draws what the sensors measure; noise_scale is a factor on the drawn noise, weights stay."""
 
     rng: np.random.Generator
-    track: Track
+    track: TrueTrack
     errors: Errors
     plane: LocalPlane
     noise_scale: float

@@ -12,7 +12,7 @@ from models.errors import GraphError
 from models.sensors import ImagingSonar, range_azimuth
 from sim.mission import visible
 from sim.survey_log import Tables
-from sim.survey_track import Track, sounded
+from sim.survey_track import TrueTrack, sounded
 
 __all__ = ["sonar_tables"]
 
@@ -25,7 +25,7 @@ AROUND = 10.0  # m
 
 
 def sonar_tables(
-    rng: np.random.Generator, track: Track, landmarks: int, noise_scale: float, tables: Tables
+    rng: np.random.Generator, track: TrueTrack, landmarks: int, noise_scale: float, tables: Tables
 ) -> tuple[Tables, Array]:
     """The files of the sonar, and the places (m, 3) of the landmarks that it saw three times, numbered from 0.
 

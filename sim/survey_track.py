@@ -30,7 +30,7 @@ from models.manifolds.so3 import rotation3
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-__all__ = ["Track"]
+__all__ = ["TrueTrack"]
 
 MARGIN = 30.0  # s of way before the first and after the last measurement
 GRID = 0.25  # m between the knots of the course
@@ -62,7 +62,7 @@ def spline(x: Array, y: Array) -> CubicSpline:
     return CubicSpline(x, y)
 
 
-class Track:
+class TrueTrack:
     """Where the vehicle is, and how it moves, at any time of a survey.
 
     Parameters

@@ -264,6 +264,27 @@ def test_files_are_short_and_say_what_they_are() -> None:
     assert [name_of(path) for path in FILES if not ast.get_docstring(tree_of(path))] == []
 
 
+def test_constants_of_one_name_are_few() -> None:
+    """A constant says what it bounds: one name in more than three files of `nls` bounds nothing in particular."""
+    files: dict[str, set[str]] = {}
+    for path in (path for path in FILES if name_of(path).startswith("nls/")):
+        nodes = [node for node in tree_of(path).body if isinstance(node, ast.Assign)]
+        for name in (part for node in nodes for target in node.targets for part in ast.walk(target)):
+            if isinstance(name, ast.Name) and name.id.isupper() and name.id != "TYPE_CHECKING":
+                files.setdefault(name.id, set()).add(name_of(path))
+    assert len(files) > 300
+    assert {name: where for name, where in files.items() if len(where) > 3} == {}
+
+
+def test_no_module_is_imported_under_a_preposition() -> None:
+    imports = [
+        node for path in FILES for node in ast.walk(tree_of(path)) if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
+    renamed = [alias.asname for node in imports for alias in node.names if alias.asname]
+    assert len(renamed) > 50
+    assert {*renamed} & {"as", "at", "by", "for", "from", "in", "of", "on", "over", "to", "under", "with"} == set()
+
+
 def given_names(tree: ast.Module) -> Iterator[str]:
     """Names of the variables, arguments, attributes and functions that a file makes."""
     for node in ast.walk(tree):
@@ -286,7 +307,7 @@ def test_names_are_nouns_and_verbs() -> None:
 
 def test_docstrings_begin_with_the_thing() -> None:
     """A reader of one function has not read what a pronoun stands for."""
-    first = "It|Its|They|Their|This|That|These|Those|Same|The same"
+    first = "It|Its|They|Their|This|That|These|Those|Same|The same|With|The others?"
     pronoun = re.compile(rf"(?:{first}|(?:Whether|Where|What|How|As|If|When|Of|In) (?:it|they|this|these|those))\b")
     files = [*FILES, *(path for room in ("benchmarks", "tools") for path in (ROOT / room).rglob("*.py"))]
     kinds = ast.Module | ast.ClassDef | ast.FunctionDef
@@ -324,6 +345,19 @@ def test_tab_completion_shows_the_public_names() -> None:
         assert {
             name for name in ("importer", "TYPE_CHECKING", "Any", "import_module") if hasattr(package, name)
         } == set()
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    """A class that a room exports is found by its name alone."""
+    named: dict[str, set[str]] = {}
+    for package in (models, factors, nls, sim):
+        rooms = [m.name for m in pkgutil.walk_packages(package.__path__, package.__name__ + ".") if m.ispkg]
+        for module in map(importlib.import_module, (package.__name__, *rooms)):
+            for value in (getattr(module, name) for name in getattr(module, "__all__", ())):
+                if inspect.isclass(value):
+                    named.setdefault(value.__name__, set()).add(value.__module__)
+    assert len(named) > 100
+    assert {name: modules for name, modules in named.items() if len(modules) > 1} == {}
 
 
 def test_public_names_exist_and_are_documented() -> None:

@@ -135,12 +135,12 @@ def report(commit: str) -> list[str]:
     return [
         "# Words and the longest sentences, before and after",
         "",
+        *comparison(earlier(commit), counted(ROOT)),
+        "",
         f"- before: commit {named}; after: {datetime.date.today():%Y-%m-%d}",
         f"- words of sentences, without code, equations, tables and headings; above {LONG}: sentences of more words",
-        "- a page that is new or gone has an empty cell; docstrings are those of public names",
+        "- a new or removed page has an empty cell; only docstrings of public names count",
         "- `tools/plain.py` lists the sentences themselves",
-        "",
-        *comparison(earlier(commit), counted(ROOT)),
     ]
 
 

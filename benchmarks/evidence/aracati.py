@@ -173,13 +173,13 @@ def page(data: Path, quick: bool) -> list[str]:
     nees, sigma = mission.consistency(closed)
     return [
         OTHERS.format(dead=mission.error(mission.poses), own=mission.error(closed.values[x])),
-        "The errors of others are computed from their published trajectories, in the same way.",
+        "The errors of other systems are computed in the same way from their published trajectories.",
         "## Round by round",
         *rounds(mission, closed),
-        f"Processor time {seconds:.0f} s. A match is wrong where it is {WRONG:g} m or more off DGPS.",
+        f"Processor time {seconds:.0f} s. A match is wrong if it is {WRONG:g} m or more off DGPS.",
         "## Covariances",
-        f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.\n"
-        "The position of DGPS is that of a float on a line, and its own error is part of it.",
+        f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m "
+        "rms.\nDGPS measures a float on a line. The errors of DGPS and of the line are included.",
         "## While the vehicle drives",
         online(mission),
         "## Other selections",
@@ -200,19 +200,19 @@ def page(data: Path, quick: bool) -> list[str]:
 
 
 TUNED = """\
-Chosen while looking at the truth of this mission: `correlation.INDEPENDENT_POINTS`, `closing.LEAST_ODDS`,
+Tuned with the truth of this mission: `correlation.INDEPENDENT_POINTS`, `closing.LEAST_ODDS`,
 `closing.WIDEST_SPREAD`, the probability at the rim, `scans.MOST_PARTNERS`, `scans.PARTNER_SPACING`, `Drift.stretch` and
-`Drift.length`. `correlation.BENT_SUBMAP` was chosen on simulated harbors besides. The others stayed as they were first
-written.
+`Drift.length`. `correlation.BENT_SUBMAP` was tuned on simulated harbors as well. The other
+constants were never tuned.
 
-The map has two ends, near 0.7 m and near 5 m, and the tables above do not show all ways into the second. One variant
-widens the covariance of matches along a single straight wall, by the normals of their points. Three forms of it were
-tried and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with the
-partners doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with the partners halved and
+The map ends with an error near 0.7 m or near 5 m; the tables above do not show all cases of the second. One variant
+widens the covariance of matches along a single straight wall, by the normals of their points. Three forms were tried
+and dropped. In all matches: 2.85 m, unsettled. In closures, rejected if wide: 0.73 m, and 5.46 m with the
+partners doubled. In closures, kept if wide: 5.09 m, unsettled; 0.74 m and 0.68 m with the partners halved and
 doubled.
 
-Points of a scan outside of what the map has observed, the sectors of its keyframes, may be neutral: neither for nor
-against a pose. Tried and left out. In closures and sequential matches: 0.68 m, settled after 5 rounds; in sequential
+Another variant was tried and dropped: points of a scan outside the observed sectors of the map count neither for nor
+against a pose. In closures and sequential matches: 0.68 m, settled after 5 rounds; in sequential
 matches alone 0.71 m. With `INDEPENDENT_POINTS` 25 and `WIDEST_SPREAD` 1.2 m besides: 0.68 m, and on simulated quays
 the mean d2/3 of the matcher is 0.79, 1.56 without. But two of twenty simulated marinas of 160 keyframes stay 1.5 m and
 5.3 m off, 0.6 m and 0.5 m without. The cause is not known. In closures alone, without points that one keyframe saw

@@ -98,11 +98,11 @@ def page(seeds: int) -> list[str]:
         numbers += [f"{mean['off']:.3f} m", f"{mean['off of the graph']:.3f} m"]
         table.add(name, f"`{landmarks}`", *numbers, *(found[key].sum() for key in ("waiting", "given up")))
     return [
-        f"The last pose, means over seeds 0 to {seeds - 1}. Waiting: landmarks that were seen and are not "
-        "located in the end, of all runs. Given up: sightings that left with their pose.",
+        f"The last pose, means over seeds 0 to {seeds - 1}. Waiting: landmarks seen but not located at the end, over "
+        "all runs. Given up: sightings that were dropped with their pose.",
         *table,
     ]
 
 
 if __name__ == "__main__":
-    make_page("EKF-SLAM from sightings that do not locate", page, seeds=(60, "of each row"))
+    make_page("EKF-SLAM from ranges, bearings or contacts alone", page, seeds=(60, "of each row"))

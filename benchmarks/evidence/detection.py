@@ -128,7 +128,7 @@ def page(images: int) -> list[str]:
         measured = rates(max(1, images // 4), nu)
         spiky += [[f"{nu:g}", d, *(f"{measured[d, rate][0]:.1e}" for rate in RATES)] for d in DETECTORS]
     lines += markdown(["nu", "detector", *(f"nominal {rate:g}" for rate in RATES)], spiky)
-    lines += ["Rates, not ratios. The multipliers are those of Rayleigh noise; neighboring cells share no texture."]
+    lines += ["Rates, not ratios. Thresholds are set for Rayleigh noise; neighboring cells share no texture."]
     for fluctuating, title in ((False, "steady echo"), (True, "fluctuating echo (Rayleigh, as of a rough wall)")):
         rows = []
         for signal in SIGNALS if fluctuating else SIGNALS[:STEADY]:
@@ -143,7 +143,7 @@ def page(images: int) -> list[str]:
     titles = ["detector", f"15 dB detected {CLOSE} bins from {STRONG} dB", "false alarms before a shadow"]
     lines += [
         f"One cell an echo, {5 * SONAR.beams * SONAR.bins // APART:,} echoes a row.",
-        "## Where the noise is not even, at 1e-3",
+        "## Uneven noise, at 1e-3",
         *markdown(titles, uneven),
         f"Before a shadow: the {REACH} bins before the noise falls by 10.5 dB.",
         f"## Cells within {RANGE:g} m that a Cartesian raster loses",
@@ -154,7 +154,7 @@ def page(images: int) -> list[str]:
         shares = [f"{100 * lost(sonar, edge):.0f} %" for edge in (length, 0.1, 0.2)]
         rows.append([f"{sonar.name}, {sonar.window[0]:g}-{sonar.window[1]:g} m", f"{100 * length:.1f}", *shares])
     lines += markdown(["sonar", "bin, cm", "squares of one bin", "squares of 0.1 m", "squares of 0.2 m"], rows)
-    return [*lines, "Every square takes the cell that holds its center; the others are lost."]
+    return [*lines, "Every square shows the cell at its center; other cells are lost."]
 
 
 if __name__ == "__main__":

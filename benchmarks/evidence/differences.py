@@ -215,12 +215,13 @@ def page() -> list[str]:
         f"exact one; one that is less than {NOTHING / RIGHT:g} of the largest, within {NOTHING:g} of that. "
         "`check_jacobians` gets the exact Jacobian, and wrong ones: zeros, and twice the exact one.",
         *table,
-        "Functions of u = x - value, with the same values and residuals, in R(1). A slope of 0 is right within "
-        f"{NOTHING:g}, of a kink the mean of both sides. Where there is none, refused alone is right. Wrong are kinks "
-        "and roots in the rounding of f: it stands still at small steps, as at a plateau, and the column is 0.",
+        "Functions of u = x - value, with the same values and residuals, in R(1). If the slope is 0, a column is "
+        f"right within {NOTHING:g}; at a kink, the mean of both sides is right; without a slope, only a refusal is "
+        "right. Wrong are kinks and roots hidden by the rounding of f: f is constant for small steps, as on a "
+        "plateau, and the column is 0.",
         *singular_table,
     ]
 
 
 if __name__ == "__main__":
-    make_page("Numeric Jacobians where the residual says nothing about its rounding", page)
+    make_page("Numerical Jacobians of residuals near 0", page)

@@ -141,15 +141,15 @@ def tables(trials: list[Trial], clean: list[str]) -> list[str]:
     return [
         f"- {len(every)} trials, median {seconds:.1f} s of processor time; 10 to 60 % of all closures are wrong",
         f"- *right*: within {100 * FINE:g} % of the extent of the optimum without wrong closures",
-        f"- *within its sigmas*: not right, no doubt, but no pose is {SIGMAS:g} of its sigmas away",
+        f"- *within its sigmas*: not right and without a doubt, but every pose is within {SIGMAS:g} of its sigmas",
         *markdown(("graph", *heads), [[n, *counted(ts), rates(ts)] for n, ts in [*by_name, ("**all**", trials)]]),
         "",
         *markdown(("wrong closures", *heads), [[n, *counted(ts), rates(ts)] for n, ts in by_share]),
-        "Doubts of right maps; some have two:",
+        "Doubts stated on right maps; some maps have two:",
         *markdown(("doubt", "right maps"), why),
-        "Twenty closures in two runs of ten: two places are held, and the rest of the map hangs on these.",
+        "Twenty closures in two runs of ten: they fix two places, and the rest of the map depends on them.",
         *markdown(("graph", *heads), [[n, *counted(ts), rates(ts)] for n, ts in in_runs]),
-        "Without wrong closures, all of the graph's own:",
+        "With all closures of the graph and no wrong ones:",
         *clean,
     ]
 
@@ -187,7 +187,7 @@ def page(data: Path, mit: Path | None, seeds: int, names: list[str]) -> list[str
 if __name__ == "__main__":
     graphs = [*HALLS, *PUBLIC, *(name + RUNS for name in PUBLIC)]
     make_page(
-        "Twenty loop closures",
+        "Maps with twenty loop closures",
         page,
         mit={"type": Path, "metavar": "FILE", "help": "the graph of the MIT Killian Court"},
         seeds=(5, "trials of every share"),

@@ -175,7 +175,7 @@ def cost(seconds: float, picture: Path) -> list[str]:
         "- Slopes are fitted to the largest rings (thick lines).",
         "- Expected costs a step are m^2 for the EKF, m for online and constant for batch. In all they are m^3, "
         "m^2 and m. On small rings Python's overhead dominates.",
-        "- Other work on the machine moves the slopes. Three runs were limited to 120, 120 and 300 s. Slopes a "
+        "- Other work on the machine changes the slopes. Three runs were limited to 120, 120 and 300 s. Slopes a "
         "step: EKF 1.85, 1.69 and 1.87, online 0.98, 0.66 and 0.47. Slopes in all: batch 1.08, 1.05 and 1.06.",
     ]
 
@@ -191,9 +191,9 @@ def page(seeds: int, many_seeds: int, seconds: float, out: Path) -> list[str]:
         "- Final sigma: of the position, per axis, in the last of 181 poses.",
         f"- NEES: e' P^-1 e of the final pose. Over {many} seeds the mean of a consistent estimator is within "
         f"{low:.2f}-{high:.2f}.",
-        "- First-sight: landmarks with a prior of 4 m at first sight count as independent knowledge. The predicted "
-        "sigma is (1/2^2 + 6/4^2)^-1/2 = 1.26 m. But every measurement is relative to a start known to 2 m. The "
-        "NEES shows that this sigma is too small.",
+        "- First-sight: a new landmark gets an independent prior of 4 m. The predicted sigma is (1/2^2 + 6/4^2)^-1/2 "
+        "= 1.26 m. But every measurement is relative to a start known to 2 m. The NEES shows that this sigma is too "
+        "small.",
         "- Charted to 4 m: landmarks sighted to 0.2 deg are too far from the chart for one linearization. An "
         "iterated update is consistent.",
         f"## Subsea, start known, seeds 0 to {seeds - 1}",

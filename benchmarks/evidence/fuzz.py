@@ -279,10 +279,10 @@ EXPLAINED = f"""\
 A mutant is a small valid file, or one file of a folder, with bits, bytes, blocks, lines, words, numbers, \
 names, encodings or control characters changed. It is read twice.
 
-- *refused*: by an error of the library that names the file
-- *other exception*: every other one, and warnings that are none about graphs
-- *raw character*: a control character in a message, such as one that clears a terminal
-- *other answer*: two answers, other measurements than its lines say, or a wrong checksum
+- *refused*: an error of the library names the file
+- *other exception*: any other exception, and warnings that are not about graphs
+- *raw character*: a control character in a message; some clear a terminal
+- *other answer*: two different answers, other measurements than in the lines, or a wrong checksum
 - *slow or large*: more than {SLOW:g} s or {LARGE >> 20} MiB
 """
 
@@ -304,12 +304,12 @@ def page(mutants: int, seed: int, jobs: int) -> list[str]:
     cells = [[name, n, count.total(), *(count[end] for end in ENDS)] for name, n, count in [*rows, every]]
     table = markdown(["reader", "seeds", "mutants", *ENDS], cells)
     shown = ["Faults:", "\n".join(["```text", *faults, "```"])] if faults else []
-    return [f"- random numbers of seed {seed}", EXPLAINED, *table, *shown]
+    return [f"- random numbers of seed {seed}", *table, EXPLAINED, *shown]
 
 
 if __name__ == "__main__":
     make_page(
-        *("Mutants of files", page),
+        *("Damaged files for every reader", page),
         mutants=(20_000, "of all readers"),
         seed={"type": int, "default": 0, "help": "of the random numbers (default 0)"},
         jobs=(2, "processes at once"),

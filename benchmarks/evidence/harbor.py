@@ -86,14 +86,13 @@ def maps(rows: dict[str, Array]) -> list[str]:
     return [
         "## Maps",
         *markdown(head, table),
-        f"- Harbors of {KEYFRAMES} keyframes, 1 m apart, in two laps. Numbers in brackets are the least and the "
-        "most of the seeds.",
+        f"- Harbors of {KEYFRAMES} keyframes, 1 m apart, in two laps. Brackets: the least and the most of the seeds.",
         "- ATE: rmse of the keyframes after a rigid motion. s: processor time.",
         f"- Right place: of the closures that the last round kept, those within {AWAY:g} m of the truth. Right "
         f"heading: within {np.degrees(TURNED):g} deg as well.",
         "- Recall: closures kept at the right place, of all candidates.",
         "- Wrong in round 1: closures kept at a wrong place, in all seeds.",
-        "- NEES: of the positions of the keyframes. The first keyframe is held.",
+        "- NEES: of the positions of the keyframes. The first keyframe is fixed.",
         "## Verdicts of the last round, a harbor",
         *markdown(words, [[g, *(f"{n:.0f}" for n in r[:, 12:].mean(axis=0))] for g, r in rows.items()]),
     ]
@@ -189,15 +188,15 @@ def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
         f"- Random pairs of submaps of {2 * SUBMAP_HALF + 1} keyframes with overlapping footprints.",
         "- A guess is off by up to the stated width, evenly distributed. The window is as wide, and at least 3 m "
         "and 3 deg.",
-        "- Submaps are of the true poses, or of reckoned poses and then not rigid.",
-        f"- Wrong: more than {AWAY:g} m off. The rms of the position and the mean of d2/3 are of all others.",
-        "- d is the error over its covariance (Mahalanobis). A mean d2/3 of 1 means a right covariance, less a "
-        "covariance that is too wide.",
+        "- Submaps are built from the true poses, or from dead-reckoned poses, which bend them.",
+        f"- Wrong: more than {AWAY:g} m off. The rms of the position and the mean of d2/3 are over all other matches.",
+        "- d is the error over its covariance (Mahalanobis). A mean d2/3 of 1 means a right covariance, a smaller one "
+        "a covariance that is too large.",
         f"- ICP: point to point, pairs up to {REACH:g} m, covariance s^2 (J'J)^-1.",
         "## The straight quay: along and across",
         *markdown(head, quays),
-        "The table has all matches, also wrong ones. No feature fixes a place along this wall, so a match must not "
-        "be accepted.",
+        "The table has all matches, also wrong ones. No feature fixes the position along this wall, so no match "
+        "should be accepted.",
     ]
 
 

@@ -191,15 +191,14 @@ def page(seeds: int, nees_seeds: int) -> list[str]:
         "% bounds.",
         f"- Well observed: landmarks with a standard deviation below {WELL:g} m along the weak direction, with the "
         "poses known, at the truth.",
-        "- Landmarks of one seed share the errors of the poses. So the bounds are for one landmark a seed, the "
+        "- All landmarks of one seed have the errors of the poses. So the bounds are for one landmark a seed, the "
         "middle one.",
-        "- The mean of all landmarks has 1.96 standard errors from the spread between the seeds. These say more "
-        "than the bounds.",
+        "- The mean of all landmarks has 1.96 standard errors from the spread between the seeds. This interval says "
+        "more than the bounds.",
         "- On the hull many landmarks have an elevation known to decimeters only. The sonar equation is not linear "
-        "over such distances, and no covariance contains the effect on the poses. Rows without these landmarks "
-        "show how large it is.",
-        "- With the hinge, landmarks are known better than their covariances say. A covariance counts only hinges "
-        "that push.",
+        "over such distances, and no covariance includes the effect on the poses. Rows without these landmarks show "
+        "how large it is.",
+        "- With the hinge, landmarks are more accurate than their covariances: a covariance counts only active hinges.",
     ]
 
 

@@ -152,7 +152,7 @@ def robots(data: Path, images: Path | None) -> list[str]:
         "- There is a pose at every time at which a landmark was seen. Between poses velocity commands are integrated.",
         f"- Noise of the commands is white: {DENSITY[0, 0]:g} m/s ahead, {DENSITY[1, 1]:g} m/s across and "
         f"{DENSITY[2, 2]:g} rad/s per sqrt(Hz).",
-        f"- Bearings have a sigma of {BEARING:g} rad, ranges of {100 * RANGE:g} %. All sigmas were found on these "
+        f"- Bearings have a sigma of {BEARING:g} rad, ranges of {100 * RANGE:g} %. All sigmas were tuned on these "
         "logs. Sightings of other robots are not used.",
         "- The first pose is the true one (1 mm, 0.1 mrad), so nothing has to be aligned. *Aligned* is after the "
         "rigid motion that fits the poses best.",
@@ -176,13 +176,13 @@ def robots(data: Path, images: Path | None) -> list[str]:
     lines += [
         "- Some barcodes are misread as those of other landmarks. They move whole landmarks by meters in a filter "
         "without a gate, and in a graph without a kernel.",
-        "- A sighting is more accurate than the robot's heading when it first sees the map. The Jacobians of the "
-        "plain EKF are taken at estimates that move, so the filter believes that it has measured the heading. The "
-        "map of robot 5 ends up turned; its shape is nearly as good as the others. With first estimates, and in a "
-        "graph, the map is not turned.",
-        "- An NEES above 3 remains for all. The sigmas are right: residuals at the truth have a standard deviation "
-        "of 0.9 to 1.2 of them. But errors last. Errors of the range of one landmark are correlated by 0.9 from "
-        "one sighting to the next, and by 0.6 after 3 s. Every estimator here takes them for independent.",
+        "- A sighting is more accurate than the robot's heading when it first sees the map. The plain EKF takes its "
+        "Jacobians at changing estimates, so the filter believes that it has measured the heading. The map of robot 5 "
+        "ends up turned; its shape is nearly as good as that of the others. With first estimates, and in a graph, the "
+        "map is not turned.",
+        "- An NEES above 3 remains for all. The sigmas are right: residuals at the truth have a standard deviation of "
+        "0.9 to 1.2 of them. But errors are correlated in time. Range errors of one landmark are correlated by 0.9 "
+        "from one sighting to the next, and by 0.6 after 3 s. Every estimator here treats them as independent.",
     ]
     return lines
 
@@ -274,15 +274,15 @@ def trees(data: Path, images: Path | None) -> list[str]:
         "- Odometry: wheel speed and steering through `models.vehicles.ackermann`. Sigmas and the direction of the "
         "laser (1.1 deg to the right) come from scans 1 s apart; see `victoria_park.py`.",
         f"- Lengths in m: distance of the {len(park.gps_error(last[x]).distances)} GPS fixes from the track. Each "
-        "track is first moved rigidly to fit them best, as no absolute heading is measured.",
+        "track is first aligned rigidly with the fixes, as no absolute heading is measured.",
         "- GPS has gaps of up to 3 minutes and jumps of several meters. Its antenna is not where the laser is.",
         *table,
         f"- The two associations differ in {differ} of {n} sightings.",
         "- *Found again*: each sighting goes to the nearest tree of the first solution, up to 2 m. Then the graph "
         f"is solved once more. {int((again != names).sum())} sightings change their tree, {int((again < 0).sum())} "
         "are left out.",
-        f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose, as the "
-        "gates of the filter are made of them.",
+        f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose: the gates of "
+        "the filter depend on them.",
         f"- *All trees at once*: `nls.missions.contacts.associate`, from dead reckoning. {associated}. With the "
         f"trees found again, the same {both.sum()} sightings are {park.gps_error(shared[x]).rmse:.2f} m off.",
     ]

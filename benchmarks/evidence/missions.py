@@ -106,12 +106,12 @@ def page(data: Path) -> list[str]:
             *Table(TITLES, "lrrrrll"),
             *vehicles(data, folder),
             marina(data, folder),
-            "Nothing in these logs checks dead reckoning: `nls solve` says so, and both columns are the same.\n"
-            "Logs with ranges among beacons, GOATS 14 and 15, plaza2: [scales](sigmas.md).",
+            "No measurement in these logs checks dead reckoning. `nls solve` says so, and both columns are "
+            "equal.\nLogs with ranges to beacons (GOATS 14 and 15, plaza2): [scales](sigmas.md).",
             *acoustic(data, folder),
             "The fixes are computed from the same ranges, and many rows repeat the one before. So their small "
-            "scale shows how well\n"
-            "they fit the ranges, not how right they are. There is no truth. The ranges of one ping differ by "
+            "scale shows a\n"
+            "good fit to the ranges, not a small error. There is no truth. The ranges of one ping differ by "
             "decimeters at tens of\n"
             "meters. Four receivers a meter apart give a range and a poorly known direction.",
             "The caves have no heading sensor in the log: `nls import` reads DVL and depth, and says what is missing.",
@@ -119,4 +119,4 @@ def page(data: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    make_page("Real logs", page)
+    make_page("Real logs by one command", page)

@@ -55,22 +55,20 @@ PUBLIC = {  # logs by the mapping of the documentation
     "Aracati": ("aracati", "aracati/keyframes.csv.gz", "aracati/truth.csv.gz"),
 }
 EXPLAINED = f"""\
-Each mistake is made in the logs of missions whose truth is known, which `nls import` and `nls solve` read.
-The first cure that is printed is followed to the letter, at most {CURES} times. The worst of the seeds is shown.
+Each mistake is made in the logs of missions with a known truth; `nls import` and `nls solve` read these logs.
+The first printed cure is followed to the letter, at most {CURES} times. The table shows the worst of the seeds.
 
 - dive: DVL, AHRS and depth, 720 m; GPS in the first and the last 6 s.
-- usbl: the same, with a ship that measures range, bearing and elevation every 4 s.
+- usbl: as dive, with a ship that measures range, bearing and elevation every 4 s.
 - rov: compass, depth and positions every 2 s, without a DVL.
 - Error: root mean square of the positions over the track, against the truth.
-- harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log, or its stated sigma or that
-  of the result itself where these are larger. cured: the same after a cure, or within {STATED:.0f} sigmas as stated
-  then: a constant that the data say adds an error of its own. still loud: another exit status, or no answer in
-  {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured: the same, and the answer says that nothing
-  checks this quantity of this table, as the depth of the rov, or no error of this size.
-- Where the answer lists causes that nothing tells apart, the one that was made is taken if it is among them: whoever
-  looks at the vehicle knows it.
-- Cause right: the first answer names the column or constant that is wrong, and how. Named and right do not count
-  what is harmless or unmeasured."""
+- harmless: exit status 0, no cure, and an error within {WORSE} times that of the right log or, where larger, its stated
+  sigma or that of the result. cured: harmless after a cure, or an error within {STATED:.0f} of the then stated sigmas.
+- still loud: another exit status, or no answer in {PATIENCE:.0f} s. silent: exit status 0, a larger error. unmeasured:
+  silent, but the answer says that no measurement checks this quantity of this table, or no error of this size.
+- If the answer lists causes that no measurement tells apart, the true cause counts: a look at the vehicle decides.
+- Cause right: the first answer names the wrong column or constant and its error. Named and right leave out harmless
+  and unmeasured mistakes."""
 
 
 @dataclass(frozen=True)
@@ -324,7 +322,7 @@ def tables(given: Sequence[Verdict], clean: Iterable[tuple[str, int, int, str]])
         of_mission = [v for v in given if v.mission == mission]
         names = dict.fromkeys(v.mistake for v in of_mission)
         by_mission[mission] = [worst([v for v in of_mission if v.mistake == name]) for name in names]
-    lines = [EXPLAINED, *summary(by_mission), "## Logs without a mistake"]
+    lines = [*summary(by_mission), EXPLAINED, "## Logs without a mistake"]
     rows = [(*numbers, said.replace("|", "\\|")) for *numbers, said in clean]
     lines += markdown(("log", "missions", "alarms", "remarks"), rows)
     for mission, worsts in by_mission.items():

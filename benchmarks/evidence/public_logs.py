@@ -185,13 +185,12 @@ def imported(log: Log, logs: Path, folder: Path) -> tuple[list[Any], list[str]]:
 ORIGINS = ["log", "vehicle", "repository on github.com", "commit", "path", "license"]
 NUMBERS = ["log", "lines", "edits", "refused", "min", "edits now", "notes", "exit", "s", "span [m]", "off [m]"]
 LEGEND = """\
-*Edits*, *refused* and *min* were noted by hand at the first import of each log, by one who knows the page on imports
-but not the log: lines of the mapping that differed from the draft, commands that refused, and minutes from the first
-look at the file to a chart that was believed. What follows is measured by this program. *Edits now* are those against
-its draft. *Notes* and *exit* are of `nls import` and of `nls solve`, with their warnings. *s* is the processor time
-of draft, import and solution. *Span* is the diagonal of the track. *Off* is the median distance from the log's own
-truth, or else from its own fixes. As read by these mappings, all logs are right: an exit status of 1 is a false
-alarm.
+A person who knew the page on imports, but not the log, noted *edits*, *refused* and *min* at the first import.
+*Edits*: lines of the mapping that differed from the draft. *Refused*: commands that ended in an error. *Min*: minutes
+from the first look at the file to a plausible chart. This program measures the other columns. *Edits now* count
+from its draft. *Notes* and *exit* are of `nls import` and of `nls solve`, with their warnings. *s*: processor time of
+draft, import and solution. *Span* is the diagonal of the track. *Off* is the median distance from the log's own
+truth, or else from its own fixes. All logs are right as these mappings read them: an exit status of 1 is a false alarm.
 """
 
 
@@ -213,8 +212,8 @@ def page(logs: Path | None) -> list[str]:
         [log.name, log.vehicle, log.repository, f"`{log.commit[:10]}`", ", ".join(log.files.values()), log.license]
         for log in all_logs
     ]
-    lines = [*markdown(ORIGINS, origins, 6), LEGEND, *markdown(NUMBERS, rows)]
-    return [*lines, "What the charts showed, and the result with its doubts:", "\n".join(words)]
+    lines = [*markdown(NUMBERS, rows), LEGEND, "What the charts showed, and the result:", "\n".join(words)]
+    return [*lines, "The logs:", *markdown(ORIGINS, origins, 6)]
 
 
 if __name__ == "__main__":

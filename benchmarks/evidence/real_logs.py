@@ -204,8 +204,7 @@ def page(data: Path) -> list[str]:
         *lines,
         "## Caves",
         "DVL of an AUV led by a diver, 33 min. The log has no heading sensor: the heading is the course of the "
-        "published SLAM\ntrack. So these figures show how well distances are kept, not how well the vehicle "
-        f"navigates.\n{legs}.",
+        f"published SLAM\ntrack. So these figures show the accuracy of distances, not of the navigation.\n{legs}.",
         *markdown(["sensors", "distance [m]", "end beside the published track [%]", "rms [m]"], [row], 4 * "-"),
         "",
         *markdown(titles, taped, 5 * "-"),

@@ -155,11 +155,10 @@ def before_and_after(seeds: int) -> list[str]:
     titles += ["sonar, cm", "sonar, deg", "chi2 / dof", "iterations", "status"]
     return [
         *markdown(titles, (row(*names, found) for names, found in runs.items()), "llrrrrrrrl"),
-        "Root mean square errors of positions: mean over the seeds at the start -> at the end (worst seed). *Aligned*: "
-        "one rigid motion of cameras and points together, no scale. *Not aligned*: the first camera is where it is "
-        "held, the others are counted. Sonar: position and angle of its axes, which need no alignment. chi2 / dof: "
-        "mean, and least and most. All starts end at the same sonar, to "
-        f"{np.degrees(same):.1g} deg.",
+        "Root mean square errors of positions: mean over the seeds at the start -> at the end (worst seed). "
+        "*Aligned*: one rigid motion of cameras and points together, no scale. *Not aligned*: the first camera is "
+        "fixed, the others are counted. Sonar: position and angle of its axes, which need no alignment. chi2 / dof: "
+        f"mean, and least and most. All starts end at the same sonar, to {np.degrees(same):.1g} deg.",
     ]
 
 
@@ -192,8 +191,8 @@ def page(seeds: int, sigma_seeds: int) -> list[str]:
         *consistency(sigma_seeds),
         "## Which motion would help, seed 0",
         *motions_table(helpful_motions(first.graph, first.truth, s[0], frame=first.truth[s[0]])),
-        "Sigma of each component of the sonar's place before / after; axes of the motion are those of the sonar. "
-        "*stay* is a second look from the last place. Sorted by pitch, the weakest.",
+        "Sigma of each component of the sonar's place before / after; motions are along the axes of the sonar. "
+        "*stay*: a second image from the last pose. Sorted by pitch, the weakest.",
     ]
 
 

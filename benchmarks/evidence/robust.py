@@ -130,20 +130,20 @@ def tables(trials: list[Trial], closures: list[str]) -> list[str]:
     silent = sum(t.outcome == "silent" for t in trials)
     return [
         "- one BLAS thread, processor time, two trials at a time; *s*: median",
-        f"- *solved*: nothing is doubted, and the ATE is below {100 * FINE:g} % of the longest side of the map's "
-        "box. The ATE is measured from the optimum without wrong closures, rigidly aligned",
-        "- *doubtful*: the result states a doubt, right or wrong; the command line exits with 1",
-        f"- *silent*: wrong without a word. **{silent} of {len(trials)} trials.**",
+        f"- *solved*: the result states no doubt, and the ATE is below {100 * FINE:g} % of the longest side of the "
+        "map's box. The ATE is measured from the optimum without wrong closures, rigidly aligned",
+        "- *doubtful*: the result, right or wrong, states a doubt; the command line exits with 1",
+        f"- *silent*: wrong without a doubt. **{silent} of {len(trials)} trials.**",
+        "![maps of one trial, and the outcomes of all](robust.png)",
         "## Clean graphs",
-        "Rejected right closures, and how many chance rejects at 99 %.",
+        "Rejected right closures, and the number expected by chance at 99 %.",
         *clean(trials),
         "## Six kinds of wrong closures",
-        "Solved / doubtful / silent, by the share of wrong closures among all. A choice that keeps less than half "
-        "of the closures is doubtful by definition, as at 80 %. *random*, *local* and their groups come from the "
-        "generator of Sünderhauf and Protzel (IROS 2012). An *alias* claims for two other poses the measurement of "
-        f"a right closure. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds.",
+        "Solved / doubtful / silent, by the share of wrong closures among all. A choice that keeps less than half of "
+        "the closures is doubtful by definition, as at 80 %. *random*, *local* and their groups come from the "
+        "generator of Sünderhauf and Protzel (IROS 2012). An *alias* is the measurement of a right closure between "
+        f"two other poses. Groups have ten closures. Large graphs ({', '.join(LARGE)}) have fewer seeds.",
         *by_kind(trials),
-        "![maps of one trial, and the outcomes of all](robust.png)",
         "## The protocol of the field",
         "Percent of right maps, doubtful or not; numbers of trials in brackets. Columns: number of wrong closures "
         "in percent of the right ones. The four kinds of the generator take turns over ten runs. The best "

@@ -169,12 +169,12 @@ def page(seeds: int) -> list[str]:
     titles = ("mission", "walk", "positions", "solution", "stated", "NEES", "chi2 / dof", "warnings")
     return [
         f"{seeds} missions of {DURATION / 60:g} min each, a ping every {PING:g} s. Compass {np.degrees(HEADING):.0f} "
-        f"deg, tilt {np.degrees(TILT):.0f} deg, depth {DEPTH} m.\n"
-        f"Positions: {RANGE:g} m + {100 * SHARE:g} % of the distance. Ranges {RANGE:g} m, directions {DIRECTION} rad.\n"
-        "Walk: m/sqrt(s), as simulated and as stated. Positions: rmse of x and y of those by USBL as they are, m.\n"
-        "Solution: rmse of x and y, m; stated: root of the mean of the trace of its covariance. NEES: 2 expected.",
+        f"deg, tilt {np.degrees(TILT):.0f} deg, depth {DEPTH} m.\nPositions: {RANGE:g} m + {100 * SHARE:g} % of the "
+        f"distance. Ranges {RANGE:g} m, directions {DIRECTION} rad.\nWalk: m/sqrt(s), as simulated and as stated. "
+        "Positions: rmse of x and y of the raw USBL positions, m.\nSolution: rmse of x and y, m; stated: root of the "
+        "mean of the trace of its covariance. NEES: 2 expected.",
         *markdown(titles, rows),
-        "Positions as they are, of a transponder with a lever arm, are not those of the vehicle.",
+        "Raw positions of a transponder with a lever arm are not positions of the vehicle.",
     ]
 
 

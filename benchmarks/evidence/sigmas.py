@@ -36,7 +36,7 @@ from nls.metrics import ate
 
 HUBER, CAUCHY = Huber(EFFICIENT["huber"]), Cauchy(EFFICIENT["cauchy"])
 A, L, x = nls.kinds("A", "L", "x")
-BEACONS = ("held", "with priors", "unknown")
+BEACONS = ("fixed", "with priors", "unknown")
 SURVEYED = 1.0  # m, stated for the places of beacons: a guess, whose scale is estimated as that of any kind
 Groups = Literal["kinds", "units", "components"]
 
@@ -129,7 +129,7 @@ def judged(solution: Solution, truth: Values, kind: str) -> Judged:
 def goats(data: Path, number: int, beacons: str) -> tuple[FactorGraph, Values]:
     """The graph with beacons as in `BEACONS`, and the vertices of the file."""
     graph, values, _ = nls.load(data / "range-only" / f"goats_{number}.pyfg.gz")
-    if beacons == "held":
+    if beacons == "fixed":
         graph.fix(Keys("L", values.stack("L").numbers))
     if beacons == "with priors":
         ranged = L[np.unique(graph.factors[1].keys[1].numbers)]
@@ -165,9 +165,9 @@ def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
     titles = ["log", "ranges: rms of residuals at the truth", "at the solution", "medians by beacon at the truth"]
     table = Table([*titles, "lag 1, 10", "steps x, y: rms at the truth", "at the solution"], "lrrlrrr")
     for number in (14, 15):
-        graph, truth = goats(data, number, "held")
+        graph, truth = goats(data, number, "fixed")
         steps, ranges = graph.factors
-        at = kept[number, "held"].values
+        at = kept[number, "fixed"].values
         (_, r), (_, r_at) = residuals_at(ranges, truth), residuals_at(ranges, at)
         (_, e), (_, e_at) = residuals_at(steps, truth), residuals_at(steps, at)
         right = np.abs(r_at[:, 0]) < 15  # the others are outliers of both
@@ -180,13 +180,13 @@ def reasons(data: Path, kept: dict[tuple[int, str], Solution]) -> list[str]:
 
 
 def controls(data: Path) -> list[str]:
-    """Scales of the ranges where these belong to another pose, or the speed of sound is another; beacons held."""
+    """Scales of the ranges where these belong to another pose, or the speed of sound is another; beacons fixed."""
     table = Table(["ranges", "GOATS 14", "GOATS 15"])
     cases = {"as logged": (0, 1.0), "of the pose before": (-1, 1.0), "of the pose after": (1, 1.0)}
     for name, (shift, scale) in {**cases, "1 % shorter": (0, 0.99), "1 % longer": (0, 1.01)}.items():
         cells = []
         for number in (14, 15):
-            graph, values = goats(data, number, "held")
+            graph, values = goats(data, number, "fixed")
             pose = graph.factors[1].keys[0].numbers + shift
             ranges = graph.factors[1][np.isin(pose, values.stack("A").numbers)]
             keys = [A[ranges.keys[0].numbers + shift], ranges.keys[1]]
@@ -270,7 +270,7 @@ def others(data: Path) -> list[str]:
 def page(data: Path, seeds: int) -> Sequence[str]:
     """The lines of the page."""
     tables, kept = goats_tables(data)
-    count = len(kept[14, "held"].values.stack("A")) - 1
+    count = len(kept[14, "fixed"].values.stack("A")) - 1
     low, high = nees_bounds(2, 1)
     all_low, all_high = nees_bounds(2, count)
     return [
@@ -279,10 +279,10 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "alone. The truth is used only in the columns that compare with it.",
         "## GOATS: an AUV among four acoustic beacons",
         "- The files state 2 cm and 2 mrad for a step of dead reckoning and 0.75 m for a range.",
-        "- Poses are compared with the vertices of the file, which its source gives as truth.",
-        f"- Beacons are held where the file has them, have priors of {SURVEYED:g} m there, or are unknown. The "
+        "- Truth: the vertices of the file, as its source states.",
+        f"- Beacons are fixed at their places in the file, have priors of {SURVEYED:g} m there, or are unknown. The "
         "priors are a kind of their own with an estimated scale.",
-        "- With unknown beacons the first pose is held where the file has it. Errors are relative to this pose.",
+        "- With unknown beacons the first pose is fixed at its place in the file. Errors are relative to this pose.",
         "- ATE is not aligned. Sigma: rms over the poses of the standard deviation of the position. Lengths are in m.",
         "- NEES: mean over the poses of e' P^-1 e of the position, expectation 2. Of single poses 95 % are within "
         f"{low:.2f} to {high:.2f}.",
@@ -292,42 +292,42 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         f"- Kernels: {HUBER}, {CAUCHY}.",
         *tables,
         "Estimation lowers the NEES by one to three orders of magnitude.",
-        "- GOATS 15 ends at 2.2 to 3.0 where the places of the beacons are measurements with an estimated scale, "
-        "not held. Of the poses, 85 to 94 % are inside their ellipse.",
+        "- GOATS 15 ends at 2.2 to 3.0 where the places of the beacons are measurements with an estimated scale, not "
+        "fixed. Of the poses, 85 to 94 % are inside their ellipse.",
         "- With unknown beacons, `estimate:units` and a kernel, both logs are inside the bounds of a single pose. "
         "The test is weak: 67 to 69 % of the poses are inside their ellipse.",
-        "- With held beacons both logs are above the bounds, with priors GOATS 14 is.",
-        "- Outliers decide the scale where there is no kernel. A dozen ranges of beacon 3 of GOATS 14 are up to "
-        "200 m wrong. Sigmas that cover these are too large for the rest.",
-        "The remaining error is not one of scale:",
+        "- Above the bounds are both logs with fixed beacons, and GOATS 14 with priors.",
+        "- Without a kernel, outliers decide the scale. A dozen ranges of beacon 3 of GOATS 14 are up to 200 m wrong. "
+        "Sigmas that cover these are too large for the rest.",
+        "The remaining error is not a wrong scale:",
         *reasons(data, kept),
         "- Residuals are in the units of the measurement, without ranges that are 15 m off at the solution. The "
-        "solution: Cauchy, `estimate:units`, beacons held.",
+        "solution: Cauchy, `estimate:units`, beacons fixed.",
         "- Lag: correlation of the residuals at the truth of one beacon, 1 and 10 of its ranges apart.",
         "Ranges and steps fit the solution better than the truth. Steps of the truth differ from dead reckoning by "
-        "more than a meter each. So the truth of these files is probably an estimate of its own, meters beside the "
-        "log. Its range errors differ from beacon to beacon and last for several ranges. Every model here takes "
-        "errors for independent. Its sigmas shrink with the number of ranges, and lasting errors do not. No scale "
-        "repairs that, and none was tuned to the truth.",
-        "A delay of the pings is not the reason, nor is a speed of sound that is 1 % wrong. The ranges as logged "
-        "need the smallest scale. Scale of the ranges, Cauchy, beacons held:",
+        "more than a meter each. So the truth of these files is probably another estimate, meters away from the log. "
+        "Its range errors differ between beacons and are correlated over several ranges. Every model here assumes "
+        "independent errors: its sigmas shrink with the number of ranges, correlated errors do not. No scale corrects "
+        "this, and none was tuned to the truth.",
+        "Neither a delay of the pings nor a speed of sound that is 1 % wrong is the reason. The ranges as logged need "
+        "the smallest scale. Scale of the ranges, Cauchy, beacons fixed:",
         *controls(data),
         "### Simulated twins",
         "Same geometry and same stated sigmas as in the file. The errors are independent and have the estimated "
         "sigmas (Cauchy, `estimate:units`). Mean NEES of the positions; bounds as for one pose a run.",
         *twins(data, kept, seeds),
-        "Where errors are as the model says, covariances pass with a scale for each unit. One scale a kind keeps "
-        "the stated ratio between positions and headings. Here that ratio is wrong by a factor of 20, most so "
-        "without known beacons.",
+        "If errors follow the model, covariances are right with a scale for each unit. One scale a kind keeps the "
+        "stated ratio between positions and headings. Here that ratio is wrong by a factor of 20, most so without "
+        "known beacons.",
         "## Logs with fair sigmas",
         "plaza2: against RTK GPS. Victoria Park: trees found again as on the page about landmark logs; the error is "
         "the distance of GPS from the track.",
         *others(data),
         "Both tracks get better with estimated sigmas. The NEES of plaza2 gets worse. Its odometry is better than "
-        "stated, so the sigmas shrink. Its range errors last (they depend on beacon and distance), so the smaller "
-        "sigmas are too small.",
+        "stated, so the sigmas shrink. Its range errors depend on beacon and distance, so the smaller sigmas are too "
+        "small.",
     ]
 
 
 if __name__ == "__main__":
-    make_page("Sigmas that the residuals show", page, seeds=(20, "simulated twins of a log"))
+    make_page("Sigmas estimated from residuals", page, seeds=(20, "simulated twins of a log"))

@@ -140,9 +140,9 @@ def page(seeds: int) -> list[str]:
     log = sim.survey(np.random.default_rng(0))
     clean = over(solved, seeds)
     return [
-        f"{log.duration} s and {log.distance:.0f} m of way, {clean['poses'].mean():.0f} poses. At the start, by "
-        f"dead reckoning, positions are {spread(clean['dead_reckoning'])} m off. Chi2 over the degrees of freedom: "
-        f"{spread(clean['chi2_dof'])}. Numbers in brackets are the least and the most of the seeds.",
+        f"{log.duration} s, {log.distance:.0f} m, {clean['poses'].mean():.0f} poses. At the start, by dead "
+        f"reckoning, positions are {spread(clean['dead_reckoning'])} m off. Chi2 over the degrees of freedom: "
+        f"{spread(clean['chi2_dof'])}. Brackets: the least and the most of the seeds.",
         f"## Calibrations, seeds 0 to {seeds - 1}",
         *calibrations(clean, seeds),
         "z: the error of an estimate in its standard deviations. The log states 0 for each, with standard "
@@ -152,7 +152,7 @@ def page(seeds: int) -> list[str]:
         "- NEES: e' P^-1 e of the position in three dimensions, with the error e and its covariance P. Its mean "
         "should lie within the 95 % bounds.",
         "- Positions are at whole seconds, where no sensor is interpolated.",
-        f"- Positions of one seed share errors. So the bounds of all {PLACES} are 1.96 standard errors, from the "
+        f"- Positions of one seed have common errors. So the bounds of all {PLACES} are 1.96 standard errors, from the "
         "spread between the seeds.",
         "- Sigma: in the horizontal, per axis.",
         f"## Wrong USBL fixes, seeds 0 to {seeds - 1}",

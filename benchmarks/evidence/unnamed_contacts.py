@@ -70,8 +70,8 @@ def trial(scene: str, how: str, seed: int) -> Trial:
 
 def rows(trials: list[Trial]) -> list[str]:
     """A row a scene and a way to spoil it."""
-    titles = ["scene", "contacts", "seeds", "precision", "recall", "explained", "ATE reckoned, m", "named, m"]
-    titles += ["without names, m", "over named, mean (largest)", "above reckoned", "settled", "s"]
+    titles = ["scene", "contacts", "seeds", "precision", "recall", "explained", "dead reckoning, m", "true names, m"]
+    titles += ["associated, m", "over true names, mean (largest)", "worse than dead reckoning", "settled", "s"]
     table = Table(titles, names=2)
     for scene, how in product(SCENES, SPOILED):
         of = [t for t in trials if (t.scene, t.spoiled) == (scene, how)]
@@ -131,11 +131,11 @@ def page(seeds: int, processes: int, out: Path) -> list[str]:
         print(done, file=sys.stderr, flush=True)
     draw(trials, out / "unnamed_contacts.png")
     return [
-        *rows(trials),
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
-        "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which "
-        "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
-        "means of the seeds. s: processor time of the association.",
+        *rows(trials),
+        "Precision and recall count pairs of contacts of one landmark. Explained: share of contacts with a landmark. "
+        "Columns in m: ATE, not aligned, mean of the seeds; *true names* is the clean mission. Settled: the last "
+        "round merged almost nothing. s: processor time of the association.",
     ]
 
 

@@ -156,12 +156,12 @@ def page(clean: int, wrong: int, processes: int) -> list[str]:
     return [
         f"- {POSES} poses, {LANDMARKS} landmarks seen up to {REACH:g} m, one measurement an update, tol {TOL:g}",
         "- *ends at the batch*: chi2 is within tol of the lowest batch solution of the right measurements, started at "
-        "the smoother's end and at the truth; wrong ones are removed before",
-        "- *farthest off*: the same difference, the largest, as a part of chi2; *ms*: an update, the median",
+        "the smoother's end and at the truth; wrong measurements are removed first",
+        "- *farthest off*: the largest of these differences, relative to chi2; *ms*: median of an update",
         *markdown((*heads, *more), rows),
     ]
 
 
 if __name__ == "__main__":
     counts = {"clean": (200, "worlds without wrong names"), "wrong": (50, "worlds with wrong names")}
-    make_page("Updates, one by one", page, **counts, processes=(2, "at once"))
+    make_page("Incremental updates near landmarks", page, **counts, processes=(2, "at once"))

@@ -202,15 +202,15 @@ def page(seeds: int, runs: int, gtsam: str | None) -> list[str]:
     """The page without its head."""
     return [
         f"## Heading, seeds 0 to {seeds - 1}",
-        "Only the prior of the first pose tells the heading: 0.1 rad. Yaw of the last of "
-        f"{POSES + 1} poses, rad: the largest difference from the batch, and the smallest and largest sigma.",
+        f"Only the prior of the first pose measures the heading: 0.1 rad. Yaw of the last of {POSES + 1} poses, rad: "
+        "the largest difference from the batch, and the smallest and largest sigma.",
         *headings(seeds, gtsam),
         f"## Consistency, seeds 0 to {runs - 1}",
-        "Mean NEES of the last pose. That of a consistent estimator is within the bounds in 95 % of all cases.",
+        "Mean NEES of the last pose. A consistent estimator is within the bounds in 95 % of all cases.",
         *consistency(runs, gtsam),
         "- GTSAM: `IncrementalFixedLagSmoother`, relinearized from 0.001 on, three updates a step. Variables of its "
         "prior keep their linearization point.",
-        "- Its wheel has neither sonar contacts nor depth with tilt.",
+        "- GTSAM's wheel has neither sonar contacts nor depth with tilt.",
     ]
 
 

@@ -87,7 +87,7 @@ def solved(mission: sim.Mission) -> Run:
 def table(scene: str, found: list[list[Run]]) -> list[str]:
     """A row for every way a mission is spoiled."""
     titles = ["wrong contacts", "dead reckoning, m", "solved, m", "times the clean run", "worse than dead reckoning"]
-    titles += ["judged", "left out", "landmarks that left", "precision", "recall", "named as exchanged (right)"]
+    titles += ["judged", "rejected", "landmarks removed", "precision", "recall", "named as exchanged (right)"]
     rows = Table([*titles, "plain, s", "choice, s"])
     clean = np.array([runs[0].ate for runs in found])
     for way, runs in zip(SPOILED, zip(*found, strict=True), strict=True):
@@ -113,11 +113,11 @@ def page(seeds: int, jobs: int) -> list[str]:
     return [
         *(line for scene in SCENES for line in table(scene, list(pooled(jobs, partial(run, scene), range(seeds))))),
         f"- Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned.",
-        "- Times the clean run: mean ATE over that of the same missions without wrong contacts. Brackets: the "
+        "- Times the clean run: mean ATE divided by the mean ATE without wrong contacts. Brackets: the "
         "least and most of a seed.",
-        "- Judged: missions whose plain solution said that contacts are wrong.",
-        "- Left out: rejected contacts, of how many wrong ones. Contacts of landmarks that left count as left out. "
-        "About one right contact in a hundred is rejected by chance.",
+        "- Judged: missions whose plain solution reported wrong contacts.",
+        "- Rejected: contacts, of how many wrong ones. Contacts of removed landmarks count, too. About one right "
+        "contact in a hundred is rejected by chance.",
         "- Named as exchanged: contacts that `nls explain` names in pairs.",
         f"- Plain: processor time of the solution with all contacts, here of at most {STEPS} steps from dead "
         "reckoning. Choice: processor time of the rest.",

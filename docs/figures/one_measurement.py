@@ -33,7 +33,7 @@ def walk(numbers: dict[str, str]) -> list[tuple[str, str, str]]:
         ("factors/base.py", "Factor.bind", "both ends are in SE(2); whitener W = diag(10, 10, 20)"),
         ("nls/graph.py", "FactorGraph.optimize", "a graph of one factor, values of two poses"),
         ("nls/sparse/pattern.py", "Pattern.__init__", "its rows of A: 0, 1, 2; its variables: x0, x1"),
-        ("nls/gauge.py", "choose_gauge", "x0 is held; x1 has the columns 0, 1, 2"),
+        ("nls/gauge.py", "choose_gauge", "x0 is fixed; x1 has the columns 0, 1, 2"),
         (
             "nls/sparse/elimination.py",
             "Elimination.__init__",

@@ -163,12 +163,12 @@ def columns(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def shown(number: float, unit: str, infinite: str) -> str:
-    """With three digits and a unit, as `in_unit`; a word where it is infinite."""
+    """A number with three digits and a unit, as `in_unit`; a word where it is infinite."""
     return infinite if np.isinf(number) else in_unit(number, unit)
 
 
 def in_unit(number: float, unit: str) -> str:
-    """With three digits and a unit; radians in degrees.
+    """A number with three digits and a unit; radians in degrees.
 
     Examples
     --------

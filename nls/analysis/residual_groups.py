@@ -17,7 +17,7 @@ from nls.sparse.pattern import Batch, Pattern, measuring
 
 GROUPS = ("kinds", "units", "components")
 EXACT_ROWS, PROBES = 4000, 200  # of T_kl; 200 columns give T_kl to some percent
-COLUMNS = 256  # solved for together
+COLUMNS_AT_ONCE = 256  # solved for together
 
 
 Parts = list[tuple[int, Index, Index]]  # of some batches some measurements and some of their components
@@ -122,11 +122,11 @@ class Residuals:
         for l in chosen:
             rows = np.flatnonzero(self._rows[:, l])
             exact = len(rows) <= EXACT_ROWS
-            for begin in range(0, len(rows) if exact else PROBES, COLUMNS):
+            for begin in range(0, len(rows) if exact else PROBES, COLUMNS_AT_ONCE):
                 if exact:
-                    columns = self._A[rows[begin : begin + COLUMNS]].T.toarray()
+                    columns = self._A[rows[begin : begin + COLUMNS_AT_ONCE]].T.toarray()
                 else:
-                    signs = rng.choice([-1.0, 1.0], (len(rows), min(COLUMNS, PROBES - begin)))
+                    signs = rng.choice([-1.0, 1.0], (len(rows), min(COLUMNS_AT_ONCE, PROBES - begin)))
                     columns = self._A[rows].T @ (signs / np.sqrt(PROBES))
                 squares = np.square(self._A @ self._factorization.solve(columns)).sum(axis=1)
                 T[chosen, l] += squares @ self._rows[:, chosen]

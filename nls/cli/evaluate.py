@@ -15,7 +15,7 @@ from nls.metrics import TrajectoryError, ate, circles, matched, rpe
 from nls.missions.folder.poses import FILES, TRUE_FILES, Poses, read_poses
 
 SCHEMA = "evaluate 1"
-LEVEL = 1e-9  # rad, below which a pose is one of the plane
+LEVEL_RAD = 1e-9  # rad, below which a pose is one of the plane
 TURNED_OVER = (
     "the alignment {} turned the track over, up became down: the track is mirrored, or of the two files one has z up "
     "and the other z down, or it is so straight that its errors alone say how it is turned about itself. A level track "
@@ -179,7 +179,7 @@ def headings_opposed(P: Array, Q: Array) -> bool:
     exp(i angle) is 1 where all angles are one, and near 0 where they are spread over the circle.
     """
     p, q = SO3.log(P[:, 3:]), SO3.log(Q[:, 3:])
-    if np.abs(np.concatenate([p[:, :2], q[:, :2]])).max(initial=0.0) > LEVEL:
+    if np.abs(np.concatenate([p[:, :2], q[:, :2]])).max(initial=0.0) > LEVEL_RAD:
         return False
     difference, total = (abs(np.exp(1j * angle).mean()) for angle in (p[:, 2] - q[:, 2], p[:, 2] + q[:, 2]))
     return bool(total > ONE_ANGLE and difference < SPREAD)
@@ -204,7 +204,7 @@ def lines(record: dict[str, Any]) -> list[str]:
     left = [f"{record[name]} {words} left out" for name, words in LEFT.items() if record[name]]
     moved = ", ".join(f"{meters:.4g}" for meters in record["translation_m"])
     motion = f", moved by ({moved}) m, turned by {record['yaw_deg']:.4g} deg" if record["align"] != "none" else ""
-    motion += f", tilted by {record['tilt_deg']:.3g} deg" if record["tilt_deg"] > LEVEL else ""
+    motion += f", tilted by {record['tilt_deg']:.3g} deg" if record["tilt_deg"] > LEVEL_RAD else ""
     motion += f", scale {record['scale']:.6g}" if record["align"] == "similarity" else ""
     rotation = f"; rotation {ate['rotation_rmse_deg']:.4g} deg rmse" if ate["rotation_rmse_deg"] is not None else ""
     out = [

@@ -27,7 +27,7 @@ def rendered(
     path: str, form: str, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport, renumber: bool = False
 ) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
-    if report.format == "mission":
+    if FORMATS[report.format].folder:
         refuse_lines(path, form)
     if not FORMATS[form].tagged:
         return nls.io.rendered(path, graph, values, report, form)

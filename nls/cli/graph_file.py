@@ -25,7 +25,7 @@ from nls.optimizers import OPTIMIZERS, default_optimizer
 from nls.stages import listened
 
 if TYPE_CHECKING:
-    from nls.missions.charts import Projection
+    from nls.missions.charts import MapProjection
 
 Read = tuple["nls.FactorGraph", "nls.Values", "nls.LoadReport"]
 NO_FOLDER = "it is for the folder that -o writes of a mission"
@@ -143,7 +143,7 @@ class GraphFile:
         return row.read(how, file)
 
     def read_to_solve(self) -> Read:
-        """What `solve` and `explain` take: as it was read, and the landmarks of contacts without names."""
+        """The problem of `solve` and `explain`: as it was read, and the landmarks of contacts without names."""
         return self.read()
 
     def check_format(self, option: str, form: str, report: nls.LoadReport) -> None:
@@ -191,7 +191,7 @@ class GraphFile:
             graph.fix(nls.Keys(kind, values.stack(kind).numbers))
         return graph
 
-    def projection(self, report: nls.LoadReport) -> Projection | None:
+    def projection(self, report: nls.LoadReport) -> MapProjection | None:
         """The projection of the coordinates in the files; None for local ones."""
         return None
 
@@ -218,7 +218,7 @@ class GraphFile:
         return solved
 
     def finished(self, solved: Solved) -> Solved:
-        """With the solution of a mission at the last optimum."""
+        """The solved problem, with the solution of a mission at the last optimum."""
         return solved
 
     def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
@@ -286,7 +286,7 @@ class GraphFile:
         return {}
 
     def findings(self, report: nls.LoadReport) -> dict[str, Any]:
-        """What is implausible in the tables, in the report for programs."""
+        """Implausible things of the tables, in the report for programs."""
         return {}
 
     def lines(self, record: dict[str, Any]) -> list[str]:
@@ -298,7 +298,7 @@ class GraphFile:
         return ()
 
     def outputs(self, solved: Solved) -> dict[str, Writer]:
-        """What writes the files of the output, by their paths."""
+        """Writers of the files of the output, by their paths."""
         return {solved.graph_file: partial(self.write_optimum, solved)} if solved.graph_file else {}
 
     def write_optimum(self, solved: Solved, path: str) -> None:

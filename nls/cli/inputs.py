@@ -16,10 +16,11 @@ def input_of(options: argparse.Namespace) -> GraphFile:
         return GraphFile(options)
     from nls.missions.scans.folder import is_scan_mission
 
-    if any(map(is_scan_mission, [options.file, *getattr(options, "dives", [])])):
+    dives = getattr(options, "dives", [])
+    if any(map(is_scan_mission, [options.file, *dives])):
         from nls.cli.scan_mission import ScanMission
 
         return ScanMission(options)
-    from nls.cli.mission import Mission
+    from nls.cli.mission import Dives, Mission
 
-    return Mission(options)
+    return Dives(options) if dives else Mission(options)

@@ -26,7 +26,7 @@ from nls.optimizers.result import TWICE, shares
 from nls.stages import listened
 
 if TYPE_CHECKING:
-    from nls.missions.charts import Projection
+    from nls.missions.charts import MapProjection
     from nls.missions.files import MissionFiles
 
 MARK = "doubtful.txt"  # beside the files of a doubtful solution: its reasons, one a line
@@ -72,7 +72,7 @@ class Folder(GraphFile):
         return format_of(file, None, "--to FORMAT", "--write-graph") if file else ""
 
     def outputs(self, solved: Solved) -> dict[str, Writer]:
-        """What writes the files of the folder, and its mark where the solution is doubtful, by their paths."""
+        """Writers of the files of the folder, and its mark where the solution is doubtful, by their paths."""
         graph = super().outputs(solved)
         if not (folder := self.options.output):
             return graph
@@ -95,12 +95,12 @@ class Folder(GraphFile):
         return {str(Path(folder, name)): partial(write, make) for name, make in files.items()} | graph
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
-        """What makes the files of the folder, by name: each gives bytes, or a figure of matplotlib."""
+        """Makers of the files of the folder, by name: each gives bytes, or a figure of matplotlib."""
         raise NotImplementedError
 
 
 class Mission(Folder):
-    """The folder of a mission, or those of several dives, which are solved as one."""
+    """The folder of a mission."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
@@ -114,7 +114,7 @@ class Mission(Folder):
         return form
 
     def read_to_solve(self) -> Read:
-        """What was read, with the landmarks that association finds for contacts without names."""
+        """The graph as it was read, with the landmarks that association finds for contacts without names."""
 
         def with_landmarks(read: Read) -> Read:
             graph, values, report = read
@@ -128,7 +128,7 @@ class Mission(Folder):
         unnamed = self.mission(report).unnamed
         return [] if unnamed is None else [unnamed.note(report.path)]
 
-    def projection(self, report: nls.LoadReport) -> Projection | None:
+    def projection(self, report: nls.LoadReport) -> MapProjection | None:
         """The projection of ``--crs``.
 
         Raises
@@ -170,11 +170,10 @@ class Mission(Folder):
         return replace(solved, report=report)
 
     def finished(self, solved: Solved) -> Solved:
-        """With the solution at the last optimum."""
-        from nls.missions.solution import SolvedDives, SolvedMission
+        """The solved problem with its solution at the last optimum."""
+        from nls.missions.solution import SolvedMission
 
-        kind = SolvedDives if self.options.dives else SolvedMission
-        return replace(solved, solution=kind(*solved.optimized))
+        return replace(solved, solution=SolvedMission(*solved.optimized))
 
     def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
         """The contacts to believe where some do not fit; None where all are believed, or the user says which."""
@@ -186,13 +185,13 @@ class Mission(Folder):
     def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with errors of whole tables, and what explains an implausible chi2.
 
-        Nothing is tried of several dives, or of a graph that is not as read. Special values and wrong units of its
+        Nothing is tried of a graph that is not as read. Special values and wrong units of its
         tables come first: beside them nothing is tried.
         """
         (graph, _, report), (chi2, dof) = read, result.believed
         mission = self.mission(report)
         errors = table_errors(graph, result.values, chi2, dof, mission) if result.converged and dof > 0 else []
-        if self.options.dives or not as_read:
+        if not as_read:
             return replace(mission, errors=[replace(error, evident=False) for error in errors])
         mission = replace(mission, errors=errors)
         implausible = bool(result.doubt) and result.chi2_final > TWICE * result.dof
@@ -211,7 +210,7 @@ class Mission(Folder):
         return replace(mission, explained=explanation) if tried else mission
 
     def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
-        """With what is implausible in the tables first, no kernel for all, no sigmas of what is unmeasured."""
+        """The problem with implausible tables named first, no kernel for all, no sigmas of what is unmeasured."""
         mission = self.mission(report)
         first = [*mission.findings, *([mission.explained] if mission.explained else ())]
         findings = [nls.Finding(nls.FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
@@ -238,7 +237,7 @@ class Mission(Folder):
         return [f"implausible: {', '.join(dict.fromkeys(left))}"] * bool(left) + super().doubts(solved)
 
     def findings(self, report: nls.LoadReport) -> dict[str, Any]:
-        """What is implausible in the tables, in the report for programs."""
+        """Implausible things of the tables, in the report for programs."""
         mission = self.mission(report)
         explained = mission.explained and mission.explained.record()
         return {"findings": [finding.record() for finding in mission.findings], "explained": explained}
@@ -269,14 +268,13 @@ class Mission(Folder):
         return plan_before_after(solved.graph, solved.before, solved.result, title=title)
 
     def made(self, solved: Solved) -> MissionFiles:
-        """The files of the solution; of several dives also those of each."""
-        from nls.missions.files import DiveFiles, MissionFiles
+        """The files of the solution."""
+        from nls.missions.files import MissionFiles
 
-        kind = DiveFiles if self.options.dives else MissionFiles
-        return kind(solved.solution, solved.projection, self.marks(solved))
+        return MissionFiles(solved.solution, solved.projection, self.marks(solved))
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
-        """What makes the files of the folder, by name."""
+        """Makers of the files of the folder, by name."""
         return self.made(solved)()
 
     def page(self, solved: Solved) -> dict[str, Any]:
@@ -284,3 +282,23 @@ class Mission(Folder):
         made, solution = self.made(solved), solved.solution
         pictures = {"The track": made.track()} | ({"The landmarks": made.landmarks()} if solution.mapped else {})
         return {"marginals": solution.marginals, "pictures": pictures, "unchecked": of_tables(solution.unchecked)}
+
+
+class Dives(Mission):
+    """The folders of several dives, which are solved as one: a track each, landmarks and beacons in common."""
+
+    def finished(self, solved: Solved) -> Solved:
+        """The solved problem with its solution at the last optimum, dive by dive."""
+        from nls.missions.solution import SolvedDives
+
+        return replace(solved, solution=SolvedDives(*solved.optimized))
+
+    def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
+        """The report with errors of whole tables; other readings are not tried of several dives."""
+        return super().with_findings(read, result, as_read=False)
+
+    def made(self, solved: Solved) -> MissionFiles:
+        """The files of the solution, and those of each dive."""
+        from nls.missions.files import DiveFiles
+
+        return DiveFiles(solved.solution, solved.projection, self.marks(solved))

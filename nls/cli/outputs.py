@@ -29,7 +29,7 @@ def say(text: object, error: bool = False) -> None:
 
 
 def complain(problem: object) -> None:
-    """What is wrong in one line on standard error; what helps, with the options of the command line, one a line."""
+    """The error in one line on standard error; its cures, with the options of the command line, one a line."""
 
     message, *advice = problem.lines(shell=True) if isinstance(problem, nls.LeadlineError) else [str(problem)]
     say("\n".join([f"nls: {' '.join(message.split())}", *advice]), error=True)
@@ -164,7 +164,7 @@ def refuse_loss(option: str, options: argparse.Namespace, why: str) -> None:
 
 
 def _identity(name: str) -> object:
-    """What a file has in common under all of its names, links too; of one that does not exist its path."""
+    """The identity of a file under all of its names, links too; of one that does not exist its path."""
     try:
         status = os.fstat(sys.stdin.fileno()) if name == "-" else os.stat(name)
     except (OSError, ValueError, AttributeError):  # standard input may be closed, or no file at all

@@ -271,7 +271,7 @@ def _overwriting(command: argparse.ArgumentParser) -> None:
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
-    """What is done to the graph before it is solved; ``more``: that can be asked for besides kernels."""
+    """Options of what is done to the graph before it is solved; ``more``: that can be asked for besides kernels."""
     kernels = (
         "robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
         f"one of {', '.join(choices.KERNELS)}; of a mission none: believe all contacts (default: without wrong ones "

@@ -17,7 +17,7 @@ import nls
 from nls.io.report import Source
 
 if TYPE_CHECKING:
-    from nls.missions.charts import Projection
+    from nls.missions.charts import MapProjection
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -123,7 +123,7 @@ class Problem(Run):
     starts: Mapping[str, float] = field(default_factory=dict)
     chi2_read: float | None = None
     stages: Mapping[str, float] = field(default_factory=dict)
-    projection: Projection | None = None
+    projection: MapProjection | None = None
     sources: Sequence[Source] = ()
     choice: nls.Robustified | None = None
     sigmas: nls.VarianceComponents | None = None

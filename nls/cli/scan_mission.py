@@ -99,7 +99,7 @@ class ScanMission(Folder):
         return solved
 
     def doubts(self, solved: Solved) -> list[str]:
-        """With why the map is no solution."""
+        """Doubts of any graph, and why the map is no solution."""
         return [*super().doubts(solved), *solved.solution.faults()]
 
     def record(self, solved: Solved) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class ScanMission(Folder):
         return solved.solution.picture()
 
     def contents(self, solved: Solved) -> dict[str, Callable[[], Any]]:
-        """What makes the files of the folder, by name."""
+        """Makers of the files of the folder, by name."""
         return {**solved.solution.files()}
 
     def page(self, solved: Solved) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def doubtful(kind: GraphFile, result: nls.Result, written: Sequence[str] = (), c
 
 
 def _doubt(report: dict[str, Any]) -> str:
-    """What the line of the result adds: what is doubtful, and calibrations far from their belief."""
+    """The end of the line of the result: doubts, and calibrations far from their belief."""
     doubts = list(report["doubtful"])
     doubts += [
         f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"

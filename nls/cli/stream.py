@@ -121,7 +121,7 @@ def _arrivals(options: argparse.Namespace, reader: _Reader) -> Iterator[tuple[Ar
 
 
 def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str, Any]:
-    """What is printed of a step."""
+    """The facts that are printed of a step."""
     smoother = session.smoother
     facts = {
         "step": session.step,

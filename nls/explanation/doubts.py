@@ -221,7 +221,7 @@ def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> 
 
 
 def _checked_by(batch: Batch, alone: Index, label: Index) -> tuple[Advice, ...]:
-    """What would check some unchecked measurements of a factor; nothing for a belief.
+    """The measurements that would check some unchecked ones of a factor; nothing for a belief.
 
     A belief is a prior, or the one such measurement in its part of the graph, as an anchor is: the part lies where it
     says.

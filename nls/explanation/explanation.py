@@ -163,7 +163,7 @@ def _disagreement(
     tests: list[Tested],
     parts: tuple[Part, ...],
 ) -> tuple[list[Finding], Suspects | None]:
-    """What does not fit at an optimum, with its causes, and the suspects; None where a calibration explains all of it.
+    """Misfits at an optimum, with their causes, and the suspects; None where a calibration explains all of it.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _disagreement(
 def _causes(
     graph: FactorGraph, values: Values, checked: Checked, tests: list[Tested], outliers: Suspects, alike: list[Finding]
 ) -> list[Finding]:
-    """What explains a chi2 that noise does not: a reading, else an exchange of landmarks, else a clock."""
+    """The explanation of a chi2 that noise does not explain: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
     if alike or outliers.many:
         findings = causes.misread(graph, values)

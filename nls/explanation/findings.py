@@ -14,7 +14,7 @@ from models.findings import Stated, plain, register
 from models.listing import some
 
 SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
-SAME = "summary variables unknowns measurements rows gauge rank nullity chi2 dof robust"  # fields of the record
+RECORDED = "summary variables unknowns measurements rows gauge rank nullity chi2 dof robust"  # fields of the record
 
 
 class FindingKind(StrEnum):
@@ -233,7 +233,7 @@ class Explanation:
         """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""
         return {
             "schema": SCHEMA,
-            **{name: getattr(self, name) for name in SAME.split()},
+            **{name: getattr(self, name) for name in RECORDED.split()},
             **{name: plain(getattr(self, name)) for name in ("parts", "worst", "suspects", "weakest")},
             "components": list(self.components),
             "nullity_is_at_least": self.capped,

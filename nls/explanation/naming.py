@@ -99,7 +99,7 @@ def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, .
 
 
 def _beside(v: int, pattern: Pattern) -> Index:
-    """The other variables of the factors of one."""
+    """The neighbors of a variable: what shares a factor with it."""
     rows = [np.stack(batch.variables) for batch in pattern.batches]
     return np.setdiff1d(np.concatenate([row[:, (row == v).any(axis=0)].reshape(-1) for row in rows]), [v])
 
@@ -233,7 +233,7 @@ def _numbers(a: Array) -> str:
 
 @dataclass(frozen=True)
 class Sight:
-    """One of the sightings of a point, the first, and how many there are.
+    """The first sighting of a point, and how many there are.
 
     Attributes
     ----------

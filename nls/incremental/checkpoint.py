@@ -21,9 +21,9 @@ from factors.keys import Keys
 from factors.robust import Kernel
 from models import Manifold
 from models.errors import GraphError, GraphFileError, LeadlineError
-from nls.incremental.arrivals import Arrivals, Decision, Window
-from nls.incremental.growing import Growing, GrowingBatch, Variables
+from nls.incremental.growing_arrays import Growing, GrowingBatch, Variables
 from nls.incremental.growing_system import GrowingSystem
+from nls.incremental.membership import Arrivals, Decision, Window
 from nls.incremental.new_variables import Known
 from nls.io.files import GZIP, ZIP, read_bytes, unreadable
 from nls.io.native.data import KINDS, archived, arrays_of, json_of, plain_of, without_arrays

@@ -16,7 +16,7 @@ from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.growing import BatchMark, GrowingBatch, Variables
+from nls.incremental.growing_arrays import BatchMark, GrowingBatch, Variables
 from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
 from nls.linear.factorization import SingularSystemError
@@ -27,8 +27,8 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-HONEST = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
-OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
+FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
+OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
 
 
 Mark = tuple[dict[str, Any], dict[str, tuple[Array, Numbers, Index]], list[BatchMark], tuple[int, int]]
@@ -78,10 +78,10 @@ class GrowingSystem:
     def bound(self, fall: float, last: float = 0.0) -> float:
         """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
         if not self.robust:
-            return HONEST * fall
+            return FALL_BOUND * fall
         # the rate of reweighting is not known in a first pass
         rate = min(fall / last, 0.95) if last > 0 else 0.9
-        return fall * max(HONEST, 1 / (1 - rate))
+        return fall * max(FALL_BOUND, 1 / (1 - rate))
 
     def model(self, factor: Factor) -> Model:
         """A factor in the spaces of its variables."""
@@ -224,8 +224,8 @@ class GrowingSystem:
         r = _sum([At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)], F.n)
         z = F.solve(r)
         rz, d, fall = float(r @ z), z, 0.0
-        if OLD * rz <= enough:
-            return dx, OLD * max(rz, 0.0)
+        if OLD_FALL_BOUND * rz <= enough:
+            return dx, OLD_FALL_BOUND * max(rz, 0.0)
         for iteration in range(60):
             q = _sum([At @ (A @ d) for A, At in rows], F.n)
             alpha = rz / float(d @ q)
@@ -237,10 +237,10 @@ class GrowingSystem:
             self.iterations += 1
             self._age += iteration > 0
             # where more than enough has fallen another step follows anyway: a tenth may be left
-            if OLD * rz <= enough - fall or (fall > enough and rz <= 0.1 * fall):
+            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.1 * fall):
                 break
             d = z + (rz / before) * d
-        return dx, fall + OLD * rz
+        return dx, fall + OLD_FALL_BOUND * rz
 
     def move(self, dx: Array, fall: float) -> bool:
         """Move all variables by the whole step, or the first of its halves that lowers chi2 enough; whether one does.

@@ -38,9 +38,9 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.arrivals import Arrivals, Decision, Window, blame, factors_of, refuse_others
-from nls.incremental.growing import part
-from nls.incremental.growing_system import HONEST, GrowingSystem
+from nls.incremental.growing_arrays import part
+from nls.incremental.growing_system import FALL_BOUND, GrowingSystem
+from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
 from nls.incremental.new_variables import LIMIT, New, lower_start
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt
@@ -227,7 +227,7 @@ class Incremental:
         last = 0.0
         for share in (1.0, *(SETTLED,) * 30):  # passes at most
             self.passes += 1
-            dx, fall = self._system.step(self._allowed(SETTLED) / HONEST)
+            dx, fall = self._system.step(self._allowed(SETTLED) / FALL_BOUND)
             self.gap = self._system.bound(fall, last)
             if self.gap <= self._allowed(share):
                 return
@@ -241,7 +241,7 @@ class Incremental:
         self.batch_solutions += 1
         result = self.graph.optimize(self.values, LevenbergMarquardt(LIMIT))
         self._system.put(result.values)
-        _, fall = self._system.step(self._allowed(SETTLED) / HONEST)
+        _, fall = self._system.step(self._allowed(SETTLED) / FALL_BOUND)
         self.gap = self._system.bound(min(fall, LIMIT.in_force.chi2_rtol * self.chi2) if result.converged else fall)
 
     def remove(self, factors: Factor | Sequence[Factor]) -> None:

@@ -18,7 +18,7 @@ from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.incremental.growing import Variables, part
+from nls.incremental.growing_arrays import Variables, part
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import odometry
 from nls.starts.landmarks import DETERMINED, locate_points, search_elevation

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
-POSE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
+POSE_LINE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
 
 
 class Reading(NamedTuple):
@@ -52,6 +52,7 @@ class Format(NamedTuple):
     measurements, values : whether it holds these.
     entries : the matrix of an edge, where formats of one suffix differ in it.
     timeless : why its measurements are in no order of time.
+    ranges : whether it has lines for ranges, which other files of lines have not.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Format(NamedTuple):
     values: bool = True
     entries: str = ""
     timeless: str = ""
+    ranges: bool = False
 
     @property
     def loads(self) -> bool:
@@ -107,7 +109,7 @@ def _begins(pattern: bytes, reason: str) -> Callable[[bytes], str]:
 
 def _names_poses(data: bytes) -> str:
     """Whether the first pose has a name behind its time."""
-    first = POSE.search(data, 0, 1 << 16)
+    first = POSE_LINE.search(data, 0, 1 << 16)
     name = first and re.fullmatch(rb"[A-Za-z]+[0-9]+", first[1])
     return f"'{name[0].decode():.30}' after a time is the name of a pose" if name else ""
 
@@ -151,6 +153,7 @@ FORMATS = {
             writer="nls.io.pyfg:pyfg_text",
             options=("convention", "ignore_tags"),
             by_name=True,
+            ranges=True,
         ),
         Format("bal", "cameras and points", "bundle-adjustment", (".bal",))._replace(
             looks=_begins(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)", "three counts on its first line"),

@@ -24,6 +24,7 @@ from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.dialects import TAGGED
+from nls.io.formats import FORMATS
 from nls.io.ids import PRIOR, VERTEX
 from nls.io.native.structure import type_name
 from nls.io.records import Dialect, Record, a_file, at_origin, fixed_offsets, joined, spaces_of
@@ -302,7 +303,7 @@ def unwritable(path: str, factor: Factor, file: str, why: str = "", ranges: bool
         why = "no line holds a bearing and its range, and two lines would be two independent measurements"
     advice = other_files(factor)
     if type(factor) is Range and not ranges and len(factor.keys) == 2 and at_origin(fixed_offsets(factor)):
-        advice = [Advice("pyfg"), *advice]
+        advice = [*(Advice("range line", row.suffixes) for row in FORMATS.values() if row.ranges), *advice]
     message = f"{path}: {factor!r} cannot be written to {file}" + (f": {why}" if why else "")
     return GraphError(message, factor.keys, factor.name, advice=advice)
 

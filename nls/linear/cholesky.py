@@ -4,7 +4,7 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
 
 - AMD orders the graph of *variables*, one node per pose, and the matrix is handed over already in that order. This has
   the fill of scalar AMD at half the time.
-- METIS (nested dissection) orders again where more than `LARGE` pairs of variables share a factor. AMD's order must
+- METIS (nested dissection) orders again where more than `AMD_PAIRS` pairs of variables share a factor. AMD's order must
   cost more than `COSTLY` flops a pair, a variable taken as one column. The order of fewer flops is taken. 10^9 flops of
   a factorization, AMD -> METIS, simulated: city of 100,000 edges 10.1 -> 4.4, of a million 548 -> 166; sphere of
   100,000 116 -> 36; filled cube of 100,000 3555 -> 392. Per 100,000 edges METIS takes 0.2 - 0.6 s, AMD 0.02 - 0.12,
@@ -31,7 +31,7 @@ from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
-LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
+AMD_PAIRS = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
 
 
@@ -64,7 +64,7 @@ class Cholmod(Decomposition):
         rows[np.arange(len(u)) + v + 1] = u
         graph = sp.csc_matrix((np.ones(len(rows)), rows, ends.astype(np.int32)), shape=(V, V))
         amd = _order(graph, "amd")
-        if len(u) <= LARGE:
+        if len(u) <= AMD_PAIRS:
             return amd
         unit_dims = np.ones(V, dtype=np.intp)
         flops = counted(unit_dims, u, v, amd).flops

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from nls.missions.folder.folder import MissionReport as MissionReport
     from nls.missions.folder.write import write_mission as write_mission
     from nls.missions.sonar.elevation import Elevations as Elevations, elevations as elevations
-    from nls.missions.solution import Track as Track, track_of as track_of
+    from nls.missions.solution import TrackErrors as TrackErrors, track_of as track_of
 
 _WHERE = {
     "nls.missions.contacts.associate": "associated",
@@ -19,7 +19,7 @@ _WHERE = {
     "nls.missions.folder.folder": "MissionReport",
     "nls.missions.folder.write": "write_mission",
     "nls.missions.sonar.elevation": "Elevations elevations",
-    "nls.missions.solution": "Track track_of",
+    "nls.missions.solution": "TrackErrors track_of",
 }
 
 if not TYPE_CHECKING:

@@ -50,7 +50,7 @@ class MissionFiles:
     """
 
     def __init__(
-        self, solution: SolvedMission, projection: charts.Projection | None = None, doubts: Sequence[str] = ()
+        self, solution: SolvedMission, projection: charts.MapProjection | None = None, doubts: Sequence[str] = ()
     ) -> None:
         self.solution, self.projection, self.doubts = solution, projection, doubts
         self.values, self.report = solution.values, solution.report

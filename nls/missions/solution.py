@@ -104,7 +104,7 @@ class SolvedMission(Solution):
         return bool(self.contacts) and self.report.sonar is not None
 
     @cached_property
-    def tracks(self) -> dict[str, Track]:
+    def tracks(self) -> dict[str, TrackErrors]:
         """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none.
 
         None where there is no truth and nothing checks dead reckoning: the solution is dead reckoning then.
@@ -232,7 +232,7 @@ class SolvedDives(SolvedMission):
     report: DivesReport
 
     @property
-    def tracks(self) -> dict[str, Track]:
+    def tracks(self) -> dict[str, TrackErrors]:
         """None of all together: each dive has its own."""
         return {}
 
@@ -265,7 +265,7 @@ def _own(values: Values, dive: Dive) -> Values:
 
 
 @dataclass(frozen=True)
-class Track:
+class TrackErrors:
     """A track beside the one it is judged by: the truth, or the solution where there is none.
 
     Attributes
@@ -299,7 +299,7 @@ class Track:
         return self.end / self.distance if self.distance > 0 else float("nan")
 
 
-def track_of(estimate: Values, judge: Values, report: MissionReport, against: str) -> Track:
+def track_of(estimate: Values, judge: Values, report: MissionReport, against: str) -> TrackErrors:
     """The poses of an estimate beside those of a judge.
 
     Parameters
@@ -321,10 +321,10 @@ def track_of(estimate: Values, judge: Values, report: MissionReport, against: st
         raise GraphError(f"the {against} has none of the poses of the mission")
     P, Q = estimate[x[numbers]], judge[x[numbers]]
     error = ate(P, Q)
-    return Track(against, numbers, distance_along(SE3.position(Q)), error.distances, error)
+    return TrackErrors(against, numbers, distance_along(SE3.position(Q)), error.distances, error)
 
 
-def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
+def drift_record(tracks: Mapping[str, TrackErrors]) -> dict[str, Any]:
     """Tracks in the report for programs, by their name."""
     return {
         name.replace(" ", "_"): {

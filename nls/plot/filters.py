@@ -42,7 +42,7 @@ BELOW = "0.82"  # of a true track, wide under the estimate
 DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 ROOM = 1.1  # above the highest line
-UNITS = np.array([1.0, 1.0, 180 / np.pi])
+SHOWN_UNITS = np.array([1.0, 1.0, 180 / np.pi])
 
 
 def estimator_figure(
@@ -154,7 +154,7 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
     """Errors of the pose on three axes, one below the other, each with its band of 3 sigma."""
-    e = -UNITS * track.manifold.local(track.X, truth[track.x])
+    e = -SHOWN_UNITS * track.manifold.local(track.X, truth[track.x])
     sigma = _sigmas(track)
     for k, (axes, (name, unit)) in enumerate(zip(rows, BODY, strict=True)):
         axes.fill_between(track.x.numbers, -3 * sigma[:, k], 3 * sigma[:, k], color=ESTIMATE, alpha=0.15, linewidth=0)
@@ -323,7 +323,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
 def power_laws(
     panels: Mapping[str, Mapping[str, tuple[Sequence[int], Sequence[float], float]]], fitted: int, xlabel: str
 ) -> Figure:
-    """What grows with a number, both axes logarithmic, with the slopes at the ends of the lines.
+    """Curves of what grows with a number, both axes logarithmic, with the slopes at the ends of the lines.
 
     Parameters
     ----------
@@ -356,4 +356,4 @@ def power_laws(
 
 def _sigmas(track: Track) -> Array:
     """Sigmas (n, 3) of the poses, m, m, deg."""
-    return np.asarray(UNITS * np.sqrt(np.diagonal(track.P, axis1=1, axis2=2)))
+    return np.asarray(SHOWN_UNITS * np.sqrt(np.diagonal(track.P, axis1=1, axis2=2)))

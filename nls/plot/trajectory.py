@@ -31,7 +31,7 @@ MOST_EDGES = 20_000  # edges drawn as lines; beyond this an evenly spaced part o
 
 
 def before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
-    """What was there before, the optimum and the convergence, side by side; the maps have one scale, or say theirs.
+    """The initial guess, the optimum and the convergence, side by side; the maps have one scale, or say theirs.
 
     Parameters
     ----------

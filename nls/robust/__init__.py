@@ -1,7 +1,7 @@
 """Wrong measurements: which loop closures to believe, and the estimate without the others."""
 
+from nls.robust.accepted_closures import Growth, grow
 from nls.robust.graduated import Rejected, Robustified, gnc
-from nls.robust.growth import Growth, grow
 from nls.robust.verdict import Doubt, DoubtKind
 
 __all__ = ["Doubt", "DoubtKind", "Growth", "Rejected", "Robustified", "gnc", "grow"]

@@ -84,7 +84,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Track:
+class OdometryTrack:
     """Poses of one kind in the order of their numbers.
 
     Attributes
@@ -105,7 +105,7 @@ class Track:
         return np.searchsorted(self.numbers, keys.numbers)
 
 
-def along(graph: FactorGraph, values: Values, kind: str) -> Track:
+def along(graph: FactorGraph, values: Values, kind: str) -> OdometryTrack:
     """The track of a kind of poses.
 
     Parameters
@@ -142,7 +142,7 @@ def along(graph: FactorGraph, values: Values, kind: str) -> Track:
     i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
     T = group.between(X[step], X[step + 1])
     C = Marginals(graph, values, pairs=[(i, j)]).relative(i, j) if len(step) else np.zeros((0, group.dim, group.dim))
-    return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
+    return OdometryTrack(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))
 
 
 def doubted_contacts(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> list[int]:
@@ -178,7 +178,7 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     optimum = reckoned.optimize(landmarks.present(trusted, values)).values
     values = put_back(values, optimum)
     inliers = [np.ones(len(mask), dtype=bool) for mask in landmarks.doubted]
-    tracks: dict[str, Track] = {}
+    tracks: dict[str, OdometryTrack] = {}
     size: dict[str, Index] = {}
     for number in doubted_contacts(graph, values, landmarks.doubted):
         factor, mask = graph.factors[number], landmarks.doubted[number]
@@ -198,7 +198,7 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     return values, landmarks.kept(inliers, values)
 
 
-def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> Agreement:
+def agreement(factor: Sighting, values: Values, track: OdometryTrack, limit: float) -> Agreement:
     """Of every landmark the contacts that agree, and where they put it.
 
     Parameters
@@ -253,7 +253,7 @@ class Arcs:
     factor: Sighting
     model: Model
     O: tuple[Array, ...]
-    track: Track
+    track: OdometryTrack
     place: Index
     limit: float
 

@@ -10,11 +10,11 @@ last.
 
 From odometry the first minimum is wrong if half of the closures are wrong, or if they come in groups that agree with
 one another. So `nls.robust.preselection` chooses the start. All closures are taken where noise explains their optimum:
-nothing has to be chosen then. Otherwise the start is that of `nls.robust.growth`, odometry and the closures it could
-verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower. The first
-keeps rejected ones out, the second takes back right closures that the start did not fit yet. The second is left out
-where so many wrong ones are within it that factorizing becomes ten times dearer. At last the groups that all others
-contradict are left out, where that moves the map.
+nothing has to be chosen then. Otherwise the start is odometry and the closures that it could verify, from
+`nls.robust.accepted_closures`. From there mu begins where closures pull that are within 10 thresholds, or 1000,
+whichever ends lower. The first keeps rejected ones out, the second takes back right closures that the start did not fit
+yet. The second is left out where so many wrong ones are within it that factorizing becomes ten times dearer. At last
+the groups that all others contradict are left out, where that moves the map.
 
     sigma0^2 = min(9 noise, max(1, noise)),      noise = chi2 over its 5 % quantile with what `Growth` accepted
 

@@ -27,7 +27,7 @@ of the steps, Ad(T_k) C_k Ad(T_k)', add up. So a running sum serves all pairs.
 
 Source: J. G. Mangelson, D. Dominic, R. M. Eustice, R. Vasudevan, "Pairwise consistent measurement set maximization for
 robust multi-robot map merging", ICRA 2018, which takes the largest set of which every pair agrees; here agreement is
-asked of neighbors only, which needs a few pairs for each closure, and `nls.robust.growth` goes on from there.
+asked of neighbors only, which needs a few pairs for each closure. `nls.robust.accepted_closures` goes on from there.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Choice among loop closures: all of them where these explain each other, else from those that `growth` accepts.
+"""Choice among loop closures: all of them where these explain each other, else from those that `grown` accepts.
 
 Graduation follows one minimum only and cannot leave it by itself. Where groups are few a choice is improved by giving
 up one group or taking one back. Closures that agree with neighbors are one witness, however many they are, and stay
@@ -16,7 +16,7 @@ from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration
 from nls.robust import verdict
-from nls.robust.growth import Witness, grown, misfits, witnesses
+from nls.robust.accepted_closures import Witness, grown, misfits, witnesses
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, Evidence
@@ -45,7 +45,7 @@ class Preselection:
         self.moved = 0.0
         for _ in range(0 if explained else 3):
             other, self.moved = self._without_contradicted(self.choice)
-            if self.moved <= verdict.STILL:
+            if self.moved <= verdict.SAME_MAP:
                 break
             self.choice = other
 
@@ -74,7 +74,7 @@ class Preselection:
         variance = min(HEAVY_TAILS**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
-        if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.STILL:
+        if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.SAME_MAP:
             return None
         return choice, variance
 

@@ -15,14 +15,14 @@ from models.findings import Numbered, Sentences, register
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Fit, Result
-from nls.robust.growth import FITS, Witness, misfits
+from nls.robust.accepted_closures import FITS, Witness, misfits
 from nls.robust.loop_graph import LoopGraph, unit_variance
 from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
 
-HALF = 0.5  # of the doubted measurements, of the steps between closures
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
-STILL = 0.005  # of the extent: a map that moves less is the same
+HALF_DOUBTED = 0.5  # of the doubted measurements: to reject more is too much
+SAME_MAP = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
 AWAY = 0.01  # part of the extent by which the map of another choice is away, at least
@@ -99,7 +99,7 @@ def doubts(result: Result, inlier_count: int, doubted: int, probability: float, 
     Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than three
     standard deviations above that are too many.
     """
-    reasons, n = [], (1 / 3 if tried else HALF) * doubted
+    reasons, n = [], (1 / 3 if tried else HALF_DOUBTED) * doubted
     if inlier_count < n * probability - 3.0 * sqrt(n * probability * (1 - probability)):
         reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
     if result.dof > 0 and result.fit is Fit.IMPLAUSIBLE:
@@ -166,9 +166,9 @@ def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
     m, n = len(inliers), int(inliers.sum())
     reasons = doubts(result, n, m, probability, evidence.tried)
     span, spans = loops.spanned(inliers), loops.spanned(np.ones(m, dtype=bool))
-    if span < HALF * spans:
+    if span < 0.5 * spans:
         reasons.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
-    if moved > STILL:
+    if moved > SAME_MAP:
         count = int(misfits(evidence.judged, result, loops).sum())
         reasons.append(Doubt(DoubtKind.CONTRADICTED, count, n, fraction=moved))
     reasons += [*_alone(evidence, inliers), *_rivals(evidence, inliers), *_unchecked(evidence, inliers)]

@@ -13,7 +13,7 @@ from sim.checks import check_fraction, check_not_negative, check_rng, check_size
 from sim.survey_log import SurveyLog, Tables
 from sim.survey_sensors import USBL_PERIOD, Errors, Sensors
 from sim.survey_sonar import sonar_tables
-from sim.survey_track import Track, sounded
+from sim.survey_track import TrueTrack, sounded
 from sim.world import seed_of
 
 __all__ = ["survey"]
@@ -112,7 +112,7 @@ def survey(
         if not (is_number(value) and least <= value <= most):
             raise OptionError(option, value, f"a number from {least:.4g} to {most:.4g}, {unit}")
 
-    track = Track(rng, legs, leg, spacing, depth, speed)
+    track = TrueTrack(rng, legs, leg, spacing, depth, speed)
     errors = Errors(dvl_scale, dvl_yaw, ahrs_clock, sound_speed_error, declination, heading_drift)
     sensors = Sensors(rng, track, errors, ORIGIN, noise_scale)
     (north, east), out = track.size, AROUND

@@ -157,7 +157,7 @@ def test_a_page(part: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setenv("LEADLINE_DATA", str(tmp_path / "public"))
     made("--quick", "--out", tmp_path / "new")
-    title, *_, blank, head, rule, row = (tmp_path / "new" / "test_scripts.md").read_text().splitlines()
+    title, blank, head, rule, row, *_ = (tmp_path / "new" / "test_scripts.md").read_text().splitlines()
     assert (title, blank) == ("# To 2", "")
     assert (head, rule, row) == ("| folder | seeds |", "|:--|--:|", "| public | 1.0 (0.0-2.0) |")
     for words in (["--seeds", "0"], ["--out", Path(__file__) / "below"]):
@@ -182,3 +182,10 @@ def test_blank_lines(part: Callable[[str], Any]) -> None:
     assert list(part("harness").spaced(lines)) == [
         *("# title", "", "- a", "- b\n  of b", "", "| t |", "|--:|", "", "| u |", "", "text\nof two lines", "", "text")
     ]
+
+
+@pytest.mark.parametrize("figure", [["![a](a.png)"], ["| t |", "|--:|"]])
+def test_conditions_follow_the_first_picture_or_table(part: Callable[[str], Any], figure: list[str]) -> None:
+    lines = ["# title", "- a", "text", "- b", *figure, "text", "- c", "| u |"]
+    assert part("harness").figure_first(lines) == ["# title", "text", *figure, "- a", "- b", "text", "- c", "| u |"]
+    assert part("harness").figure_first(["# title", "- a", "text"]) == ["# title", "text", "- a"]

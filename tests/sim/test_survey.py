@@ -13,7 +13,7 @@ import sim
 from models.errors import GraphError, OptionError
 from sim.files import survey_files
 from sim.survey_sensors import ANTENNA, DVL_ARM, TRANSDUCER
-from sim.survey_track import Track
+from sim.survey_track import TrueTrack
 from tests.combinations import for_all
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ def rotation(rpy: Array) -> Rotation:
     return Rotation.from_euler("ZYX", rpy[:, ::-1])
 
 
-def at(track: Track, t: Array, arm: tuple[float, ...]) -> Array:
+def at(track: TrueTrack, t: Array, arm: tuple[float, ...]) -> Array:
     return np.asarray(track.position(t) + rotation(track.attitude(t)).apply(arm))
 
 

@@ -40,7 +40,7 @@ ELLIPSES = 60  # along a track: as many as can be told apart
 
 
 @dataclass(frozen=True)
-class Projection:
+class MapProjection:
     """Eastings and northings of points in the local frame.
 
     Attributes
@@ -61,7 +61,7 @@ class Projection:
         return np.column_stack(self.transformer.transform(lon, lat))
 
 
-def projection(name: str, plane: LocalPlane | None) -> Projection:
+def projection(name: str, plane: LocalPlane | None) -> MapProjection:
     """The projection of a name.
 
     Parameters
@@ -83,7 +83,7 @@ def projection(name: str, plane: LocalPlane | None) -> Projection:
     array([[4., 3.]])
     """
     if name == "local":
-        return Projection(name)
+        return MapProjection(name)
     if not (name == "utm" or re.fullmatch(r"(?i:epsg):\d{1,9}", name)):
         raise OptionError("--crs", name, "local, utm or EPSG:n, such as EPSG:25832")
     if plane is None:
@@ -103,7 +103,7 @@ def projection(name: str, plane: LocalPlane | None) -> Projection:
         system = CRS.from_user_input(code)
         if not system.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in system.axis_info):
             raise OptionError("--crs", name, f"a projected system in meters: {code} is {system.name}")
-        made = Projection(code, plane, Transformer.from_crs("EPSG:4326", system, always_xy=True))
+        made = MapProjection(code, plane, Transformer.from_crs("EPSG:4326", system, always_xy=True))
     except ProjError as error:
         raise OptionError("--crs", name, f"a system that pyproj knows: {error}") from error
     if not np.isfinite(made.east_north(np.zeros((1, 2)))).all():
@@ -112,7 +112,7 @@ def projection(name: str, plane: LocalPlane | None) -> Projection:
 
 
 def extra(
-    p: Array, plane: LocalPlane | None, projection: Projection | None = None, times: Array | None = None
+    p: Array, plane: LocalPlane | None, projection: MapProjection | None = None, times: Array | None = None
 ) -> dict[str, Array]:
     """Columns of a table for positions (n, 3) in the local frame.
 

@@ -35,7 +35,7 @@ from models.geodesy import LocalPlane
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.report import LoadReport
-from nls.missions.charts.chart import DECIMALS, MILLIMETERS, Chart, Projection, near
+from nls.missions.charts.chart import DECIMALS, MILLIMETERS, Chart, MapProjection, near
 from nls.values import Values
 
 
@@ -168,7 +168,7 @@ CELLS = 100  # along the longer side, at most
 NODATA = -9999.0
 
 
-def depths_text(chart: Chart, projection: Projection | None = None) -> bytes:
+def depths_text(chart: Chart, projection: MapProjection | None = None) -> bytes:
     """The grid of the depths of a chart: of its landmarks, and of the bottom below the vehicle; it has one of them."""
     p = np.concatenate([*(points.p for points in chart.points if points.name == "landmark"), chart.bottom])
     east_north = p[:, [1, 0]] if projection is None else projection.east_north(p)
@@ -219,7 +219,7 @@ def grid_text(east_north: Array, depth: Array) -> bytes:
     return (head + body).encode()
 
 
-def points_text(chart: Chart, projection: Projection | None = None) -> bytes:
+def points_text(chart: Chart, projection: MapProjection | None = None) -> bytes:
     """The points of a chart: north, east and down, or easting, northing and up in a projection of the Earth."""
     parts = [(points.name, points.numbers, points.p) for points in chart.points]
     if len(chart.bottom):

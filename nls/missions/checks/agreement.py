@@ -140,7 +140,7 @@ def _at_depth(t: Array, span: Array, file: str, t_z: Array, z: Array) -> Iterato
 
 
 def of_way_down(log: Log) -> list[Implausible]:
-    """What is wrong where DVL, attitude and depth do not fit each other; lines are rows, counted from 0."""
+    """The errors where DVL, attitude and depth do not fit each other; lines are rows, counted from 0."""
     named, wrong = 0.1, 0.5  # relative misfits from which it is named with a reading, and without one
     windows, noise = _windows(log)
     m = _misfit(log, windows)

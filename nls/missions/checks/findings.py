@@ -112,7 +112,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Explained(Numbered):
-    """What the solver says of a chi2 that is implausible.
+    """The words of the solver for an implausible chi2.
 
     Attributes
     ----------

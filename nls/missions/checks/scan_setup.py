@@ -59,7 +59,7 @@ from nls.values import Values
 
 PRIOR = (2.0, 2.0, float(np.radians(10.0)), 10.0)  # sigmas of x, y, m, yaw, rad, and time, s, before the scans
 COMPONENTS = ("x", "y", "yaw", "time")
-SIGMAS = 3.0  # from the assumed value, above which a component is wrong, where it is by as much as LIMITS
+WRONG_SIGMAS = 3.0  # from the assumed value, above which a component is wrong, where it is by as much as LIMITS
 LIMITS = (0.5, 0.5, float(np.radians(3.0)), 0.5)  # m, rad, s: 1 m costs 0.3 m of a map, 1 s all of it
 BENDING = frozenset({SetupKind.UNREPEATED, SetupKind.MIRRORED, SetupKind.TIME_OFFSET})  # what follows is no map
 LARGEST_SCALE = {"steps": 2.0, "drifts": 1.5, "closures": 2.0}  # times that sigmas may be too large or too small
@@ -101,7 +101,7 @@ class Mounting:
     @property
     def wrong(self) -> npt.NDArray[np.bool_]:
         """(4,) whether a component is determined, and far from the assumed one: by 3 sigmas, and by what matters."""
-        return self.determined & (np.abs(self.value) > np.maximum(SIGMAS * self.sigma, LIMITS))
+        return self.determined & (np.abs(self.value) > np.maximum(WRONG_SIGMAS * self.sigma, LIMITS))
 
 
 def mounting(graph: FactorGraph, values: Values, scans: Scans, times: npt.ArrayLike | None = None) -> Mounting:
@@ -315,7 +315,7 @@ def _mounting(estimate: Mounting, scans: Scans, closing: Closing | None) -> list
         if wrong:
             findings.append(_finding(SetupKind.MOUNTING, value, sigma, component=name, mount=mount))
     yaw, sigma = estimate.lateral if closing is None else lateral_drift(closing.graph, closing.values)
-    if not estimate.wrong[2] and abs(yaw) > max(SIGMAS * sigma, LIMITS[2]):
+    if not estimate.wrong[2] and abs(yaw) > max(WRONG_SIGMAS * sigma, LIMITS[2]):
         turned = SE2.compose(np.array([[0.0, 0.0, yaw]]), scans.mount[None])[0]
         findings.append(_finding(SetupKind.TURNED, yaw, sigma, mount=turned.tolist()))
     return findings

@@ -21,7 +21,7 @@ from nls.missions.folder.columns import ANGLES, GEODETIC, SENTINELS, VELOCITY
 from nls.missions.folder.dvl import bottom_lock
 from nls.missions.folder.table import Table
 
-UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
+LOG_UNITS = (1.0, 10.0, 100.0, 1000.0, 1e7, 3.28084, 1.943844, 3.6, 180 / np.pi)  # of the log in one of the mission
 JUMPS = {"_m_s": 0.3, "_rad": 0.1, "_deg": 1e-4, "_m": 3.0, "_s": 1e-3, "_pa": 1e4}  # the least, by the end of a name
 SINGLE = ("z_m", "pressure_pa", "range_m", "travel_time_s", "azimuth_rad", "bearing_rad", "elevation_rad")
 RATES = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
@@ -73,7 +73,7 @@ def _of_table(name: str, table: Table) -> Iterator[Implausible]:
 def _listed(y: Array, column: str) -> Mask:
     """Which numbers (n,) are among those that loggers write for none."""
     out = np.zeros(len(y), dtype=bool)
-    for unit in UNITS:
+    for unit in LOG_UNITS:
         out |= np.isclose(np.abs(y[:, None]) * unit, SENTINELS, rtol=1e-7, atol=0).any(axis=1)
     if column.endswith("_rad"):
         out |= np.isclose(np.abs(y[:, None]), np.abs(wrap(np.radians(SENTINELS))), rtol=0, atol=1e-9).any(axis=1)
@@ -90,7 +90,7 @@ def meant(column: str, value: float) -> list[float]:
     >>> meant("vx_m_s", -32.768), meant("z_m", -9999.0)
     ([-32.768, -32768.0], [-9999.0])
     """
-    whole = [n for unit in UNITS for n in SENTINELS if np.isclose(abs(value) * unit, n, rtol=1e-7, atol=0)]
+    whole = [n for unit in LOG_UNITS for n in SENTINELS if np.isclose(abs(value) * unit, n, rtol=1e-7, atol=0)]
     if column.endswith("_rad") and not whole and value:
         return [s * n for n in SENTINELS for s in (-1, 1) if abs(wrap(np.radians(s * n)) - value) < 1e-9]
     return list(dict.fromkeys([value, *(float(np.copysign(n, value)) for n in whole)]))

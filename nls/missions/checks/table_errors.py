@@ -132,7 +132,7 @@ def _columns(
 
 
 def _reading(file: str, quantity: str, component: int, size: float, since: float) -> Reading | None:
-    """What an error of this size is; a clock runs fast since a time."""
+    """The name of an error of this size; a clock runs fast since a time."""
     table = file.rpartition("/")[2].removesuffix(".csv")
     if not abs(size) < LARGEST_SIZE.get(quantity, np.inf):
         return None
@@ -156,7 +156,7 @@ def _reading(file: str, quantity: str, component: int, size: float, since: float
 def _errors(
     batch: Batch, values: Values, t: Array | None, moving: dict[str, Array], tags: set[str], file: str
 ) -> Iterator[tuple[str, str, Array]]:
-    """What may be wrong with all measurements of a factor: file, name, and C (n, m, k) of k numbers."""
+    """The errors that all measurements of a factor may share: file, name, and C (n, m, k) of k numbers."""
     factor, W, name = batch.model.factor, batch.model.W, file.rpartition("/")[2]
     table = name.removesuffix(".csv")
     known = any(keys.kind == f"{table}_clock_s" for keys in factor.keys)  # a variable

@@ -219,7 +219,7 @@ def _with_row(tables: Tables, name: str, value: float, sigma: float) -> Table:
 
 
 def _tried(mission: Mission, alternatives: Sequence[Alternative], sigma: float = 0.0) -> Iterator[Trial]:
-    """Other readings of its tables, whose factor has a standard deviation."""
+    """Trials of the readings of a mission's tables whose factor has a standard deviation, where they explain chi2."""
     others = [(a, tables) for a in alternatives if (tables := a.on_tables(mission.tables))]
     announce("trying other readings")
     for number, fit in mission.optima([tables for _, tables in others], 6):  # whose dead reckoning fits best

@@ -202,7 +202,7 @@ def _digits(sigma: float) -> int:
 
 
 def _explained(n: Mapping[str, Any]) -> str:
-    """What explains chi2, in words, with the line to write."""
+    """The explanation of chi2 in words, with the line to write."""
     chi2 = f"{_size(n['chi2'])}"
     if not n["trials"]:
         return f"no single constant and no single table explains chi2 ({chi2}, {n['dof']:,} expected)"

@@ -125,7 +125,7 @@ class _Maps:
         return 2 * sqrt(variance / len(self.J[0]))
 
     def matches(self, delta: Array, bound: float) -> tuple[Index, Index, Index, Array, Array, Array]:
-        """What matches after motions (q, m): which of these (n,), landmarks i (n,) of a and j (n,) of b.
+        """The matches after motions (q, m): which of these (n,), landmarks i (n,) of a and j (n,) of b.
 
         Each is the nearest of the other, with d^2 below a bound. And r (n, d), its information (n, d, d), and d^2 (n,).
         """

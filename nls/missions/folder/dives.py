@@ -40,7 +40,7 @@ Read = tuple[FactorGraph, Values, MissionReport]
 
 @dataclass(frozen=True)
 class Dive:
-    """One of several missions: its name, its report, and the numbers of its own variables in the graph of all.
+    """A mission among several: its name, its report, and the numbers of its own variables in the graph of all.
 
     Attributes
     ----------

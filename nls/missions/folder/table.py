@@ -358,7 +358,7 @@ def _quoted(text: str) -> str:
 
 
 def _separators(line: bytes) -> str:
-    """What to do about a line of cells that no comma separates."""
+    """The cure for a line of cells that no comma separates."""
     separator = next((word for sign, word in ((b";", "semicolons"), (b"\t", "tabs")) if sign in line), "")
     return f"; these are separated by {separator}, separate them with commas" if separator else ""
 

@@ -3,7 +3,7 @@
     t = time_s - delay_s - clock
 
 A raw log without poses.csv gets a pose at every such time (`united`); elsewhere a time must be that of a pose. Times
-closer than `SAME` are one.
+closer than `SAME_TIME` are one.
 
 **Clocks** of fixes, ranges and directions that are late by an unknown time: a variable of calibration.csv.
 A row measured c before its time belongs to the pose at t - c. The pose of the row is that at t_0 = t - c_0, with c_0 of
@@ -29,7 +29,7 @@ from nls.missions.folder.rows import Assembly, Times
 from nls.missions.folder.table import Table
 from nls.values import Values
 
-SAME = 1e-3  # s: 2 mm at 2 m/s
+SAME_TIME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
 CLOCKED = ("fixes", "ranges", "usbl")
 x, s = kinds("x", "s")
@@ -94,11 +94,11 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
             raise table.at_names(f"names poses by i, but the times of {next(iter(times))}.csv add poses; {cure}")
     t = np.sort(np.concatenate([b, *(rows.ravel() for rows in times.values())]))
     t = t[(t >= b[0]) & (t <= end)]
-    close = np.flatnonzero(np.diff(t) < SAME)
+    close = np.flatnonzero(np.diff(t) < SAME_TIME)
     keep, last = np.ones(len(t), dtype=bool), -1
     for k in close.tolist():  # t[k + 1] is close to t[k]; to the last one that is kept?
         last = k if keep[k] else last
-        keep[k + 1] = t[k + 1] - t[last] >= SAME
+        keep[k + 1] = t[k + 1] - t[last] >= SAME_TIME
     return np.asarray(t[keep])
 
 
@@ -198,7 +198,7 @@ class Timeline:
         t, order, tables = self._mission.times[name], np.argsort(self.times), self._mission.tables
         rising, numbers = self.times[order], self.numbers[order]
         nearest = _nearest(rising, t)
-        far = np.abs(rising[nearest] - t) >= SAME
+        far = np.abs(rising[nearest] - t) >= SAME_TIME
         if (away := np.any(far, axis=1)).any():
             k = int(np.argmax(away))
             time = round(float(t[k][far[k]][0]), 6)

@@ -36,7 +36,7 @@ from nls.missions.folder.attitude import CLOCK, attitude_of, depths_of, headings
 from nls.missions.folder.columns import ANGLES, ARM, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.missions.folder.rows import Assembly, Times, columns_together, noise_of, one_row
 from nls.missions.folder.table import Table
-from nls.missions.folder.timeline import SAME, poses_of_rows, united
+from nls.missions.folder.timeline import SAME_TIME, poses_of_rows, united
 from nls.sparse.elimination import connected
 
 AXES = {  # tables of what is measured along the axes of the vehicle
@@ -222,7 +222,7 @@ def _interpolated(t: Array, name: str, log: Log, noise: Table | None, notes: lis
     sigma = np.array([noise_of(noise, stated)[column] for column in stated])
     sigmas = sigma * poses_of_rows(t_log, t)[:, None]
     after = np.clip(t_log.searchsorted(t), 1, len(t_log) - 1)
-    hollow = np.minimum(t_log[after] - t, t - t_log[after - 1]) >= SAME
+    hollow = np.minimum(t_log[after] - t, t - t_log[after - 1]) >= SAME_TIME
     hollow &= np.diff(t_log)[after - 1] > longest_step(t_log)
     if hollow.any():
         hole = holes_of(table, t_log, y, t[hollow], "lie on the line over it, with larger sigmas", notes)

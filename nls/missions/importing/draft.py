@@ -29,7 +29,7 @@ TABLES = {  # what must be there, what may be
     "ranges": (("time_s", "range_m"), ("beacon",)),
 }
 AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
-LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
+LEVEL_NOTE = "no column looks like it: level, as far as its sigma in [noise] says"
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
 WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
 MESSAGES = {  # sections by type of message; {topic} is filled in
@@ -90,7 +90,7 @@ def draft(paths: Sequence[str | Path]) -> str:
         return "\n".join(lines)
     walks = "dvl" not in tables and bool({"fixes", "ranges"} & {*tables})
     if walks:
-        lines = [line for line in lines if not line.endswith(LEVEL)]  # a tilt that nothing measures stays open
+        lines = [line for line in lines if not line.endswith(LEVEL_NOTE)]  # a tilt that nothing measures stays open
         lines += ["[motion]   # no columns look like a DVL: between two fixes the vehicle may go anywhere", WALK, ""]
     for table in ("dvl", "ahrs", "depth"):
         if table not in tables and not walks:
@@ -144,7 +144,7 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
         lines += [_line(column, chosen, log) for column in chosen]
         if table == "ahrs":
-            lines += [f"{angle} = 0.0   # {LEVEL}" for angle in ANGLES if angle not in chosen]
+            lines += [f"{angle} = 0.0   # {LEVEL_NOTE}" for angle in ANGLES if angle not in chosen]
         if table == "ranges" and "beacon" not in chosen:
             lines.append("beacon = 1   # no column looks like it: the number of the one beacon")
         lines += [*_numbers(table), ""]

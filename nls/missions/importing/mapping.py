@@ -193,7 +193,7 @@ class Mapping(TomlFile):
         return Section(table, cells, options, rotation, groups, missing, together, self, self._reading[1])
 
     def _none(self, option: str, value: Any, keys: Sequence[str]) -> dict[str, Missing]:
-        """What stands for none, by the keys of a section."""
+        """The words that stand for none, by the keys of a section."""
         if not isinstance(value, dict):
             return dict.fromkeys(keys, none_words(value))
         for key in value:

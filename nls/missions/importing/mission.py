@@ -126,7 +126,7 @@ def write_imported(folder: str | Path, imported: Imported, read: Sequence[str | 
 
 
 def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
-    """What is subtracted from times since 1970, ns: as the mapping says, else the whole second before the first one."""
+    """The zero of times since 1970, ns: as the mapping says, else the whole second before the first one."""
     since = {part.section.table: s for part in parts for s in part.times.values() if s.since_1970}
     own = [(part.section, s) for part in parts for s in part.times.values() if not s.since_1970]
     known = [int(f(s.ns[s.present])) for s in since.values() for f in (np.min, np.max)] or [0]
@@ -242,7 +242,7 @@ def _missing(tables: set[str]) -> str:
 
 
 def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequence[str]) -> bytes:
-    """What the folder is made of, for people."""
+    """The contents of the folder, for people."""
     lines = [
         "A mission, made by nls import.",
         "Axes of the world: x north, y east, z down. Of the body: x ahead, y to starboard, z down. SI units.",

@@ -276,7 +276,7 @@ def _of_texts(section: Section, log: Log, column: str, words: Sequence[str], pre
 
 
 def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
-    """What to write where text k is not read."""
+    """The text to write where text k is not read."""
     where = f"in [{section.table}] of the mapping"
     for words in (texts, texts[k : k + 1]):
         if fitting := formats(words, day):

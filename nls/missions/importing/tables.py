@@ -291,7 +291,7 @@ def _order(rows: Rows) -> None:
 
 
 def _cure_of_fall(rows: Rows, t: Index, k: int) -> str:
-    """What to do about times (n,), ns, that fall at row k."""
+    """The cure for times (n,), ns, that fall at row k."""
     section, log = rows.section, rows.log
     fall, own, where = t[k - 1] - t[k], not rows.times["time_s"].since_1970, f"in [{section.table}] of the mapping"
     for period, event, day in ((DAY, "midnight", "the day"), (WEEK, "a new week of GPS", "the Sunday")):

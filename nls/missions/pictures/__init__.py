@@ -1,1 +1,1 @@
-"""Pictures of missions, sonars, scans and rigs; `nls.plot` has the names of those that pages use most."""
+"""Pictures of missions, sonars and scans; `nls.plot` has the names of those that pages use most."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
-    from nls.missions.solution import Track
+    from nls.missions.solution import TrackErrors
     from nls.missions.sonar.elevation import Elevations
     from nls.optimizers import Result
     from nls.values import Values
@@ -43,7 +43,7 @@ def track(
     dead: Values,
     truth: Values | None = None,
     marginals: Marginals | None = None,
-    errors: Mapping[str, Track] | None = None,
+    errors: Mapping[str, TrackErrors] | None = None,
 ) -> Figure:
     """The track from above, solved, dead-reckoned and true, with 95 % ellipses; and how far each is off along the way.
 
@@ -79,7 +79,7 @@ def track(
     return figure
 
 
-def _along(axes: Axes, values: Values, errors: Mapping[str, Track], marginals: Marginals | None) -> str:
+def _along(axes: Axes, values: Values, errors: Mapping[str, TrackErrors], marginals: Marginals | None) -> str:
     """How far tracks are off along the way, and the error to be expected of the solution; the end of it in words."""
     on = next(iter(errors.values()), None)
     axes.set(title="Along the way", xlabel="distance travelled [m]", ylabel="[m]")

@@ -27,11 +27,11 @@ from nls.missions.solution import Solution
 
 GRAPH = "graph.npz"
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
-POSE = ("x_m", "y_m", "yaw_rad")
-SIGMAS = tuple(f"sigma_{name}" for name in POSE)
-TRAJECTORY = ("keyframe", "time_s", *POSE, *SIGMAS, "correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
+POSE_COLUMNS = ("x_m", "y_m", "yaw_rad")
+SIGMAS = tuple(f"sigma_{name}" for name in POSE_COLUMNS)
+TRAJECTORY = ("keyframe", "time_s", *POSE_COLUMNS, *SIGMAS, "correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
 MAP = ("x_m", "y_m", "keyframe", "intensity")
-CLOSURES = ("keyframe_i", "keyframe_j", *POSE, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
+CLOSURES = ("keyframe_i", "keyframe_j", *POSE_COLUMNS, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
 x = kinds("x")[0]
 
 

@@ -330,7 +330,7 @@ class RelativePose:
         return SE3.compose(SE3.inverse(self.O), SE3.compose(T, self.O))[None]
 
     def sonar(self, T: Array, two_places: bool, arcs: Arcs | None = None, N: Array | None = None) -> Sonar:
-        """What the sonar says at T, each point eliminated; at its best place, or where it has two hypotheses at both.
+        """The sonar at T, each point eliminated; at its best place, or where it has two hypotheses at both.
 
         Which points have two (as in `arcs`), and the weights N (m, 4, 4), are found anew where they are not given.
         """

@@ -161,7 +161,7 @@ def maps(data: ReportData) -> Html | None:
 
 
 def findings(data: ReportData) -> Html:
-    """What is wrong, and what helps."""
+    """The findings and their cures."""
     items: list[Html] = []
     for first, alike in together(data.explanation.findings):
         texts = [[tag("p", finding.says)] for finding in alike]
@@ -226,7 +226,7 @@ def worst(data: ReportData) -> Html | None:
 
 
 def certificate(data: ReportData) -> Html | None:
-    """What the certificate says."""
+    """The verdict of the certificate."""
     if data.certificate is None:
         return None
     lines = [tag("p", line, class_="lines") for line in data.certificate.report(data.shell).splitlines()]

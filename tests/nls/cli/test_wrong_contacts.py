@@ -81,7 +81,7 @@ def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
 @pytest.mark.usefixtures("untried")
 def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     written(shell / "m", mission(outliers=0.1))
-    monkeypatch.setattr("nls.robust.verdict.HALF", 1.0)  # whatever is rejected is too much
+    monkeypatch.setattr("nls.robust.verdict.HALF_DOUBTED", 1.0)  # whatever is rejected is too much
     out, _ = shell.both("solve m", 1)
     assert "all contacts are kept, though some do not fit: the choice among them is doubtful; " in out
     assert "rejected  " not in out

@@ -221,7 +221,7 @@ def test_an_update_whose_decision_fails_takes_nothing(monkeypatch: pytest.Monkey
     smoother.update([Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(3)], Values({x: (SE2, [[0, 0, 0]])}))
     loops = Between(x[[0, 1]], x[[2, 3]], [[2.0, 0, 0]] * 2, STEP)
     with monkeypatch.context() as patch:
-        patch.setattr("nls.incremental.arrivals.gnc", undecided)
+        patch.setattr("nls.incremental.membership.gnc", undecided)
         for _ in range(2):
             with pytest.raises(GraphError, match="cannot decide"):
                 smoother.update(loops)
@@ -268,7 +268,7 @@ def test_wrong_closures_are_out_in_the_end_and_the_map_is_that_of_the_right_ones
 def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     world = sim.ring(np.random.default_rng(3), laps=2, per_lap=40)
     smoother = grown(world.graph.factors, world.truth, Incremental(1e-6))
-    before, n, judge = smoother.values, len(smoother.graph), nls.incremental.arrivals.gnc
+    before, n, judge = smoother.values, len(smoother.graph), nls.incremental.membership.gnc
 
     def wary(graph: FactorGraph, values: Values, doubted: Sequence[Factor] | None) -> nls.Robustified:
         found = judge(graph, values, doubted=doubted)
@@ -277,7 +277,7 @@ def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pyte
         return found
 
     with monkeypatch.context() as patch:
-        patch.setattr("nls.incremental.arrivals.gnc", wary)
+        patch.setattr("nls.incremental.membership.gnc", wary)
         smoother.decide()
     assert sum(map(len, smoother.rejected)) == len(world.graph.factors[1])
     again = pickle.loads(pickle.dumps(smoother))

@@ -1,4 +1,4 @@
-"""The table of formats: a row is all that a format needs, and the page has the rows of the table."""
+"""The table of formats: a row is all that a format needs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from nls.cli import main
 from nls.io import formats
 from nls.io.dialects import TAGGED
 from nls.io.formats import FORMATS, Format
-from tests.nls.io.formats_page import PAGE, section
 from tests.nls.io.g2o_files import assert_refused, write
 from tests.nls.io.io_files import BAL, FILES, PYFG
 
@@ -70,28 +69,6 @@ def test_an_option_that_means_nothing_to_a_format_is_refused(tmp_path: Path) -> 
             expected = rf"{option}: .* expected {re.escape(repr(type(value)()))}: .* format {name}, which has no"
             with pytest.raises(nls.OptionError, match=expected):
                 nls.load(path, **dialect, **{option: value})
-
-
-def test_the_page_has_the_rows_of_the_table() -> None:
-    """What a file holds, where the page describes it, which endings it has, and what reads and writes it."""
-    section("Native files")  # skips where there is no page
-    head = PAGE.read_text(encoding="utf-8").split("\n## ")[0]
-    shown = {}
-    for text, link, holds, read, written in re.findall(
-        r"^\| \[(.+?)\]\(#(.+?)\) \| (.+?) \| (.*?) ?\| (.*?) ?\|$", head, re.M
-    ):
-        shown[link, holds] = (set(re.findall(r"`(\.\w+)`", text)), read, written)
-    rows: dict[tuple[str, str], tuple[set[str], str, str]] = {}
-    for row in FORMATS.values():
-        read = "`nls.load`" if row.loads or row.folder else "`nls evaluate`" if row.poses_alone else ""
-        written = "`nls.save`" if row.measurements else "`nls convert`"
-        written = {"mission-folders": "`nls.missions.write_mission`", "scan-missions": "`nls-sim harbor`"}.get(
-            row.section, written
-        )
-        suffixes = rows.get((row.section, row.holds), (set(), "", ""))[0]
-        rows[row.section, row.holds] = (suffixes | set(row.suffixes), read, written)
-    shown.pop(("public-landmark-logs", "MRCLAM; Victoria Park"), None)
-    assert shown == rows
 
 
 def test_nobody_asks_for_a_format_by_its_name() -> None:

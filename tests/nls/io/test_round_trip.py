@@ -338,7 +338,7 @@ def test_ranges_and_bearings_with_ranges() -> None:
     both = FactorGraph([BearingRange(x[0], l[7], [[0.7, 1.4]], Isotropic(0.1))])
     with pytest.raises(GraphError, match=r"Range\(x0, l7\) cannot be written to a g2o file") as caught:
         nls.io.rendered("a.g2o", distance, values)
-    assert [advice.action for advice in caught.value.advice] == ["pyfg", "native"]
+    assert [advice.action for advice in caught.value.advice] == ["range line", "native"]
     assert nls.io.rendered("a.pyfg", distance, values)[0].endswith(b"EDGE_RANGE 0.0 x0 l7 1.4 0.010000000000000002\n")
     for form in ("g2o", "pyfg"):
         with pytest.raises(GraphError, match="and two lines would be two independent measurements") as caught:

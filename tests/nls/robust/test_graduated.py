@@ -16,8 +16,8 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified
+from nls.robust.accepted_closures import FITS, WIDER_GATE, misfits, path_covariances, witnesses
 from nls.robust.contacts import along
-from nls.robust.growth import FITS, WIDER_GATE, misfits, path_covariances, witnesses
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.loop_graph import Neighbors, Odometry, loop_graph, neighbors
 from nls.robust.truncated_least_squares import lowest

@@ -43,7 +43,7 @@ def ordered(u: Index, v: Index, V: int) -> tuple[Index, float]:
 def test_a_large_graph_with_much_fill_takes_metis_which_costs_less(monkeypatch: pytest.MonkeyPatch) -> None:
     u, v = cube(23)
     V = 23**3
-    assert len(u) > cholesky.LARGE
+    assert len(u) > cholesky.AMD_PAIRS
     with monkeypatch.context() as patch:
         methods = asked(patch)
         order, flops = ordered(u, v, V)
@@ -53,7 +53,7 @@ def test_a_large_graph_with_much_fill_takes_metis_which_costs_less(monkeypatch: 
         methods = asked(patch, built_with_metis=False)
         without, _ = ordered(u, v, V)
         assert methods == ["amd", "metis"]
-    monkeypatch.setattr(cholesky, "LARGE", len(u))
+    monkeypatch.setattr(cholesky, "AMD_PAIRS", len(u))
     amd, more = ordered(u, v, V)
     assert np.array_equal(without, amd)
     assert not np.array_equal(order, amd)
@@ -76,7 +76,7 @@ def test_a_small_graph_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("counted")
 
     u, v = cube(21)
-    assert 20_687 < len(u) <= cholesky.LARGE  # city10000, the largest public set of its kind
+    assert 20_687 < len(u) <= cholesky.AMD_PAIRS  # city10000, the largest public set of its kind
     monkeypatch.setattr(cholesky, "counted", counting)
     methods = asked(monkeypatch)
     _, flops = ordered(u, v, 21**3)

@@ -15,8 +15,8 @@ from models.algebra import Index
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
-from nls.robust import grow, growth
-from nls.robust.growth import misfits, path_covariances, witnesses
+from nls.robust import accepted_closures, grow
+from nls.robust.accepted_closures import misfits, path_covariances, witnesses
 from nls.robust.loop_graph import LOW, Neighbors, loop_graph, neighbors
 
 (x,) = kinds("x")
@@ -44,27 +44,27 @@ def test_paths_are_the_same_however_many_are_searched_together(monkeypatch: pyte
     together = path_covariances(edges, CIRCLE[x], i, j, 10.0)
     assert (np.linalg.eigvalsh(together[i != j]) > 0).all()
     for size in (1, 3 * N):
-        monkeypatch.setattr(growth, "PLACES", size)
+        monkeypatch.setattr(accepted_closures, "PLACES", size)
         np.testing.assert_array_equal(path_covariances(edges, CIRCLE[x], i, j, 10.0), together)
 
 
 def test_what_the_others_contradict_later_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Right closures on both sides of two wrong ones, which odometry alone allows: its headings waver."""
-    monkeypatch.setattr(growth, "misfits", lambda *_: np.zeros(12, dtype=bool))  # only given back here
+    monkeypatch.setattr(accepted_closures, "misfits", lambda *_: np.zeros(12, dtype=bool))  # only given back here
     coarse, i = Diagonal(x=0.3, y=0.3, yaw=0.1), [*range(5, 10), *range(12, 17)]
     wrong = closures([10, 11], [30, 31], [1.8, -1.8, 0.0], coarse)
     loops = [closures(i, [k + 20 for k in i], noise=coarse), wrong]
     graph = FactorGraph([odometry(Diagonal(x=0.01, y=0.01, yaw=0.05)), *loops])
-    monkeypatch.setattr(growth, "ACCEPTED_SHARE", 1.0)
+    monkeypatch.setattr(accepted_closures, "ACCEPTED_SHARE", 1.0)
     accepted: list[int] = []
-    solved = growth._solved
+    solved = accepted_closures._solved
 
     def noted(loops: Any, values: Values, which: Any) -> Any:
         accepted.append(int(which.sum()))
         return solved(loops, values, which)
 
-    monkeypatch.setattr(growth, "_solved", noted)
-    grown = growth.grow(graph, CIRCLE)
+    monkeypatch.setattr(accepted_closures, "_solved", noted)
+    grown = accepted_closures.grow(graph, CIRCLE)
     assert accepted[0] == 12  # all pass, alone with odometry
     assert grown.masks[1].all()
     assert not grown.masks[2].any()
@@ -79,7 +79,7 @@ def test_odometry_that_leads_nowhere_does_not_keep_the_closures_from_being_solve
     graph = FactorGraph([odometry(weak, off), loops])
     start = nls.starts.chain(graph, CIRCLE)
     assert graph.chi2(start) > 1e4
-    values, s = growth._solved(loop_graph(graph, start), start, np.ones(len(loops), dtype=bool))
+    values, s = accepted_closures._solved(loop_graph(graph, start), start, np.ones(len(loops), dtype=bool))
     assert graph.chi2(values) < 10
     assert (s < 1).all()
     ends = (SE2.between(*found[x[[0, 39]]]) for found in (values, CIRCLE))

@@ -218,7 +218,7 @@ def path_covariances(edges: Edges, T: Array, i: Index, j: Index, meters: float) 
     return turned(group.adjoint(group.inverse(T[j])), sums.reshape(-1, d, d))
 
 
-LARGE = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
+LARGEST_GROUP = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
 # A group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4.
 WIDER_GATE, FITS = 1.6, 0.999
 
@@ -302,12 +302,12 @@ def _joint(graph: FactorGraph, values: Values, loops: LoopGraph, groups: list[In
 def _judgeable(neighbors: Neighbors, accepted: Mask) -> list[Index]:
     """Members of every accepted cluster, or of the parts of a large one, but for those that are large themselves."""
     cluster = neighbors.cluster
-    large = np.bincount(cluster[accepted], minlength=len(cluster))[cluster] > LARGE
+    large = np.bincount(cluster[accepted], minlength=len(cluster))[cluster] > LARGEST_GROUP
     group = np.where(large, neighbors.parts(accepted), cluster)
     closures = np.flatnonzero(accepted)
     order = closures[np.argsort(group[closures], kind="stable")]
     groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-    return [members for members in groups if 0 < len(members) <= LARGE]
+    return [members for members in groups if 0 < len(members) <= LARGEST_GROUP]
 
 
 def _passing(loops: LoopGraph, values: Values) -> float:

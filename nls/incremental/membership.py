@@ -23,7 +23,7 @@ from models.listing import some
 from models.manifolds.rn import Vectors
 from models.options import check_whole
 from nls.graph import FactorGraph
-from nls.incremental.growing import GrowingBatch, Variables, part
+from nls.incremental.growing_arrays import GrowingBatch, Variables, part
 from nls.incremental.growing_system import touched
 from nls.incremental.marginal import MarginalPrior
 from nls.incremental.new_variables import Known, New, Variable, alone, points, together
