@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from factors.dvl_leg import DvlLeg as DvlLeg
     from factors.elevation import Elevation as Elevation, ElevationHinge as ElevationHinge
     from factors.epipolar_arc import EpipolarArc as EpipolarArc
+    from factors.gravity import Gravity as Gravity
     from factors.heading import Heading as Heading
     from factors.landmark import Landmark as Landmark
     from factors.line import Line as Line
@@ -66,6 +67,7 @@ _WHERE = {
     "factors.dvl_leg": "DvlLeg",
     "factors.elevation": "Elevation ElevationHinge",
     "factors.epipolar_arc": "EpipolarArc",
+    "factors.gravity": "Gravity",
     "factors.heading": "Heading",
     "factors.landmark": "Landmark",
     "factors.line": "Line",

@@ -22,6 +22,7 @@ from factors.conventions import check_convention, innovation
 from factors.declared import attributes, declared
 from factors.differences import central_differences
 from factors.keys import Keys
+from factors.missing import name_the_noise
 from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
 from factors.noise_size import refuse_other_size
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
@@ -69,8 +70,7 @@ class Factor(Traits, Abstract):
         measurements that neither names is refused where a part is taken or batches are joined.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
-    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks). Where the
-        optimizer is left to the library, it takes Levenberg-Marquardt.
+    damped : True when undamped steps are known to fail: where the library chooses, it takes Levenberg-Marquardt.
     frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
 
@@ -85,6 +85,7 @@ class Factor(Traits, Abstract):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        name_the_noise(cls)
         cls.per_measurement, cls.shared = declared(cls, "per_measurement"), declared(cls, "shared")
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:

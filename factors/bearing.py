@@ -23,11 +23,12 @@ class Bearing(Sighting):
 
     Parameters
     ----------
-    pose : the vehicle(s), SE2 or SE3.
-    target : the point(s), R(2) for SE2, R(3) for SE3; or poses of the same group, of which the position is meant.
+    pose : the vehicle(s), SE2 or SE3, or points, R(2) or R(3): their bearings are relative to the axes of the world.
+    target : the point(s), R(2) in the plane, R(3) in space; or poses of the same group, whose position is meant.
     z : (n,) bearings in the plane, (n, 2) azimuth and elevation in space, rad.
     noise : of ``bearing``, or of ``azimuth`` and ``elevation``, rad.
-    offset : pose of the sensor on the vehicle, (size,) or (n, size), or a variable of the group; None: no offset.
+    offset : pose of the sensor on the vehicle, (size,) or (n, size), or a variable of the group; None: no offset. A
+        point has none.
 
     Raises
     ------
@@ -40,6 +41,7 @@ class Bearing(Sighting):
     -----
     The distance is not measured. A target needs two directions from positions not in line with it. A map of bearings
     alone has no scale. Across the line of sight a sigma of azimuth is worth that times the cosine of the elevation.
+    Bearings from points turn with the world. So they are not relative in the sense of the gauge: fix one of the points.
     R. Hartley, A. Zisserman, Multiple View Geometry in Computer Vision, 2004, chapter 12.
 
     Examples
@@ -55,6 +57,13 @@ class Bearing(Sighting):
     >>> graph.optimize(values).values[l[0]].round(6)
     array([1., 1.])
     """
+
+    from_points = True
+
+    @property
+    def relative(self) -> bool:  # type: ignore[override]
+        """Whether a motion of everything changes nothing; a turn does where the bearing is from a point."""
+        return self._model is None or self._model.manifolds[0].body_axes
 
     def measured(self, d: int) -> Manifold:
         return Measured("bearing") if d == 2 else Measured("azimuth", "elevation")

@@ -54,7 +54,9 @@ def innovation(
     e : (n, dim) array.
     J : (n, dim, dim) array or None.
     """
-    if not isinstance(space, LieGroup) or space.flat:
+    if not isinstance(space, LieGroup):
+        return space.innovation(h, z)
+    if space.flat:
         return space.local(h, z), None
     if convention == "g2o":
         E = space.between(z, h)

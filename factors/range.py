@@ -17,11 +17,12 @@ class Range(Sighting):
 
     Parameters
     ----------
-    pose : the vehicle(s), SE2 or SE3.
-    target : the point(s), R(2) for SE2, R(3) for SE3; or poses of the same group, of which the position is meant.
+    pose : the vehicle(s), SE2 or SE3, or points, R(2) or R(3).
+    target : the point(s), R(2) in the plane, R(3) in space; or poses of the same group, whose position is meant.
     z : (n,) measured ranges, m.
     noise : of ``range``, m.
-    offset : pose of the antenna on the vehicle, (size,) or (n, size), or a variable of the group; None: no offset.
+    offset : pose of the antenna on the vehicle, (size,) or (n, size), or a variable of the group; None: no offset. A
+        point has none.
 
     Raises
     ------
@@ -48,6 +49,8 @@ class Range(Sighting):
     >>> graph.optimize(values).values[l[0]].round(6)
     array([3., 4.])
     """
+
+    from_points = True
 
     def measured(self, d: int) -> Manifold:
         return Measured("range")

@@ -51,6 +51,7 @@ class Sighting(Factor):
     Attributes
     ----------
     offset : None, the fixed offsets (1 or n, size), or the `Keys` of the variable(s).
+    from_points : whether the sensor may be a point, R(2) or R(3), which has the axes of the world and no offset.
     locates : whether one measurement is enough to say where its target is.
     contact : whether z is range, m, and azimuth, rad, alone, as of an imaging sonar: its target is on an arc.
     limit : half of the aperture, rad, of those that only say that their target was in it (`limit_only`).
@@ -63,6 +64,7 @@ class Sighting(Factor):
 
     relative = True
     per_measurement = ("offset",)
+    from_points: ClassVar[bool] = False
     locates: ClassVar[bool] = False
     contact: ClassVar[bool] = False
     limit: float
@@ -170,7 +172,14 @@ class Sighting(Factor):
         return self.measured(2).size, self.measured(3).size
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        group = pose_group(self, manifolds[0])
+        if self.from_points and manifolds[0] is manifolds[1] and manifolds[0] in (R(2), R(3)):
+            group = R(manifolds[0].dim)
+            if self.offset is not None:
+                raise self._refusal(f"{self.keys[0][[0]]} is a point in {group}, which has no axes for an offset")
+        else:
+            group = pose_group(
+                self, manifolds[0], f", or a point like its target, in {manifolds[1]}" * self.from_points
+            )
         points = R(group.point_dim)
         if manifolds[1] is not points and manifolds[1] is not group:
             raise self._refusal(
@@ -189,7 +198,7 @@ class Sighting(Factor):
             h, J_g = self.sense(p)
         if J_g is not None:
             H_S, H_l = product(J_g, H_S), product(J_g, H_l)
-        if target is group:
+        if target is group and not group.flat:
             H_L = np.zeros((*H_l.shape[:-1], group.dim))
             H_L[..., : group.point_dim] = product(H_l, group.rotation(X[1]))
             H_l = H_L

@@ -120,6 +120,31 @@ class FactorGraph:
             raise GraphError(f"FactorGraph.release: expected variables such as x[0], got {keys!r:.80}")
         self.fixed = [k[~np.isin(k.numbers, keys.numbers)] if k.kind == keys.kind else k for k in self.fixed]
 
+    def copy(self) -> FactorGraph:
+        """A graph of the same factors, which never change and are shared; what is added to one graph is in it alone."""
+        return self + FactorGraph()
+
+    def __add__(self, other: FactorGraph) -> FactorGraph:
+        """A new graph of the factors of both, shared as in `copy`, and of what either fixes; both stay as they are.
+
+        A factor that is in both counts twice.
+
+        Examples
+        --------
+        >>> from factors import Between, Isotropic, Prior
+        >>> from nls import FactorGraph, kinds
+        >>> (x,) = kinds("x")
+        >>> known = FactorGraph([Prior(x[0], [0.0], Isotropic(0.1))])
+        >>> step = Between(x[0], x[1], [1.0], Isotropic(0.2))
+        >>> known + FactorGraph([step]), known
+        (FactorGraph(2 factors, 2 measurements), FactorGraph(1 factors, 1 measurements))
+        """
+        if not isinstance(other, FactorGraph):
+            return NotImplemented
+        graph = FactorGraph([*self.factors, *other.factors], [*self.fixed, *other.fixed])
+        graph._singles = self._singles + other._singles
+        return graph
+
     def robust(self, kernel: Kernel) -> FactorGraph:
         """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
         return FactorGraph([factor.robust(kernel) for factor in self.factors], self.fixed)
@@ -269,6 +294,12 @@ class Singles:
 
     def __init__(self) -> None:
         self._made: list[tuple[Factor, list[Factor]]] = []  # a batch, and its rows as they were given
+
+    def __add__(self, other: Singles) -> Singles:
+        """The batches of two graphs."""
+        both = Singles()
+        both._made = [*self._made, *other._made]
+        return both
 
     def joined(self, factors: Sequence[Factor], values: Values) -> list[Factor]:
         """Measurements of a graph, single ones in batches, a batch in the place of its first.

@@ -13,6 +13,7 @@ from factors.keys import Keys, Kind
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
 from models.html_table import html_table
+from models.listing import some
 from models.manifolds.base import Manifold
 
 if TYPE_CHECKING:
@@ -149,6 +150,37 @@ class Values:
         X, numbers = np.concatenate([old.X, X]), np.concatenate([old.numbers, keys.numbers])
         stacks[keys.kind] = Stack(old.kind, old.manifold, X, numbers)
         return Values.of(stacks.values())
+
+    def __or__(self, other: Values) -> Values:
+        """The variables of both, those of the left first in every kind.
+
+        Raises
+        ------
+        GraphError
+            A variable that both have, or a kind that is in two spaces.
+
+        Examples
+        --------
+        >>> from models import SE2, R
+        >>> from nls import Values, kinds
+        >>> x, l = kinds("x", "l")
+        >>> first = Values({x: (SE2, [[0, 0, 0], [1, 0, 0]])})
+        >>> first | Values({x: (SE2, [2, 0, 0], 2), l: (R(2), [5, 5])})
+        Values(x: 3 x SE2, l: 1 x R(2))
+        """
+        if not isinstance(other, Values):
+            return NotImplemented
+        merged = Values.of([*self.stacks.values(), *(s for kind, s in other.stacks.items() if kind not in self.stacks)])
+        for kind in filter(other.stacks.__contains__, self.stacks):
+            ours, theirs = self.stacks[kind], other.stacks[kind]
+            keys = Keys(kind, theirs.numbers)
+            if ours.manifold is not theirs.manifold:
+                raise GraphError(f"Values | Values: {kind} is in {ours.manifold} and in {theirs.manifold}", [keys])
+            if (both := np.isin(keys.numbers, ours.numbers)).any():
+                cure = "a value that is there is moved by values[key] = X, and a new variable needs another number"
+                raise GraphError(f"Values | Values: both hold {some(list(keys[both]))}; {cure}", [keys[both]])
+            merged = merged.extended(keys, theirs.X)
+        return merged
 
     @classmethod
     def of(cls, stacks: Iterable[Stack]) -> Self:

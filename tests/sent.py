@@ -13,7 +13,7 @@ import factors
 import nls
 import sim
 from factors import Factor, Isotropic
-from models import LINE, SE2, SE3, SO2, SO3, Measured, R, errors
+from models import LINE, S2, SE2, SE3, SO2, SO3, Measured, R, errors
 from models.sensors import DIDSON_HIGH, HOLOOCEAN_DVL, Camera, SingularAt
 from nls import filters
 from nls.analysis import Unverified, helpful_motions, landmark_information, observability
@@ -81,7 +81,7 @@ def things(folder: Path) -> dict[str, Any]:
     smoother = nls.Incremental()
     smoother.update(list(ring.graph.factors), nls.Values({x: (SE2, ring.start[x[:1]])}))
     made: dict[str, Any] = {
-        "manifolds": [SO2, SE2, SO3, SE3, LINE, R(1), R(2), R(7), Measured("range", "azimuth"), Measured("depth")],
+        "manifolds": [SO2, SE2, SO3, SE3, LINE, S2, R(1), R(2), R(7), Measured("range", "azimuth"), Measured("depth")],
         "names": [x, l, x[3], x[[1, 2, 9]], x[0:0], x[[7]]],
         "values": sea.start,
         "smoother": smoother,

@@ -21,7 +21,7 @@ import sim
 from factors import Factor, Huber, Isotropic, Noise
 from factors.keys import kinds
 from factors.robust import Kernel
-from models import LINE, SE2, SE3, SO2, SO3, Manifold, Measured, R
+from models import LINE, S2, SE2, SE3, SO2, SO3, Manifold, Measured, R
 from models.errors import GraphError
 from nls import FactorGraph, LinearSolver, Optimizer, Values, analysis, filters
 from nls.filters import Filter
@@ -80,7 +80,7 @@ def test_every_class_has_an_object(objects: dict[str, Any]) -> None:
 
 @every_copy
 def test_a_space_is_one_object(way: str) -> None:
-    spaces = [SO2, SE2, SO3, SE3, LINE, R(1), R(3), R(7), Measured("range", "azimuth"), Measured("depth")]
+    spaces = [SO2, SE2, SO3, SE3, LINE, S2, R(1), R(3), R(7), Measured("range", "azimuth"), Measured("depth")]
     assert {type(space) for space in spaces} == subclasses(Manifold)
     for space in spaces:
         assert COPIES[way](space) is space

@@ -68,6 +68,13 @@ class Manifold(Abstract):
         c = self.local(X0, X)
         return c, np.broadcast_to(np.eye(self.dim), (*c.shape, self.dim))
 
+    def innovation(self, h: Array, z: Array) -> tuple[Array, Array | None]:
+        """e = z [-] h (..., dim), and J with e(h [+] d) = e - J d + ...; None for the identity.
+
+        Groups have the conventions of `factors.conventions` instead.
+        """
+        return self.local(h, z), None
+
     @abstractmethod
     def identity(self, n: int = 1) -> Array:
         """A stack (n, size) of the neutral element."""
@@ -147,7 +154,7 @@ class LieGroup(Manifold):
     flat : whether the group commutes, so that every Jacobian is the identity (vectors, the circle).
     """
 
-    point_dim: ClassVar[int] = 0
+    point_dim: int = 0
     flat: ClassVar[bool] = False
 
     @abstractmethod

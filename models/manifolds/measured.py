@@ -23,6 +23,7 @@ class MeasuredNumbers(Vectors):
         super().__init__(len(names))
         self.name, self.components = f"({', '.join(names)})", names
         self.units = tuple(map(unit, names))
+        self.point_dim = 0  # named numbers are no place
         self._angles = [k for k, name in enumerate(names) if name in ANGLES]
 
     def exp(self, delta: npt.ArrayLike) -> Array:
@@ -41,9 +42,6 @@ class MeasuredNumbers(Vectors):
 
     def inverse(self, X: npt.ArrayLike) -> Array:
         return self.exp(super().inverse(X))
-
-    def position(self, X: Array) -> Array:
-        return X[..., :0]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Measured, self.components

@@ -28,6 +28,7 @@ class Vectors(LieGroup):
         self.name, self.dim, self.size = f"R({n})", n, n
         self.components = _NAMES[:n] if n <= 3 else tuple(f"c{k}" for k in range(n))
         self.units = ("",) if n == 1 else tuple(map(unit, self.components))  # one number is no place
+        self.point_dim = n if n in (2, 3) else 0  # shifts of the plane and of space, without axes of their own
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         return np.asarray(delta, dtype=float)
@@ -52,7 +53,10 @@ class Vectors(LieGroup):
         return np.zeros((n, self.dim))
 
     def position(self, X: Array) -> Array:
-        return X if self.dim in (2, 3) else X[..., :0]
+        return X[..., : self.point_dim]
+
+    def rotation(self, X: npt.ArrayLike) -> Array:
+        return self._unit(X) if self.point_dim else super().rotation(X)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return R, (self.dim,)

@@ -9,6 +9,7 @@ from models.sensors.direction import direction, point_from_direction_range
 from models.sensors.distance import distance
 from models.sensors.dvl import DVL, HOLOOCEAN_DVL, dvl_velocity
 from models.sensors.frame import point_in_frame, point_on_body
+from models.sensors.gravity import gravity
 from models.sensors.heading import heading
 from models.sensors.imaging_sonar import (
     ARIS_3000,
@@ -40,6 +41,7 @@ __all__ = [
     "distance",
     "dvl_velocity",
     "elevation",
+    "gravity",
     "heading",
     "levelled",
     "line_from_frame",

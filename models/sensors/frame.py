@@ -5,7 +5,8 @@ With a pose S = (R, t), an increment S Exp(rho, phi) and a point l of the world:
     p = S^-1 l = R' (l - t)          dp/d(rho, phi) = [-I, [p]x],        dp/dl = R'
     q = S a    = t + R a             dq/d(rho, phi) = [R, -R [a]x]
 
-and in the plane, with one angle, (p_y, -p_x)' in the place of [p]x. Both follow from R Exp(phi) = R + R [phi]x + ...
+and in the plane, with one angle, (p_y, -p_x)' in the place of [p]x. Both follow from R Exp(phi) = R + R [phi]x + ... A
+point s has the axes of the world: p = l - s.
 
 Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.1.8, for increments on the right.
 """
@@ -22,18 +23,18 @@ __all__ = ["point_in_frame", "point_on_body"]
 
 
 def point_in_frame(group: LieGroup, S: Array, l: Array) -> tuple[Array, tuple[Array, Array]]:
-    """p = S^-1 l, the points l in the frame of the poses S.
+    """p = S^-1 l, the points l in the frame of the poses S, or as seen from points S along the axes of the world.
 
     Parameters
     ----------
-    group : SE2 or SE3.
-    S : (n, size) poses, frame to world.
+    group : SE2 or SE3; R(2) or R(3) of points.
+    S : (n, size) poses, frame to world, or points, m.
     l : (n, 2 or 3) points of the world, m.
 
     Returns
     -------
     p : (n, 2 or 3) array, m.
-    H_S, H_l : [-I, [p]x] (n, d, dim) and R' (n, d, d).
+    H_S, H_l : [-I, [p]x] (n, d, dim) and R' (n, d, d); of points -I and I.
 
     Examples
     --------
@@ -45,6 +46,8 @@ def point_in_frame(group: LieGroup, S: Array, l: Array) -> tuple[Array, tuple[Ar
     """
     R_inv = group.rotation(S).mT
     p = apply(R_inv, l - group.position(S))
+    if group.flat:
+        return p, (-R_inv, R_inv)
     return p, (_beside(-np.eye(p.shape[-1]), _cross(p)), R_inv)
 
 

@@ -39,7 +39,7 @@ from models import SE2, SE3, SO2, SO3
 from models.algebra import Array, Index, wrap
 from models.manifolds.units import unit
 from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, solved, supported
-from nls.analysis.chi_squared import chi2_tail, mahalanobis
+from nls.analysis.chi_squared import chi2_tail, innovation_distances
 from nls.analysis.leave_one_out import Checked, Linearization, kinds_of, middle_variance
 from nls.analysis.suspects import weights_without
 from nls.graph import FactorGraph
@@ -348,7 +348,7 @@ def misread_measurements(
 
 def _distances(checked: Checked, k: int) -> Array:
     """t (n,) of the measurements of a batch that do not count: e' (I + C)^-1 e."""
-    return mahalanobis(checked.e[k], np.eye(checked.e[k].shape[1]) + checked.C[k])
+    return innovation_distances(checked.e[k], checked.C[k])
 
 
 def _accidental(model: Model, room: float, C: Array, t: Array) -> Array:

@@ -1,6 +1,7 @@
 """Covariances of the estimate: of single variables, of sets of them, and of all at once."""
 
 from nls.covariance.frames import Joint
+from nls.covariance.gate import Gate
 from nls.covariance.marginals import Marginals
 
-__all__ = ["Joint", "Marginals"]
+__all__ = ["Gate", "Joint", "Marginals"]

@@ -14,11 +14,12 @@ The matrices are the manifold's own: `Manifold.world_axes` and `Manifold.euler_a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from factors.keys import Keys
-from models.algebra import Array, congruence
+from models.algebra import Array, Index, congruence
 from models.errors import GraphError, OptionError, SingularGeometryError
 from models.manifolds.base import LieGroup, Manifold
 
@@ -129,6 +130,58 @@ class Joint:
                 raise GraphError(f"{key!r} is not in this joint covariance of {len(self.keys)} variables", [key])
         i, j = (self.parts[self.keys.index(key)] for key in (row, column))
         return self.matrix[i, j].copy()
+
+
+def batches_of(keys: Sequence[Keys | Sequence[Keys]]) -> list[Keys]:
+    """The variables that a joint covariance is asked for, batches and lists of them one after the other.
+
+    Raises
+    ------
+    GraphError
+        No variable at all, one that is given twice, or what is no variable.
+    """
+    batches: list[Any] = [batch for given in keys for batch in (given if isinstance(given, list | tuple) else [given])]
+    for batch in batches:
+        if not isinstance(batch, Keys):
+            cure = f"frame={batch!r}, by name" if isinstance(batch, str) else "x[0], x[[1, 2]] or a list of such"
+            raise GraphError(f"joint covariance: {batch!r:.60} is no variable; expected {cure}")
+    single = [key for batch in batches for key in batch]
+    if not single:
+        raise GraphError("joint covariance: no variable is given")
+    if len(set(single)) < len(single):
+        again = next(key for key in single if single.count(key) > 1)
+        raise GraphError(f"joint covariance: {again!r} is given twice", [again])
+    return batches
+
+
+def joint_of(
+    batches: Sequence[Keys],
+    shown: Sequence[tuple[Array | None, tuple[str, ...]]],
+    columns: Sequence[Index],
+    Sigma: Array,
+) -> Joint:
+    """The joint covariance of batches of variables.
+
+    Parameters
+    ----------
+    batches : the variables.
+    shown : per batch J (n, k, d) and the names of the k components, see `axes`.
+    columns : per batch (n, d); only the shape is used.
+    Sigma : (N, N) of the tangent steps of all, in order.
+    """
+    for _ in range(2):  # J Sigma, then J (J Sigma)' = J Sigma J'
+        ends = np.cumsum([c.size for c in columns])[:-1]
+        rows = [
+            block if J is None else (J @ block.reshape(*c.shape, -1)).reshape(-1, block.shape[1])
+            for block, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
+        ]
+        Sigma = np.concatenate(rows).T
+    single = tuple(key for batch in batches for key in batch)
+    names = [f"{k!r}: {name}" for b, (_, names) in zip(batches, shown, strict=True) for k in b for name in names]
+    widths = [len(names) for batch, (_, names) in zip(batches, shown, strict=True) for _ in batch]
+    ends = np.cumsum(widths, dtype=np.intp)
+    parts = [slice(int(end) - width, int(end)) for end, width in zip(ends, widths, strict=True)]
+    return Joint((Sigma + Sigma.T) / 2, tuple(names), single, parts)
 
 
 def outlines(Sigma: Array, probability: float = 0.95) -> Array:

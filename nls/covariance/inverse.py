@@ -44,14 +44,17 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
+ONE_BLOCK = 64  # columns of H^-1 solved for together; more marginals than that come out of the pass over all
+
 
 class SelectedInverse:
-    """Blocks of H^-1 of single variables, and of pairs that share a block of H.
+    """Blocks of H^-1 of single variables, and of pairs that share a block of H; zero where a variable is held.
 
     Parameters
     ----------
-    factorization : of H.
+    factorization : of H, whose variables are those that are not held.
     memory_limit : bytes the pass may take.
+    held : (V,) of all variables.
 
     Raises
     ------
@@ -59,7 +62,8 @@ class SelectedInverse:
         It would take more.
     """
 
-    def __init__(self, factorization: Factorization, memory_limit: float) -> None:
+    def __init__(self, factorization: Factorization, memory_limit: float, held: Mask) -> None:
+        self._free, self._number = ~held, np.cumsum(~held) - 1
         elimination, dims = factorization.hessian.elimination, factorization.hessian.dims
         u, v, every = elimination.u[elimination.blocks], elimination.v[elimination.blocks], np.arange(len(dims))
         low, high = np.append(every, np.minimum(u, v)), np.append(every, np.maximum(u, v))
@@ -68,26 +72,49 @@ class SelectedInverse:
         self._variables, self._key, self._first = len(dims), low * len(dims) + high, np.cumsum(size) - size
         self._numbers = factorization.inverse_blocks(low, high, memory_limit)
 
-    def lacks(self, i: Index, j: Index) -> Mask:
-        """Which pairs (k,) of variables share no block."""
-        key, place = self._places(i, j)
-        return np.asarray(self._key[place] != key)
+    def lacks(self, u: Index, v: Index) -> Mask:
+        """Which pairs (n,) of variables share no block, and neither is held."""
+        key, place = self._places(self._number[u], self._number[v])
+        return np.asarray((self._key[place] != key) & self._free[u] & self._free[v])
 
-    def blocks(self, i: Index, j: Index, d: int, e: int) -> Array:
-        """Blocks (k, d, e) of pairs (k,) of variables of these sizes: all i are of one kind, and all j."""
+    def blocks(self, u: Index, v: Index, d: int, e: int) -> Array:
+        """Blocks (n, d, e) of pairs (n,) of variables of these sizes: all u are of one kind, and all v."""
+        Sigma, free = np.zeros((len(u), d, e)), self._free[u] & self._free[v]
+        i, j = self._number[u[free]], self._number[v[free]]
         turned = i > j
         shape = (e, d) if turned.all() else (d, e)
         B: Array = self._numbers[self._first[self._places(i, j)[1], None] + np.arange(d * e)].reshape(-1, *shape)
         if turned.all():
-            return B.mT
-        if turned.any():
+            B = B.mT
+        elif turned.any():
             B[turned] = B[turned].mT
-        return B
+        Sigma[free] = B
+        return Sigma
 
     def _places(self, i: Index, j: Index) -> tuple[Index, Index]:
         """Keys of pairs (k,), and where they are or would be among those there are."""
         key = np.minimum(i, j) * self._variables + np.maximum(i, j)
         return key, np.minimum(np.searchsorted(self._key, key), len(self._key) - 1)
+
+
+def dense_inverse(factorization: Factorization, columns: Index, memory_limit: float) -> Array:
+    """Rows and columns (k,) of H^-1, a few columns of it solved for at a time; zero where a column is -1, held.
+
+    Raises
+    ------
+    ResourceLimitError
+        It would take more than the memory limit.
+    """
+    k, n = len(columns), int(factorization.hessian.dims.sum())
+    words, cure = f"the joint covariance of {k} unknowns needs", "ask for fewer variables, or for marginals with all()"
+    refuse_larger(8.0 * (4 * k * k + 3 * n * min(k, ONE_BLOCK)), memory_limit, "joint covariance", words, cure)
+    Sigma, free = np.zeros((k, k)), np.flatnonzero(columns >= 0)
+    for begin in range(0, len(free), ONE_BLOCK):
+        span = free[begin : begin + ONE_BLOCK]
+        E = np.zeros((n, len(span)))
+        E[columns[span], np.arange(len(span))] = 1.0
+        Sigma[free[:, None], span] = factorization.solve(E)[columns[free]]
+    return Sigma
 
 
 class Pair(Factor):
@@ -135,8 +162,8 @@ class Undetermined:
         """(n,) which unknowns a free direction moves."""
         return np.asarray(np.diff(self.N.indptr) > 0)
 
-    def refusal(self, keys: Keys, columns: Index, used: Mask, names: tuple[str, ...]) -> UnderconstrainedError | None:
-        """The error where a variable that is asked for is not determined, else None.
+    def refuse(self, keys: Keys, columns: Index, used: Mask, names: tuple[str, ...]) -> None:
+        """Refuse variables that are asked for and not determined.
 
         Parameters
         ----------
@@ -144,17 +171,21 @@ class Undetermined:
         columns : (q, d) of A; -1 where held.
         used : (q, d) the components that are asked for.
         names : (d,) of the components.
+
+        Raises
+        ------
+        UnderconstrainedError
         """
         free = used & (columns >= 0) & self.moved[columns]
         members = np.flatnonzero(free.any(axis=1))
         if not len(members):
-            return None
+            return
         texts = [f"{keys[[k]]!r}: {', '.join(names[c] for c in np.flatnonzero(free[k]))}" for k in members]
         rows = np.unique(columns[free])
         k = len(np.unique(self.N[rows].indices))
         several = len(members) > 1
         moves = f"{'1 free direction moves' if k == 1 else f'{k} free directions move'} {'them' if several else 'it'}"
-        return UnderconstrainedError(
+        raise UnderconstrainedError(
             f"{some(texts, 6, '; ', ' variables')}: not determined. {moves}, so {'they have' if several else 'it has'} "
             "no covariance. Ask for the other variables by number, or add what is missing",
             list(keys[members]),
@@ -162,6 +193,16 @@ class Undetermined:
             texts,
             advice=self.error.advice,
         )
+
+
+def of_unmeasured(keys: Sequence[Keys]) -> UnderconstrainedError:
+    """The error where variables are asked for that no measurement touches."""
+    pronoun = "it" if len(keys) == 1 else "them"
+    return UnderconstrainedError(
+        f"{some(keys)}: no measurement touches {pronoun}, so there is no covariance; ask for the other variables by "
+        "number, remove these, or add the factors that are missing",
+        keys,
+    )
 
 
 def anchored_factorization(

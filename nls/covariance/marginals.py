@@ -14,18 +14,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.base import Factor
 from factors.keys import Keys, Kind
 from models import LieGroup
 from models.algebra import Array, Index
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError, UnderconstrainedError
-from models.listing import some
-from nls.covariance.frames import Joint, axes, of_motions, turned
+from nls.covariance.frames import Joint, axes, batches_of, joint_of, of_motions, turned
+from nls.covariance.gate import Gate, predicted_distances
 from nls.covariance.inverse import (
+    ONE_BLOCK,
     FreePart,
     SelectedInverse,
     Undetermined,
     anchored_factorization,
+    dense_inverse,
     free_part,
+    of_unmeasured,
     paired,
     used_components,
 )
@@ -34,15 +39,12 @@ from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
 from nls.linear.factorization import SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.sparse.fill import refuse_larger
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
-
-ONE_BLOCK = 64  # columns solved for together; more marginals than that come out of the pass over all
 
 
 class Marginals:
@@ -109,13 +111,10 @@ class Marginals:
     >>> from factors import Isotropic, Range
     >>> from models import R
     >>> from nls import FactorGraph, Values
-    >>> graph = FactorGraph([*world.graph.factors, Range(x[3], l[0], [5.0], Isotropic(0.1))])
-    >>> poses = world.truth.stack("x")
-    >>> marginals = Marginals(graph, Values({x: (poses.manifold, poses.X), l: (R(2), [[9.0, 9.0]])}))
-    >>> marginals.status(l), marginals.covariance(x[10], frame="world").shape
-    (['free'], (3, 3))
-    >>> marginals.underconstrained.components
-    ('l0: x, y',)
+    >>> graph = world.graph + FactorGraph([Range(x[3], l[0], [5.0], Isotropic(0.1))])
+    >>> marginals = Marginals(graph, world.truth | Values({l: (R(2), [[9.0, 9.0]])}))
+    >>> marginals.status(l), marginals.covariance(x[10], frame="world").shape, marginals.underconstrained.components
+    (['free'], (3, 3), ('l0: x, y',))
     """
 
     def __init__(
@@ -238,18 +237,13 @@ class Marginals:
         (J_i, _), (J_j, _) = self._axes(i, frame, view), self._axes(j, frame, view)
         if len(i) != len(j):
             raise GraphError(f"Marginals.cross: {len(i)} and {len(j)} variables; expected pairs", [i, j])
-        pattern = self._pattern
-        u, v = (pattern.offsets[keys.kind] + self.values.stack(keys.kind).index(keys) for keys in (i, j))
-        free, number = ~(pattern.held[u] | pattern.held[v]), np.cumsum(~pattern.held) - 1
-        a, b = number[u[free]], number[v[free]]
-        apart = self._selected.lacks(a, b)
-        if apart.any():
-            k = int(np.flatnonzero(free)[np.argmax(apart)])
+        u, v = self._variables(i), self._variables(j)
+        if (apart := self._selected.lacks(u, v)).any():
+            k = int(np.argmax(apart))
             text = f"{i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or Marginals(..., pairs=[(i, j)])"
             raise GraphError(f"Marginals.cross: {text}", [i[[k]], j[[k]]])
         columns_i, columns_j = self._columns(i), self._columns(j)
-        Sigma = np.zeros((len(i), columns_i.shape[1], columns_j.shape[1]))
-        Sigma[free] = self._selected.blocks(a, b, *Sigma.shape[1:])
+        Sigma = self._selected.blocks(u, v, columns_i.shape[1], columns_j.shape[1])
         if self._free is not None:
             Sigma = self._free.moved(Sigma, columns_i, columns_j)
         Sigma = Sigma if J_i is None else J_i @ Sigma
@@ -276,13 +270,14 @@ class Marginals:
         G = group.between(self.values[i], self.values[j])
         return of_motions(group, G, C_ii, self.cross(i, j, frame="body"), C_jj)
 
-    def joint(self, keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
+    def joint(self, *keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
         """Joint covariance of any set of variables, of one kind or several, with names on its rows.
 
         Parameters
         ----------
-        keys : ``x[[1, 2, 3]]`` or ``[x[3], l[7]]``.
-        frame, view : as in `covariance`, for all of them.
+        *keys : ``x[1], l[0]``, also batches ``x[[1, 2, 3]]`` and lists of them.
+        frame, view : as in `covariance`, of each variable by itself: where ``body`` is asked for, a pose has the axes
+            of its own body, and a point beside it those of the world, which it always has.
 
         Raises
         ------
@@ -293,28 +288,57 @@ class Marginals:
         UnderconstrainedError
             One of them has no covariance, see `status`.
         """
-        batches = [keys] if isinstance(keys, Keys) else list(keys)
+        batches = batches_of(keys)
         shown = [self._axes(batch, frame, view) for batch in batches]
-        single = tuple(key for batch in batches for key in batch)
-        if not single:
-            raise GraphError("joint covariance: no variable is given")
-        if len(twice := dict.fromkeys(single)) < len(single):
-            again = next(key for key in twice if single.count(key) > 1)
-            raise GraphError(f"joint covariance: {again!r} is given twice", [again])
         columns = [self._columns(batch) for batch in batches]
-        Sigma = self._dense(np.concatenate([c.reshape(-1) for c in columns]))
-        for _ in range(2):  # J Sigma, then J (J Sigma)' = J Sigma J'
-            ends = np.cumsum([c.size for c in columns])[:-1]
-            rows = [
-                block if J is None else (J @ block.reshape(*c.shape, -1)).reshape(-1, block.shape[1])
-                for block, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
-            ]
-            Sigma = np.concatenate(rows).T
-        widths = [len(names) for batch, (_, names) in zip(batches, shown, strict=True) for _ in batch]
-        ends = np.cumsum(widths, dtype=np.intp)
-        names = [f"{k!r}: {name}" for b, (_, names) in zip(batches, shown, strict=True) for k in b for name in names]
-        parts = [slice(int(end) - width, int(end)) for end, width in zip(ends, widths, strict=True)]
-        return Joint((Sigma + Sigma.T) / 2, tuple(names), single, parts)
+        return joint_of(batches, shown, columns, self._dense(np.concatenate([c.reshape(-1) for c in columns])))
+
+    def gate(self, factor: Factor, probability: float = 0.99) -> Gate:
+        r"""How far measurements that the graph has not used are from its prediction, and how far right ones may be.
+
+        .. math:: d^2 = \nu^T S^{-1} \nu, \quad \nu = z \boxminus h(\hat X), \quad S = H \Sigma H^T + R
+
+        Parameters
+        ----------
+        factor : n measurements of variables that have values here; a robust kernel makes no difference.
+        probability : with which the distance of a right measurement is below the limit.
+
+        Returns
+        -------
+        d2, limit : squared Mahalanobis distances (n,), and the quantile of chi-squared.
+
+        Raises
+        ------
+        GraphError
+            A factor of the graph, whose estimate has used the measurements.
+        UnderconstrainedError
+            One of the variables has no covariance, see `status`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import sim
+        >>> from factors import Isotropic, Position
+        >>> from nls import Marginals, kinds
+        >>> (x,) = kinds("x")
+        >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+        >>> place = world.truth[x[15]][:2]
+        >>> fixes = Position(x[[15, 15]], [place, place + 3.0], Isotropic(0.1))  # the second is 4 m off
+        >>> d2, limit = Marginals(world.graph, world.truth).gate(fixes)
+        >>> d2 < limit
+        array([ True, False])
+        """
+        if not isinstance(factor, Factor):
+            raise GraphError(f"Marginals.gate: expected a factor such as Between(...), got {factor!r:.80}")
+        if any(batch.model.factor is factor for batch in self._pattern.batches):
+            cure = "take it out of the graph and optimize, then ask"
+            raise GraphError(f"Marginals.gate: {factor!r:.80} is in the graph, and the estimate has used it; {cure}")
+        for keys in factor.keys:
+            self._axes(keys, "body", None)
+        model, X = self.values.gather(factor)
+        columns = np.concatenate([self._columns(keys) for keys in factor.keys], axis=1)
+        d2 = predicted_distances(*model.linearize(*X), columns, self._dense)
+        return Gate(d2, chi2_gate(model.dim - factor.eliminated, probability))
 
     def status(self, kind: Kind | str) -> list[str]:
         """The status of every variable of a kind, in the order of the values.
@@ -328,18 +352,15 @@ class Marginals:
 
     @cached_property
     def _selected(self) -> SelectedInverse:
-        return SelectedInverse(self._factorization, self.memory_limit)
+        return SelectedInverse(self._factorization, self.memory_limit, self._pattern.held)
 
     @cached_property
     def _diagonal(self) -> dict[str, Array]:
         """Diagonal blocks (n, d, d) of every kind, axes of the tangent space."""
-        out, number = {}, np.cumsum(~self._pattern.held) - 1
+        out = {}
         for kind, stack in self.values.stacks.items():
-            n, d = len(stack), stack.manifold.dim
-            variables = self._pattern.offsets[kind] + np.arange(n)
-            free = ~self._pattern.held[variables]
-            own, Sigma = number[variables[free]], np.zeros((n, d, d))
-            Sigma[free] = self._selected.blocks(own, own, d, d)
+            variables, d = self._pattern.offsets[kind] + np.arange(len(stack)), stack.manifold.dim
+            Sigma = self._selected.blocks(variables, variables, d, d)
             if self._free is not None:
                 columns = self._first[variables][:, None] + np.arange(d)
                 Sigma = self._free.moved(Sigma, columns, columns)
@@ -348,48 +369,30 @@ class Marginals:
         return out
 
     def _dense(self, columns: Index) -> Array:
-        """Rows and columns (k,) of Sigma, axes of the tangent spaces: a few columns of it are solved for at a time."""
-        k, n = len(columns), self._pattern.n
-        needed = 8.0 * (4 * k * k + 3 * n * min(k, ONE_BLOCK))
-        words = f"the joint covariance of {k} unknowns needs"
-        cure = "ask for fewer variables, or for marginals with all()"
-        refuse_larger(needed, self.memory_limit, "joint covariance", words, cure)
-        Sigma, a = np.zeros((k, k)), self._column[columns]
-        free = np.flatnonzero(a >= 0)
-        for begin in range(0, len(free), ONE_BLOCK):
-            span = free[begin : begin + ONE_BLOCK]
-            E = np.zeros((n, len(span)))
-            E[a[span], np.arange(len(span))] = 1.0
-            Sigma[free[:, None], span] = self._factorization.solve(E)[a[free]]
+        """Rows and columns (k,) of Sigma, axes of the tangent spaces."""
+        Sigma = dense_inverse(self._factorization, self._column[columns], self.memory_limit)
         if self._free is not None:
             Sigma = self._free.moved(Sigma, columns, columns)
         return (Sigma + Sigma.T) / 2
 
+    def _variables(self, keys: Keys) -> Index:
+        """Place (n,) of variables among all."""
+        return np.asarray(self._pattern.offsets[keys.kind] + self.values.stack(keys.kind).index(keys))
+
     def _columns(self, keys: Keys) -> Index:
         """Columns (n, d) of variables among those of all variables."""
-        stack = self.values.stack(keys.kind)
-        variables = self._pattern.offsets[keys.kind] + stack.index(keys)
-        return np.asarray(self._first[variables][:, None] + np.arange(stack.manifold.dim))
+        dim = self.values.stack(keys.kind).manifold.dim
+        return np.asarray(self._first[self._variables(keys)][:, None] + np.arange(dim))
 
     def _axes(self, keys: Keys, frame: str | None, view: str | None) -> tuple[Array | None, tuple[str, ...]]:
         """As `nls.covariance.frames.axes`; refuses what is not determined."""
         if not isinstance(keys, Keys):
             raise GraphError(f"Marginals: {keys!r:.60} names no variable; expected x[0], x[[1, 2]], or all(x) for all")
         stack = self.values.stack(keys.kind)
-        variables = stack.index(keys)
-        unmeasured = self._status[self._pattern.offsets[keys.kind] + variables] == "unmeasured"
-        if unmeasured.any():
-            named = list(keys[unmeasured])
-            raise UnderconstrainedError(
-                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
-                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
-                named,
-            )
-        J, names = axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
+        if (unmeasured := self._status[self._variables(keys)] == "unmeasured").any():
+            raise of_unmeasured(list(keys[unmeasured]))
+        J, names = axes(keys, stack.manifold, np.asarray(stack.X[stack.index(keys)]), frame, view)
         if self._undetermined is not None:
             columns = self._column[self._columns(keys)]
-            used = used_components(J, columns.shape)
-            refusal = self._undetermined.refusal(keys, columns, used, stack.manifold.components)
-            if refusal is not None:
-                raise refusal
+            self._undetermined.refuse(keys, columns, used_components(J, columns.shape), stack.manifold.components)
         return J, names

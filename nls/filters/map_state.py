@@ -29,7 +29,7 @@ from factors.sighting import Sighting
 from models import Manifold
 from models.algebra import Array, Index, Mask
 from models.errors import EvaluationError
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.chi_squared import chi2_gate, innovation_distances
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 
@@ -268,8 +268,7 @@ def distances(state: MapState, model: Model, rows: Index) -> tuple[Array, Array]
     (A_x, A_l), b = model.linearize(np.broadcast_to(state.X, (n, len(state.X))), state.L[rows])
     A = np.concatenate([A_x, A_l], axis=2)
     columns = np.concatenate([np.broadcast_to(np.arange(d), (n, d)), state.columns(rows)], axis=1)
-    S = A @ state.P[columns[:, :, None], columns[:, None, :]] @ A.mT + np.eye(model.dim)
-    return mahalanobis(b, S), b
+    return innovation_distances(b, A @ state.P[columns[:, :, None], columns[:, None, :]] @ A.mT), b
 
 
 def associated(state: MapState, associate: Association, factor: Sighting, manifolds: tuple[Manifold, ...]) -> Index:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import XYH, ZPR, DvlLeg
+from factors import XYH, ZPR, DvlLeg, Gravity
 from models.listing import number
 from nls.gauge import placeless_kinds
 from nls.plot.picture import add_lines, axes_or_new, figure_of, full_legend, name_plane, new_figure
@@ -143,7 +143,7 @@ def trajectory(
 
     Notes
     -----
-    A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`) is drawn with z down.
+    A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`, `Gravity`) is drawn with z down.
     """
     from nls.plot.ellipses import ellipses
 
@@ -288,7 +288,7 @@ def _points(graph: FactorGraph, values: Values) -> Array:
 
 def is_down(graph: FactorGraph) -> bool:
     """Whether the graph knows where down is, and z is down."""
-    return any(isinstance(factor, DOWN) for factor in graph.factors)
+    return any(isinstance(f, DOWN) or (isinstance(f, Gravity) and f.down[2] > 0) for f in graph.factors)
 
 
 def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:

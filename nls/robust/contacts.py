@@ -48,7 +48,7 @@ from factors.sighting import Sighting
 from models import SE3, LieGroup
 from models.algebra import Array, Index, Mask, Numbers
 from models.sensors import cartesian
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.chi_squared import chi2_gate, innovation_distances
 from nls.covariance import Marginals
 from nls.covariance.frames import turned
 from nls.gauge import component_labels
@@ -313,7 +313,7 @@ class Arcs:
         """d (k,) of contacts b from their predictions."""
         model = self.model.part(self.factor[b], b)
         (H_T, H_p, *_), v = model.linearize(T, p, *(O[b] for O in self.O))
-        return mahalanobis(v, np.eye(2) + turned(H_T, P) + turned(H_p, C))
+        return innovation_distances(v, turned(H_T, P) + turned(H_p, C))
 
 
 def _ranked(count: Index) -> Index:

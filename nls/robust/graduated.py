@@ -31,7 +31,8 @@ Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity 
 5(2), 2020.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -41,7 +42,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
-from models.errors import GraphError, OptionError, UnderconstrainedError
+from models.errors import GraphError, OptionError, SingularGeometryError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate, chi2_tail
 from nls.analysis.redundancy import Unverified, unverified_groups
@@ -163,7 +164,18 @@ class Robustified:
         return "\n".join([str(self.result), *self.report()])
 
 
+@contextmanager
+def _advising_another_start() -> Iterator[None]:
+    """Name a start to whoever began where a measurement has no value, as targets and sensors at zero do."""
+    try:
+        yield
+    except SingularGeometryError as error:
+        error.advise(Advice("start"))
+        raise
+
+
 @single_thread()
+@_advising_another_start()
 def gnc(
     graph: FactorGraph,
     values: Values,
@@ -195,6 +207,8 @@ def gnc(
         No such loss; a probability that is none.
     GraphError
         A factor that is not in the graph, nothing that may be doubted, or no pose graph to preselect in.
+    SingularGeometryError
+        A start that is none, such as zeros where targets are seen: the advice names `nls.initialize`.
     UnderconstrainedError
         Without what was rejected something is free that is no landmark, or what is trusted leaves a pose of a contact
         free.
@@ -236,6 +250,7 @@ def gnc(
             choice = problem.choice(values, loss, np.inf)
         variance, local = 1.0, float("nan")
         doubts = verdict.doubts(choice.result, total - problem.rejected(choice.inliers), total, probability)
+        doubts += verdict.no_start(values) if doubts else []
     gone = landmarks.gone(choice.inliers)
     left: list[Left] = []
     for kind, mask in gone.items():

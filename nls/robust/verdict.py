@@ -35,6 +35,7 @@ class DoubtKind(Enum):
     """Why an estimate is doubtful; the value is the sentence."""
 
     FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
+    NO_START = "all {total} poses began at one place: give them a start, nls.initialize(graph, values)"
     DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
     CONTRADICTED = (
         "{count} of {total} kept closures contradict the others: without them the map moves {fraction!p:.2g} %"
@@ -104,6 +105,12 @@ def doubts(result: Result, inlier_count: int, doubted: int, probability: float, 
     if result.dof > 0 and result.fit is Fit.IMPLAUSIBLE:
         reasons.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
     return reasons
+
+
+def no_start(values: Values) -> list[Doubt]:
+    """The doubt where all poses of a kind began at one place, as zeros do."""
+    poses = [stack.X for stack in values.stacks.values() if stack.manifold.body_axes and len(stack) > 1]
+    return [Doubt(DoubtKind.NO_START, total=len(X)) for X in poses if not np.ptp(X, axis=0).any()]
 
 
 class Difference(NamedTuple):

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from factors import Between, Factor, Noise, Prior, SequentialMatch, SqrtInformation
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
+from models import LINE, S2, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
 from models.algebra import Array
 from models.manifolds.measured import MeasuredNumbers
 from models.manifolds.units import ANGLES
@@ -181,6 +181,11 @@ def innovation_by_hand(group: Manifold, h: Array, z: Array, convention: str) -> 
     if group is LINE:  # of its two normals that of z which is nearer to that of h
         both = [np.array([np.angle(np.exp(1j * (z[0] + turn - h[0]))), sign * z[1] - h[1]]) for turn, sign in NORMALS]
         return min(both, key=lambda e: abs(e[0]))
+    if group is S2:  # the turn from z to h, about x and y as the shortest turn takes them from the pole next to z
+        pole, turn = np.array([0.0, 0.0, np.copysign(1.0, z[2])]), np.cross(z, h)
+        axes, _ = Rotation.align_vectors([z, np.cross(pole, z)], [pole, np.cross(pole, z)])
+        angle = np.arctan2(np.linalg.norm(turn), z @ h)
+        return np.asarray((axes.as_matrix().T @ turn)[:2] * (angle / np.linalg.norm(turn) if angle else 1.0))
     if isinstance(group, MeasuredNumbers):
         angular = np.isin(group.components, ["bearing", "azimuth", "elevation", "yaw", "pitch", "roll"])
         return np.where(angular, np.arctan2(np.sin(z - h), np.cos(z - h)), z - h)

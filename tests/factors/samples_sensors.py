@@ -14,7 +14,7 @@ from factors import Bearing, BearingRange, DriftingStep, Factor, Landmark, Line,
 from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import LINE, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
+from models import LINE, S2, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
 from models.algebra import Array
 from models.sensors import Camera
 from tests.factors.samples import Sample, between, homogeneous, prior, stored
@@ -116,6 +116,18 @@ def sighting(kind: type[Factor], group: LieGroup, mode: str, target: str = "poin
     return seen(kind, kind.__name__, space, by_hand, mode, R(d) if target == "point" else group, where)
 
 
+def sighting_from_point(kind: type[Factor], group: LieGroup) -> Sample:
+    """The same from a point: from a pose with the axes of the world."""
+    of_poses, d, level = sighting(kind, group, "none"), group.point_dim, group.identity()[0, group.point_dim :]
+    return replace(
+        of_poses,
+        name=f"{kind.__name__}-from {R(d)}",
+        manifolds=(R(d), R(d)),
+        truth=lambda S, L: of_poses.truth(np.column_stack([S, np.tile(level, (len(S), 1))]), L),
+        around=(np.zeros(d), AHEAD[d]),
+    )
+
+
 def position(group: LieGroup, components: tuple[str, ...] | None, arm: Array | None) -> Sample:
     names = components or ("x", "y", "z")[: group.point_dim]
     rows = ["xyz".index(name) for name in names]
@@ -149,6 +161,18 @@ def head(group: LieGroup, name: str, around: Array) -> Sample:
         lambda keys, z, noise: f.Heading(keys[0], z, noise),
         lambda X: yaw_by_hand(group, X),
         around=(around,),
+    )
+
+
+def gravity(group: LieGroup, down: tuple[float, ...]) -> Sample:
+    g = np.array(down) / np.linalg.norm(down)
+    return Sample(
+        f"Gravity-{group}-down {down}",
+        (group,),
+        S2,
+        2,
+        lambda keys, z, noise: f.Gravity(keys[0], z, noise, down),
+        lambda X: np.array([homogeneous(group, x)[:3, :3].T @ g for x in X]),
     )
 
 
@@ -279,6 +303,7 @@ SENSOR_SAMPLES = [
     *(sighting(*choice) for choice in product(KINDS, PLANE_AND_SPACE, ("none", "fixed", "variable"))),
     *(sighting(*choice, "pose") for choice in product(KINDS, PLANE_AND_SPACE, ("none", "variable"))),
     *(sighting(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
+    *(sighting_from_point(kind, group) for kind in (Range, Bearing) for group in PLANE_AND_SPACE),
     position(SE2, None, None),
     position(SE2, ("y",), np.array([1.5, -0.5])),
     position(SE3, None, None),
@@ -289,6 +314,7 @@ SENSOR_SAMPLES = [
     head(SE2, "level", np.array([1.0, 2.0, -3.0])),
     head(SE3, "level", SE3.identity()[0]),
     head(SE3, "tilted", TILTED),
+    *(gravity(group, down) for group in (SE3, SO3) for down in ((0, 0, 1), (0, 0, -2), (0.3, -0.5, 0.2))),
     *(prior_at(group, convention) for group in PLANE_AND_SPACE for convention in CONVENTIONS),
     prior_at(SE3, "g2o", ("z", "roll")),
     *(between_sensors(g, c, v) for g in PLANE_AND_SPACE for c in CONVENTIONS for v in (False, True)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,18 @@ def test_factors_that_cannot_be_made(case: tuple[Callable[[], Factor], str]) -> 
 )
 def test_factors_that_do_not_fit_their_variables(case: tuple[Factor, str]) -> None:
     refused(lambda: PLANE.gather(case[0]), GraphError, case[1])
+
+
+def test_a_missing_noise_is_named_with_its_cure() -> None:
+    ends: tuple[Any, ...] = (x[0], x[1])
+    for args, options, kind, named in (
+        ((*ends, [1, 0, 0]), {}, GraphError, "its noise is missing; give .* noise=Isotropic"),
+        ((), {"z": [1, 0, 0], "j": x[1], "i": x[0]}, GraphError, "its noise is missing"),
+        ((*ends, UNIT), {}, GraphError, r"its z is missing; Isotropic\(1\) stands in its place"),
+        (ends, {}, TypeError, "'z' and 'noise'"),
+        ((*ends, [1, 0, 0]), {"nois": UNIT}, TypeError, "'nois'"),
+    ):
+        refused(lambda args=args, options=options: Between(*args, **options), kind, named)
 
 
 def test_noise_that_does_not_fit_names_the_measurement() -> None:

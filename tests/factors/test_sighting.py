@@ -13,9 +13,9 @@ import models
 from factors import Bearing, BearingRange, EpipolarArc, Huber, Isotropic, Range, RangeAzimuth, Sighting, sonar_factors
 from factors.keys import Keys
 from models import LINE, SE2, SE3, LieGroup, Manifold, R, euler
-from models.errors import GraphError, OptionError
+from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.sensors import DIDSON_HIGH, cartesian
-from nls import FactorGraph, Values, kinds
+from nls import FactorGraph, Kind, Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import error, linearized, refused, same
 
@@ -198,3 +198,28 @@ def test_a_hinge_pushes_until_the_target_is_inside_again() -> None:
         same(A_k[:2], of_elevation[:2], atol=1e-12)
         same(A_k[2:], 0.0)
     assert factor.damped
+
+
+def test_points_have_the_axes_of_the_world_and_no_offset() -> None:
+    values = Values({o: (R(2), [[0.0, 0.0], [2.0, 0.0]]), l: (R(2), [1.0, 0.5])})
+    seen = FactorGraph([Bearing(o[[0, 1]], l[0], [np.pi / 4, 3 * np.pi / 4], UNIT)], [o[[0, 1]]])
+    same(seen.optimize(values).values[l[0]], [1.0, 1.0], atol=1e-6)
+    values.add(Kind("x"), SE2, [0.0, 0.0, 0.3])
+    for factor, named in (
+        (Range(o[0], l[0], 1.0, UNIT, offset=[0, 0]), r"o0 is a point in R\(2\), which has no axes for an offset"),
+        (Range(o[0], x[0], 1.0, UNIT), r"o0 is in R\(2\), expected a pose, SE2 or SE3, or a point like its target"),
+        (f.Landmark(o[0], l[0], [1, 1], UNIT), r"o0 is in R\(2\), expected a pose, SE2 or SE3$"),
+    ):
+        refused(lambda factor=factor: values.gather(factor), GraphError, named)
+
+
+def test_a_bearing_from_a_point_keeps_the_gauge_from_being_held() -> None:
+    """A landmark's bearing to another one says where north is, so no pose may be held with its heading."""
+    values = Values({x: (SE2, [[0, 0, 0.3], [2, 0, 0.3]]), l: (R(2), [[2.0, 2.0], [4.0, 4.0]])})
+    seen = f.Landmark(x[[0, 0, 1, 1]], l[[0, 1, 0, 1]], [[2, 2], [4, 4], [0, 2], [2, 4]], UNIT)
+    for sort, free in ((Range(l[0], l[1], sqrt(8), UNIT), False), (Bearing(l[0], l[1], np.pi / 2, UNIT), True)):
+        graph = FactorGraph([f.Between(x[0], x[1], [2, 0, 0], UNIT), seen, sort])
+        if free:
+            refused(lambda graph=graph: graph.optimize(values), UnderconstrainedError, "2 directions free: x, y")
+            graph.add(f.Position(x[0], [0, 0], UNIT))
+        assert graph.optimize(values).chi2_final < 1e-12

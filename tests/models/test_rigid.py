@@ -71,7 +71,7 @@ SHEARED[0, 1], MOVED[3, :3] = 0.1, [1.0, 2.0, 3.0]
             r"SE3.from_rpy: .* differ: roll \(3,\), .*x \(2,",
         ),
         (lambda: SE3.from_rpy(0, 0, 0, np.inf, 0, 0), "SE3.from_rpy: roll .* not finite"),
-        (lambda: R(2).matrix([1.0, 2.0]), re.escape("R(2) has no rotation matrix")),
+        (lambda: R(4).matrix(np.ones(4)), re.escape("R(4) has no rotation matrix")),
     ]
 )
 def test_matrices_that_are_no_rigid_motion(case: tuple[Callable[[], object], str]) -> None:

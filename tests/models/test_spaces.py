@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from models import LINE, SE2, Measured
+from models import LINE, S2, SE2, Measured
 from models.algebra import Array, wrap
 from models.errors import GraphError, OptionError
 from models.sensors import line_from_frame, line_in_frame, normalized
@@ -131,3 +131,25 @@ def test_names_and_measurements_are_checked() -> None:
     with pytest.raises(GraphError, match=r"\(bearing, range, yaw\): .*\(2,\), expected \(n, 3\)"):
         SPACE.stack([1.0, 2.0])
     assert Measured("range").stack([1.0, 2.0]).shape == (2, 1)
+
+
+def directions(n: int, rng: np.random.Generator) -> Array:
+    """Unit vectors, the first along the axes."""
+    return S2.stack(np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(n - 6, 3))]))
+
+
+def test_a_step_on_the_sphere_turns_by_its_length_and_local_finds_it() -> None:
+    rng = np.random.default_rng(0)
+    X, delta = directions(60, rng), rng.normal(size=(60, 2))
+    delta *= (np.geomspace(1e-12, 3.14, 60) / np.linalg.norm(delta, axis=1))[:, None]
+    Y = S2.retract(X, delta)
+    same(np.linalg.norm(Y, axis=1), 1.0, atol=1e-15)
+    same(np.linalg.norm(np.cross(X, Y), axis=1), np.sin(np.linalg.norm(delta, axis=1)), atol=1e-15)
+    same(S2.local(X, Y), delta, rtol=1e-9, atol=1e-13)
+    same(S2.axes(X).mT @ np.dstack([X, S2.axes(X)]), np.tile([[0, 1, 0], [0, 0, 1]], (60, 1, 1)), atol=1e-15)
+    J = S2.motion(X, Y)[1]
+    ahead, behind = (S2.local(X, S2.retract(Y, np.tile(1e-6 * np.array(e), (60, 1)))) for e in ([1, 0], [-1, 0]))
+    same(J[:55, :, 0], (ahead - behind)[:55] / 2e-6, atol=1e-7)
+    assert np.isnan(S2.local(X, -X)).all(), "no turn to the opposite is shorter than all others"
+    with pytest.raises(GraphError, match=r"element 1 .*length 0"):
+        S2.stack([[3.0, 0, 0], [0, 0, 0]])

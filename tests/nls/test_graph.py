@@ -196,6 +196,24 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
     assert graph.factors == [closures]
 
 
+def test_a_copy_and_a_sum_leave_their_graphs_as_they_are(world: sim.World) -> None:
+    singles, more = list(world.graph.factors[0]), FactorGraph([world.graph.factors[1]], [x[1]])
+    graph = FactorGraph(singles, [x[0]])
+    before = graph.chi2(world.truth)
+    both = graph + more
+    assert (both.fixed, more.fixed, graph.fixed) == ([x[0], x[1]], [x[1]], [x[0]])
+    assert both.chi2(world.truth) == pytest.approx(before + more.chi2(world.truth))
+    for other in (both, graph.copy()):
+        other.remove(singles[3])
+        other.add(more.factors[0])
+        other.fix(x[2])
+    assert (len(both), len(more.factors)) == (len(world.graph) - 1 + len(more), 1)
+    assert graph.chi2(world.truth) == before
+    graph.remove(singles[3])
+    with pytest.raises(TypeError, match="unsupported operand"):
+        graph + world.truth  # type: ignore[operator]
+
+
 def test_a_factor_that_is_given_twice_counts_twice() -> None:
     priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(SMALLEST_BATCH)]
     values = Values({x: (SE2, np.zeros((SMALLEST_BATCH, 3)))})

@@ -152,3 +152,20 @@ def test_a_graph_and_its_values_that_are_swapped_are_named() -> None:
             call(graph, None)  # type: ignore[arg-type, operator]
     with pytest.raises(OptionError, match="the name of a file first, then the graph and its values"):
         save(graph, values, "a.g2o")  # type: ignore[arg-type]
+
+
+def test_values_merge_and_clashes_are_named() -> None:
+    (o,) = kinds("o")
+    first = Values({x: (SE2, [[0, 0, 0], [1, 0, 0]], [7, 3]), l: (R(2), [1, 1])})
+    both = first | Values({o: (SE2, [9, 9, 0]), x: (SE2, [2, 0, 0], 5)})
+    assert list(both) == [x[7], x[3], x[5], l[0], o[0]]
+    assert both[x][:, 0].tolist() == [0.0, 1.0, 2.0]
+    assert first[x].shape == (2, 3)
+    for other, named in (
+        (Values({x: (SE2, np.zeros((3, 3)), [4, 3, 7])}), r"both hold x3, x7; .*another number"),
+        (Values({l: (R(3), [0, 0, 0], 4)}), r"l is in R\(2\) and in R\(3\)"),
+    ):
+        with pytest.raises(GraphError, match=named):
+            first | other
+    with pytest.raises(TypeError, match="unsupported operand"):
+        first | {}  # type: ignore[operator]

@@ -10,7 +10,7 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys, Kind
-from models import LINE, SE2, SE3, SO2, SO3, Manifold, Measured, R
+from models import LINE, S2, SE2, SE3, SO2, SO3, Manifold, Measured, R
 from models.errors import GraphError, GraphFileError, LeadlineError
 from models.listing import some
 from nls.gauge import fixed_variables
@@ -25,7 +25,7 @@ FORMAT, VERSION = "leadline graph", 1
 PARTS = ("values", "fixed", "factors")
 STRUCTURE = "structure"  # the array of an archive that says what the others are
 GTSAM = "keys of GTSAM"  # what the ids of a kind were in the file that it was read from
-SPACES = {space.name: space for space in (SO2, SE2, SO3, SE3, LINE)}
+SPACES = {space.name: space for space in (SO2, SE2, SO3, SE3, S2, LINE)}
 VECTORS = re.compile(r"R\(([1-9][0-9]{0,4})\)")
 MEASURED = re.compile(r"\(([^(),]+(?:, [^(),]+){0,99})\)")
 

@@ -63,14 +63,14 @@ def test_a_landmark_with_one_range(solver: str) -> None:
     close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
     close(marginals.covariance(x[3], "body"), pinv[9:12, 9:12])
     close(marginals.covariance(l[1]), pinv[26:, 26:])
-    joint = marginals.joint([x[3], l[1]], "body")
+    joint = marginals.joint([x[3], l[1]], frame="body")
     rows = [9, 10, 11, 26, 27]
     close(joint.matrix, pinv[np.ix_(rows, rows)])
-    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    close(marginals.joint(x[0:8], frame="body").matrix, pinv[:24, :24])
     for ask in (
         lambda: marginals.covariance(l[0]),
         lambda: marginals.covariance(l[[1, 0]], view="position"),
-        lambda: marginals.joint([x[3], l[0]], "body"),
+        lambda: marginals.joint([x[3], l[0]], frame="body"),
         lambda: marginals.all(l),
     ):
         with pytest.raises(
@@ -89,7 +89,7 @@ def test_a_component_that_is_free() -> None:
     assert determined.tolist() == [True] * 24 + [False] * 24
     marginals = Marginals(sample.graph, sample.values, gauge="none")
     assert marginals.status(x) == ["estimated"] * 8 + ["free"] * 8
-    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    close(marginals.joint(x[0:8], frame="body").matrix, pinv[:24, :24])
     close(marginals.covariance(x[[5, 2]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (15, 6)]))
     match = "x50: x, y, yaw; x57: x, y, yaw: .* 3 free directions move them"
     with pytest.raises(UnderconstrainedError, match=match) as caught:
@@ -125,7 +125,7 @@ def test_the_free_gauge_beside_something_free_is_the_pseudo_inverse() -> None:
     pinv, _ = projected(graph, sample.values)
     marginals = Marginals(graph, sample.values, gauge="free")
     assert marginals.status(x) == ["estimated"] * 8
-    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    close(marginals.joint(x[0:8], frame="body").matrix, pinv[:24, :24])
     close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
     with pytest.raises(UnderconstrainedError, match="l0: x, y"):
         marginals.covariance(l[0])
@@ -207,7 +207,7 @@ def test_it_is_that_of_the_normal_equations_where_these_keep_all(group: LieGroup
     scale = np.abs(default.all(x, "body")).max()
     np.testing.assert_allclose(orthogonal.all(x, "body"), default.all(x, "body"), atol=1e-9 * scale)
     np.testing.assert_allclose(orthogonal.covariance(x[7], "body"), default.covariance(x[7], "body"), atol=1e-9 * scale)
-    joint, expected = (m.joint(x[[3, 50]], "body").matrix for m in (orthogonal, default))
+    joint, expected = (m.joint(x[[3, 50]], frame="body").matrix for m in (orthogonal, default))
     np.testing.assert_allclose(joint, expected, atol=1e-9 * scale)
 
 

@@ -15,7 +15,6 @@ from models import SE2, SE3, SO2, SO3, LieGroup, R, euler
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, SingularGeometryError, UnderconstrainedError
 from nls import FactorGraph, Kind, Marginals, Values
-from nls.covariance import marginals as module
 from nls.covariance.inverse import paired
 from tests.nls.graphs import ODD, SAMPLES, Sample, informations, l, mixed, pose_graph, two_components, x
 from tests.nls.solving import make
@@ -62,12 +61,14 @@ def test_every_marginal_and_the_joint_of_all(name: str) -> None:
 def test_many_variables_come_out_of_the_pass_over_all(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = pose_graph(SE2, numbers=ODD)
     some = x[[7, 1000, -3]]
-    solved = Marginals(sample.graph, sample.values).covariance(some, frame="world")
-    monkeypatch.setattr(module, "ONE_BLOCK", 4)
+    whole = Marginals(sample.graph, sample.values)
+    solved, joint = whole.covariance(some, frame="world"), whole.joint(some, frame="body").matrix
+    monkeypatch.setattr("nls.covariance.marginals.ONE_BLOCK", 4)
+    monkeypatch.setattr("nls.covariance.inverse.ONE_BLOCK", 4)
     passed = Marginals(sample.graph, sample.values)
     np.testing.assert_allclose(passed.covariance(some, frame="world"), solved, rtol=1e-11)
     assert "_diagonal" in vars(passed)
-    close(passed.joint(some, frame="body").matrix, Marginals(sample.graph, sample.values).joint(some, "body").matrix)
+    close(passed.joint(some, frame="body").matrix, joint)
 
 
 @pytest.mark.parametrize("gauge", ["first", "free"])
@@ -134,7 +135,7 @@ def test_gauges(case: str) -> None:
     free = Marginals(sample.graph, sample.values, gauge="free")
     assert free.status(x) == ["estimated"] * len(keys)
     pinv = np.linalg.pinv(A.T @ A, rcond=1e-11, hermitian=True)
-    close(free.joint(keys, "body").matrix, pinv, 1e-9)
+    close(free.joint(keys, frame="body").matrix, pinv, 1e-9)
     d = sample.values.stack("x").manifold.dim
     for k, block in enumerate(free.all(x, "body")):
         close(block, pinv[k * d : k * d + d, k * d : k * d + d], 1e-9)
@@ -155,7 +156,7 @@ def test_what_no_measurement_touches_has_no_covariance() -> None:
     assert marginals.status(x) == ["estimated"] * 8 + ["unmeasured"] * 2
     for ask in (
         lambda: marginals.covariance(x[90], "body"),
-        lambda: marginals.joint([x[3], x[90]], "body"),
+        lambda: marginals.joint([x[3], x[90]], frame="body"),
         lambda: marginals.all(x, "body"),
     ):
         with pytest.raises(UnderconstrainedError, match=r"no measurement touches") as caught:
@@ -214,9 +215,10 @@ def test_wrong_uses() -> None:
         (GraphError, "names no variable", lambda: marginals.covariance(3)),  # type: ignore[arg-type]
         (GraphError, "expected a kind such as x", lambda: marginals.all(x[[1, 2]], "body")),  # type: ignore[arg-type]
         (GraphError, "x77 has no value", lambda: marginals.covariance(x[77], "body")),
-        (GraphError, "no variable is given", lambda: marginals.joint([], "body")),
-        (GraphError, "x7 is given twice", lambda: marginals.joint([x[[6, 7]], x[7]], "body")),
-        (GraphError, "x6 is not in this joint", lambda: marginals.joint(x[[1, 7]], "body").block(x[7], x[6])),
+        (GraphError, "no variable is given", lambda: marginals.joint([], frame="body")),
+        (GraphError, "'body' is no variable; expected frame='body', by name", lambda: marginals.joint(x[7], "body")),
+        (GraphError, "x7 is given twice", lambda: marginals.joint([x[[6, 7]], x[7]], frame="body")),
+        (GraphError, "x6 is not in this joint", lambda: marginals.joint(x[[1, 7]], frame="body").block(x[7], x[6])),
     ]
     for error, words, use in wrong:
         with pytest.raises(error, match=words):
@@ -281,7 +283,7 @@ def test_euler_view_against_differences() -> None:
     joint = marginals.joint(x[[1, 5]], view="euler")
     assert joint.names[:6] == ("x1: roll", "x1: pitch", "x1: yaw", "x1: x", "x1: y", "x1: z")
     np.testing.assert_allclose(joint.block(x[5], x[5]), found[5], rtol=1e-9, atol=1e-14)
-    raw = marginals.joint(x[[1, 5]], "body").block(x[1], x[5])
+    raw = marginals.joint(x[[1, 5]], frame="body").block(x[1], x[5])
     np.testing.assert_allclose(joint.block(x[1], x[5]), J[1] @ raw @ J[5].T, rtol=0, atol=1e-8)
 
 
@@ -300,7 +302,8 @@ def test_gimbal_lock_names_the_pose() -> None:
 def test_joint_of_poses_and_points_in_the_world() -> None:
     sample = mixed(1)
     marginals = Marginals(sample.graph, sample.values)
-    body, world = (marginals.joint([x[7], l[77]], frame).matrix for frame in ("body", "world"))
+    body, world = (marginals.joint([x[7], l[77]], frame=frame).matrix for frame in ("body", "world"))
+    np.testing.assert_array_equal(marginals.joint(x[7], l[77], frame="world").matrix, world)
     G = np.eye(5)
     G[:3, :3] = SE2.world_axes(sample.values[x[7]])
     np.testing.assert_allclose(world, G @ body @ G.T, rtol=0, atol=1e-14)

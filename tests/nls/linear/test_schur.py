@@ -91,7 +91,8 @@ def test_step_and_covariances_come_from_its_factor(superlu: bool, monkeypatch: p
     for kind in (x, l):
         np.testing.assert_allclose(two.all(kind, "world"), one.all(kind, "world"), rtol=1e-9, atol=1e-12)
     pair = [x[3], l[3]]
-    np.testing.assert_allclose(two.joint(pair, "body").matrix, one.joint(pair, "body").matrix, rtol=1e-9, atol=1e-12)
+    joints = [marginals.joint(pair, frame="body").matrix for marginals in (two, one)]
+    np.testing.assert_allclose(*joints, rtol=1e-9, atol=1e-12)
 
 
 def test_bundle_adjustment(data: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Diagonal, Prior
+from factors import BearingRange, Between, Diagonal, Prior
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, Values, kinds
@@ -23,7 +23,7 @@ from nls.robust.preselection import exchanged
 from nls.robust.truncated_least_squares import Truncated
 from nls.robust.verdict import difference, doubts
 
-(x,) = kinds("x")
+x, l = kinds("x", "l")
 SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
 
 
@@ -65,6 +65,21 @@ def test_more_than_half_wrong_is_doubtful(
     if expected:
         assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
         assert "doubtful: " in str(found)
+
+
+def test_a_start_of_zeros_is_named_and_initialize_is_one(laps: sim.World) -> None:
+    zeros = Values({x: (SE2, np.zeros((120, 3)))})
+    seen = BearingRange(x[[0, 40]], l[0], [[0.1, 5.0], [-0.4, 4.0]], Diagonal(bearing=0.5, range=5.0))
+    graph, more = laps.graph, FactorGraph([*laps.graph.factors, seen])
+    found = nls.gnc(graph, zeros, preselect=False)
+    assert [doubt.kind for doubt in found.doubts] == [DoubtKind.FEW_KEPT, DoubtKind.NO_START]
+    assert str(found.doubts[1]) == "all 120 poses began at one place: give them a start, nls.initialize(graph, values)"
+    for preselect in (True, False):
+        with pytest.raises(nls.SingularGeometryError, match=r"another start: nls\.initialize\(graph, values\)"):
+            nls.gnc(more, zeros | Values({l: (R(2), [0, 0])}), preselect=preselect)
+    start, *_ = nls.initialize(graph, zeros)
+    assert nls.gnc(graph, start, preselect=False).doubts == ()
+    assert nls.gnc(FactorGraph([graph.factors[0]]), zeros, doubted=[graph.factors[0]]).doubts == ()
 
 
 def test_half_is_meant_less_what_chance_rejects_and_noise_explains_chi2(laps: sim.World) -> None:
