@@ -196,12 +196,12 @@ def _rejected(f: Finding) -> str:
     scaled = "" if f"{n['sigma0']:.3g}" == "1" else f" (sigmas times {n['sigma0']:.3g})"
     right = "less than one is" if n["by_chance"] < 1 else f"about {n['by_chance']:.0f} are"
     expected = f"{right} expected by chance at {100 * n['probability']:.6g} %"
-    return f"{n['count']:,} of {n['doubted']:,} doubted measurements rejected{scaled}; {expected}"
+    return f"{n['count']:,} of {n['doubted']:,} judged measurements rejected{scaled}; {expected}"
 
 
 def _left(f: Finding) -> str:
     n = f.numbers
-    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} doubted measurements of theirs agree"
+    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} judged measurements of theirs agree"
 
 
 SENTENCES: Sentences = {
