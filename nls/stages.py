@@ -16,7 +16,8 @@ _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", d
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count the seconds inside under a name, where somebody collects them; 2 us where nobody does."""
+    """Count the seconds inside under a name, where somebody collects them, and announce it; 2 us where nobody does."""
+    announce(name.partition(" ")[2] or name)
     start = perf_counter()
     try:
         yield
@@ -51,7 +52,7 @@ def collected() -> AbstractContextManager[dict[str, float]]:
 
 
 def announce(words: str) -> None:
-    """How far a long stage is, for whoever listens."""
+    """How far a long stage is, for whoever listens; without words: something is printed now."""
     if (listener := _LISTENER.get()) is not None:
         listener(words)
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from time import perf_counter, process_time
 
 from nls.cli.phase import INTERRUPTED, Phase
+from nls.cli.ticker import shows
 from nls.lazy import postpone
 
 TYPE_CHECKING = False
@@ -56,8 +57,11 @@ def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase |
         try:
             return phase.flushed(_main(argv, began, startup, phase))
         except KeyboardInterrupt:
+            phase.hide()
             print(phase, file=sys.stderr)
             return INTERRUPTED
+        finally:
+            phase.hide()
 
 
 def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase) -> int:
@@ -80,7 +84,12 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
             from nls.io.files import graph_file
 
             options.file = str(graph_file(options.file))
-        return int(options.run(options))
+        from nls.stages import listened
+
+        if shows() and options.command != "stream" and not getattr(options, "quiet", False):
+            phase.show()
+        with listened(phase.step):
+            return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
     except Exception as error:  # all: a fault of ours, too, is one line and a status; --debug shows its traceback

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import nls
+from nls.stages import announce
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
@@ -25,7 +26,13 @@ def say(text: object, error: bool = False) -> None:
     from models.visible import visible
 
     if (stream := sys.stderr if error else sys.stdout) is not None:  # else `print` takes the other one
-        print(visible(str(text)), file=stream)
+        announce("")  # the line of a terminal is left to this
+        print(visible(str(text)), file=stream, flush=True)
+
+
+def on_terminal() -> bool:
+    """Whether somebody sees standard output as it comes, on a terminal."""
+    return sys.stdout is not None and sys.stdout.isatty()
 
 
 def complain(problem: object) -> None:
@@ -33,57 +40,6 @@ def complain(problem: object) -> None:
 
     message, *advice = problem.lines(shell=True) if isinstance(problem, nls.LeadlineError) else [str(problem)]
     say("\n".join([f"nls: {' '.join(message.split())}", *advice]), error=True)
-
-
-class Progress:
-    """A line on standard error where that is a terminal, gone at the end; nothing elsewhere.
-
-    Parameters
-    ----------
-    title : is done.
-    most : iterations, as far as that is known.
-    quiet : nothing on a terminal either.
-    late : nothing before the first step, where most inputs take none.
-    """
-
-    def __init__(self, title: str, most: int | None = None, quiet: bool = False, late: bool = False) -> None:
-        self.bar: Any = None
-        self.active = sys.stderr is not None and sys.stderr.isatty() and not quiet
-        self.title, self.most, self.late = title, most, late
-
-    def __enter__(self) -> Progress:
-        if not self.late:
-            self._open()
-        return self
-
-    def _open(self) -> None:
-        """Begin the line, unless it has begun."""
-        if self.active and self.bar is None:
-            from tqdm import tqdm
-
-            self.bar = tqdm(total=self.most, desc=self.title, unit="it", leave=False)
-
-    def show(self, iteration: nls.Iteration) -> None:
-        """One more iteration."""
-        self.say(f"chi2 {iteration.chi2:.6g}")
-
-    def say(self, step: object) -> None:
-        """One more step, in its own words."""
-        self._open()
-        if self.bar is not None:
-            from models.visible import visible
-
-            self.bar.set_postfix_str(visible(str(step)))
-            self.bar.update()
-
-    def next(self, title: str) -> None:
-        """Something else is done now."""
-        if self.bar is not None:
-            self.bar.set_description_str(title)
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.close()
 
 
 def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
@@ -203,6 +159,7 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
         return
     text = json_text(report)
     if where == "-":
+        announce("")
         print(text, end="")  # ASCII
     else:
         write_bytes(where, text.encode())

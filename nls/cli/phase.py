@@ -1,4 +1,4 @@
-"""How far a command is: Ctrl-C ends it at every moment with one line that says so, and with status 130."""
+"""How far a command is: a terminal shows it, and Ctrl-C ends it at every moment with one line and status 130."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+
+from nls.cli.ticker import Ticker
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,7 +33,8 @@ class Phase:
     """
 
     def __init__(self, program: str) -> None:
-        self.program, self.doing = program, "at its start"
+        self.program, self._doing = program, "at its start"
+        self._ticker: Ticker | None = None
         self.written: list[str] = []
         self.as_read: Any = None
 
@@ -39,6 +42,32 @@ class Phase:
         written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"
         words = f"{self.program}: interrupted {self.doing}; {written}"
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
+
+    @property
+    def doing(self) -> str:
+        """The activity of this moment."""
+        return self._doing
+
+    @doing.setter
+    def doing(self, doing: str) -> None:
+        self._doing = doing
+        if self._ticker is not None:
+            self._ticker.stage(doing.removeprefix("while "))
+
+    def show(self) -> None:
+        """Show on the terminal what is done, until `hide`."""
+        self._ticker = Ticker()
+
+    def step(self, words: str) -> None:
+        """The latest step of what is done, for the terminal; without words somebody else is about to write there."""
+        if self._ticker is not None:
+            self._ticker.step(words) if words else self._ticker.hide()
+
+    def hide(self) -> None:
+        """Show nothing any more."""
+        if self._ticker is not None:
+            self._ticker.close()
+            self._ticker = None
 
     def at_once(self) -> None:
         """Let Ctrl-C end the process itself, until `now`. The imports of a start turn an exception into others.
@@ -62,6 +91,7 @@ class Phase:
 
     def over(self) -> None:
         """The command is done: Ctrl-C does nothing to a process that is about to end."""
+        self.hide()
         if signal.getsignal(signal.SIGINT) in (self._leave, signal.default_int_handler):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -102,6 +132,7 @@ class Phase:
         return 2
 
     def _leave(self, *_: object) -> None:
+        self.hide()
         os.write(2, f"{self}\n".encode(errors="backslashreplace"))  # print may be at work
         os._exit(INTERRUPTED)
 

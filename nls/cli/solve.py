@@ -13,12 +13,12 @@ from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile
 from nls.cli.inputs import input_of
-from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
+from nls.cli.outputs import PAGES, PICTURES, complain, on_terminal, refuse_name, refuse_unwritable, say, write_json
 from nls.cli.run import Clock, Problem, Run, Solved
-from nls.cli.solve_report import SCHEMA, advice, record_of, table, write_page
+from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
 from nls.linear import SOLVERS
-from nls.stages import collected
+from nls.stages import announce, collected
 
 
 def solve(options: argparse.Namespace) -> int:
@@ -84,7 +84,9 @@ def _read(kind: GraphFile, run: Run) -> Problem:
     options = run.options
     as_read, values, report = kind.read_to_solve()
     kind.check_format("-o", run.form, report)
-    options.phase.doing = f"while searching for a start for {options.file}"
+    if on_terminal() and not options.quiet and options.json != "-":
+        say(input_line(report, len(values), len(as_read)))
+    options.phase.doing = f"while computing the initial guess of {options.file}"
     graph = kind.prepared(as_read, values, report)
     run.clock.lap("read")
     return Problem(**vars(run), as_read=as_read, values=values, report=report, graph=graph, start=values)
@@ -191,6 +193,7 @@ def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
 
     marginals = None if solved.solution is None else solved.solution.marginals
     if marginals is None:
+        announce("marginals")
         marginals = nls.Marginals(solved.graph, solved.result.values, solved.solver, solved.options.gauge)
     write_covariances(path, marginals, unmeasured=kind.unmeasured(solved.report))
 
@@ -253,7 +256,8 @@ def _report(kind: GraphFile, solved: Solved) -> None:
         record["written"] = written
         solved.failed.append(error)
     if not options.quiet and options.json != "-":
-        say(table(kind, solved, record))
+        first = "" if on_terminal() else f"{input_line(solved.report, record['variables'], record['factors'])}\n"
+        say(first + table(kind, solved, record))
 
 
 def _status(kind: GraphFile, solved: Solved) -> int:

@@ -138,6 +138,12 @@ def _doubt(report: dict[str, Any]) -> str:
     return f"; but {'; '.join(doubts)}" if doubts else ""
 
 
+def input_line(report: nls.LoadReport, variables: int, measurements: int) -> str:
+    """The line of the table on what was read: first where somebody waits for it."""
+    counts = f"{several(variables, 'variable')}, {several(measurements, 'measurement')}"
+    return f"input       {report.path}: {counts}, {report.dimension}"
+
+
 def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     """The table of a run, from its report for programs."""
     result, options = solved.result, solved.options
@@ -150,9 +156,6 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     of = " of what the kernel believes" if result.shares else ""
     ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
     lines += [
-        f"input       {report['input']}: {several(report['variables'], 'variable')}, "
-        f"{several(report['factors'], 'measurement')}, "
-        f"{report['dimension']}",
         f"start       {report['init'].replace('file', file)} (chi2: {start})",
         f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
         f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}"

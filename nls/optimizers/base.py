@@ -19,6 +19,7 @@ from nls.optimizers import stop
 from nls.optimizers.problem import Problem, Undamped
 from nls.optimizers.result import Callback, Iteration, Status
 from nls.optimizers.step import Record, Step, Stop
+from nls.stages import announce
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -93,6 +94,7 @@ class Watch(Record):
 
     def call_back(self) -> None:
         """Show the latest step to the callback, which may stop."""
+        announce(f"iteration {self.step_count}, chi2 {self.history[-1].chi2:.6g}")
         self.halted = self.callback is not None and bool(self.callback(self.history[-1]))
         if self.halted and self.status is None:
             self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")

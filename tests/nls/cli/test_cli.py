@@ -236,7 +236,7 @@ def test_ctrl_c_while_nls_sim_is_imported() -> None:
     ("function", "doing", "written"),
     [
         ("nls.load", "while reading graph.g2o", 0),
-        ("nls.initialize", "while searching for a start for graph.g2o", 0),
+        ("nls.initialize", "while computing the initial guess of graph.g2o", 0),
         ("nls.FactorGraph.optimize", "while solving graph.g2o", 0),
         ("nls.cli.formats.rendered", "while writing o", 0),
         ("nls.io.table.write_covariances", "while writing o.csv", 1),
