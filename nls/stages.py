@@ -11,6 +11,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 _SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
+_INSIDE: ContextVar[bool | None] = ContextVar("inside", default=None)
 _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", default=None)
 
 
@@ -20,7 +21,8 @@ def stage(name: str) -> Iterator[None]:
     announce(name.partition(" ")[2] or name)
     start = perf_counter()
     try:
-        yield
+        with _inside(_INSIDE, True):
+            yield
     finally:
         seconds = _SECONDS.get()
         if seconds is not None:
@@ -49,6 +51,11 @@ def collected() -> AbstractContextManager[dict[str, float]]:
     (['first', 'second'], True)
     """
     return _inside(_SECONDS, {})
+
+
+def inside_stage() -> bool:
+    """Whether a stage is under way here, which Ctrl-C ends as a whole."""
+    return bool(_INSIDE.get())
 
 
 def announce(words: str) -> None:

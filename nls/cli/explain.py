@@ -10,19 +10,21 @@ from nls.cli.choices import GNC, ROBUST
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
 from nls.cli.outputs import refuse_unwritable, say, write_json
+from nls.cli.phase import INTERRUPTED
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
+from nls.stages import stage
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
+    """Read, start, optimize, explain; returns the exit status, 0 whatever was found, 130 after Ctrl-C."""
     kind = input_of(options)
     refuse_unwritable({"--json": options.json}, *kind.files)
     if kind.rejects:
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     kind.check_explainable()
     as_read, values, report = kind.read_to_solve()
-    options.phase.doing = f"while explaining {options.file}"
+    options.phase.now(f"while explaining {options.file}")
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
     explanation, how, report = _explained(kind, (graph, values, report), start)
@@ -35,7 +37,7 @@ def explain(options: argparse.Namespace) -> int:
         for note in report.notes:
             if note not in report.warnings:
                 say(f"note        {note}")
-    return 0
+    return INTERRUPTED * any(f.kind is nls.FindingKind.INTERRUPTED for f in explanation.findings)
 
 
 def _without_wrong_contacts(
@@ -65,7 +67,8 @@ def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Expl
     tries = (("file", first), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
         try:
-            result = graph.optimize(nls.initialize(graph, start, init)[0], method)
+            with stage("solve"):
+                result = graph.optimize(nls.initialize(graph, start, init)[0], method)
         except nls.UnderconstrainedError:
             why = why or "something is free"
             continue

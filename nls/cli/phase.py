@@ -33,14 +33,14 @@ class Phase:
     """
 
     def __init__(self, program: str) -> None:
-        self.program, self._doing = program, "at its start"
+        self.program, self._doing, self._step = program, "at its start", ""
         self._ticker: Ticker | None = None
         self.written: list[str] = []
         self.as_read: Any = None
 
     def __str__(self) -> str:
         written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"
-        words = f"{self.program}: interrupted {self.doing}; {written}"
+        words = f"{self.program}: interrupted {self.doing}{self._step and f': {self._step}'}; {written}"
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
 
     @property
@@ -50,7 +50,7 @@ class Phase:
 
     @doing.setter
     def doing(self, doing: str) -> None:
-        self._doing = doing
+        self._doing, self._step = doing, ""
         if self._ticker is not None:
             self._ticker.stage(doing.removeprefix("while "))
 
@@ -60,6 +60,7 @@ class Phase:
 
     def step(self, words: str) -> None:
         """The latest step of what is done, for the terminal; without words somebody else is about to write there."""
+        self._step = words or self._step
         if self._ticker is not None:
             self._ticker.step(words) if words else self._ticker.hide()
 

@@ -24,6 +24,7 @@ from nls.gauge import Gauge, choose_gauge, component_labels, fixed_variables, mo
 from nls.graph import FactorGraph
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
+from nls.stages import announce, stage
 from nls.values import Values, refuse_other
 
 WORST = 10  # measurements that are named
@@ -58,6 +59,8 @@ def explain(
 
     Notes
     -----
+    Ctrl-C ends the search for outliers: a finding says so, and all numbers that were there are in the explanation. At
+    most 100 measurements, or groups of them, are taken out.
     The statistics are those of geodetic networks, see the theory page on explanations.
 
     Examples
@@ -89,7 +92,8 @@ def explain(
     idle = ~touched & ~fixed
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
-    free = freedom(pattern, values)
+    with stage("free directions"):
+        free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     if unmeasured := tuple(pattern.key(int(v)) for v in np.flatnonzero(idle)):
         advice = (Advice("factors"), Advice("drop", ("it" if len(unmeasured) == 1 else "them",)))
@@ -120,8 +124,13 @@ def explain(
             findings.insert(0, Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),)))
         else:
             held = FactorGraph(graph.factors, [*graph.fixed, *unmeasured])
-            disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
-            findings += disagreement
+            try:
+                with stage("outliers"):
+                    disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
+                    findings += disagreement
+                    findings += _unverified(held, values, free, disagreement, outliers)
+            except KeyboardInterrupt:
+                findings.insert(0, Finding(FindingKind.INTERRUPTED))
             lower, here = np.inf if outliers is None else graph.chi2(outliers.values), graph.chi2(values)
             if lower < here - little:
                 cures = (Advice("start"), *(Advice("certify"),) * doubts.certifies(graph, values))
@@ -172,10 +181,12 @@ def _disagreement(
     """
     assert free.checked is not None
     findings = [] if free.count else causes.duplicate_points(free.checked, pattern, values)
+    announce("calibrations")
     wrong = calibrations(graph, values, free)
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
+    announce("outliers")
     outliers = suspects(graph, free.checked.linear.pattern, values, free.checked)
     without = _parts(kinds_of(pattern, len(tests)), outliers.s, outliers.tests, outliers.accepted)
     kinds = doubts.of_parts(without, outliers, graph)
@@ -185,11 +196,18 @@ def _disagreement(
     alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
     findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-    findings += [kind for kind in kinds if kind not in alike]
-    if not (free.count or alike or outliers.many):
-        groups = unverified_groups(graph, values)
-        findings += [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
-    return findings, outliers
+    return findings + [kind for kind in kinds if kind not in alike], outliers
+
+
+def _unverified(
+    graph: FactorGraph, values: Values, free: Freedom, disagreement: list[Finding], outliers: Suspects | None
+) -> list[Finding]:
+    """Closures that nothing verifies, where the rest agrees."""
+    alike = any(finding.kind is FindingKind.SYSTEMATIC for finding in disagreement)
+    if outliers is None or outliers.many or free.count or alike:
+        return []
+    groups = unverified_groups(graph, values)
+    return [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
 
 
 def _causes(

@@ -20,6 +20,7 @@ SAME = "summary variables unknowns measurements rows gauge rank nullity chi2 dof
 class FindingKind(StrEnum):
     """The subject of a finding, the identifier that programs get; ``implausible`` ones come from `nls.missions`."""
 
+    INTERRUPTED = "interrupted"
     IMPLAUSIBLE = "implausible"
     NOT_CONVERGED = "not_converged"
     NO_OPTIMUM = "no_optimum"

@@ -205,6 +205,9 @@ def _left(f: Finding) -> str:
 
 
 SENTENCES: Sentences = {
+    FindingKind.INTERRUPTED: (
+        "interrupted: the search for outliers and their causes has not ended; the tables below are complete"
+    ),
     FindingKind.NOT_CONVERGED: "no optimum was found ({reason}); the other findings are about the values {values}",
     FindingKind.NO_OPTIMUM: (
         "these values are no optimum: one Gauss-Newton step lowers chi2 by {fall!n}, from {chi2!n}; measurements are "

@@ -19,7 +19,7 @@ from nls.optimizers import stop
 from nls.optimizers.problem import Problem, Undamped
 from nls.optimizers.result import Callback, Iteration, Status
 from nls.optimizers.step import Record, Step, Stop
-from nls.stages import announce
+from nls.stages import announce, inside_stage
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -162,6 +162,8 @@ class Optimizer(Abstract):
     def run(self, problem: Problem, values: Values) -> Watch:
         """Iterate from the values until a rule ends it; Ctrl-C ends it too, with the best point so far.
 
+        Inside a `nls.stages.stage` it is a part of something larger, and Ctrl-C ends that.
+
         Raises
         ------
         UnderconstrainedError
@@ -198,4 +200,6 @@ class Optimizer(Abstract):
                 raise
             watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
         except KeyboardInterrupt:
+            if inside_stage():
+                raise
             watch.end(Status.INTERRUPTED, f"after {watch.step_count} iterations", "interrupt")

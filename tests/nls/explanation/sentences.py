@@ -38,6 +38,7 @@ FINDINGS = (
     Finding(Kind.NO_OPTIMUM, (), {"fall": 12.3, "chi2": 45.6}),
     Finding(Kind.LOCAL_MINIMUM, (), {"lower": 12.3, "chi2": 45.6}),
     Finding(Kind.ILL_CONDITIONED),
+    Finding(Kind.INTERRUPTED),
     Finding(Kind.FREE, (x[0],), {"moved": "as one", "directions": ("x", "yaw about x0"), "variables": 5}),
     Finding(Kind.FREE, (x[0], x[1]), {"moved": "together", "components": (("x",), ("x", "yaw"))}),
     Finding(Kind.FREE, (x[0],), {"moved": "together", "components": (("x", "yaw"),)}),
