@@ -47,6 +47,7 @@ ONLY_IN = {
     "sksparse": {"nls/linear/cholesky.py"},
     "sparseqr": {"nls/linear/qr.py"},
     "pyproj": {"nls/missions/charts/chart.py"},
+    "argcomplete": {"nls/cli/parser.py"},
 }
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
 SLOW = {
@@ -57,6 +58,7 @@ SLOW = {
     "sksparse",
     "sparseqr",
     "pyproj",
+    "argcomplete",
 }  # to import: only where used
 SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}

@@ -31,6 +31,10 @@ UNUSED = ("f2py", "ma", "polynomial", "testing")
 
 def command() -> int:
     """``nls`` as a process: one thread, Ctrl-C at any moment, then `main`."""
+    if "_ARGCOMPLETE" in os.environ:  # by the shell, for a press of the tab key
+        from nls.cli.parser import complete
+
+        complete()
     phase = Phase("nls")
     phase.at_once()
     startup = process_time()

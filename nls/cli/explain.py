@@ -9,7 +9,7 @@ from models.listing import several
 from nls.cli.choices import GNC, ROBUST
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import refuse_unwritable, say, write_json
+from nls.cli.outputs import Color, refuse_unwritable, say, write_json
 from nls.cli.phase import INTERRUPTED
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
@@ -33,7 +33,9 @@ def explain(options: argparse.Namespace) -> int:
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
-        say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}")
+        color = Color.DOUBTFUL if explanation.findings else Color.GOOD
+        text = f"{report.path}, {how}\n\n{explanation.report(shell=True)}"
+        say(text, verdict=(explanation.summary, color))
         for note in report.notes:
             if note not in report.warnings:
                 say(f"note        {note}")

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,35 @@ PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
 
 
+class Color(StrEnum):
+    """Colors of a verdict on a terminal."""
+
+    GOOD, DOUBTFUL, BAD = "\x1b[32m", "\x1b[33m", "\x1b[31m"
+
+
 def input_name(file: str) -> str:
     """The name of an input in messages, tables and pages."""
     return "<stdin>" if file == "-" else file
 
 
-def say(text: object, error: bool = False) -> None:
-    """Print for people, on standard output or standard error where it is open; controls of a terminal are escaped."""
+def say(text: object, error: bool = False, verdict: tuple[str, Color] | None = None) -> None:
+    """Print for people, on standard output or standard error where it is open; controls of a terminal are escaped.
+
+    On a terminal the line that begins with the words of the verdict has its color, unless NO_COLOR is set.
+    """
     from models.visible import visible
 
     if (stream := sys.stderr if error else sys.stdout) is not None:  # else `print` takes the other one
         announce("")  # the line of a terminal is left to this
-        print(visible(str(text)), file=stream, flush=True)
+        lines = visible(str(text)).split("\n")
+        if (
+            verdict is not None
+            and stream.isatty()
+            and not os.environ.get("NO_COLOR")
+            and os.environ.get("TERM") != "dumb"
+        ):
+            lines = [f"{verdict[1]}{line}\x1b[0m" if line.startswith(verdict[0]) else line for line in lines]
+        print("\n".join(lines), file=stream, flush=True)
 
 
 def on_terminal() -> bool:

@@ -13,7 +13,17 @@ from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile
 from nls.cli.inputs import input_of
-from nls.cli.outputs import PAGES, PICTURES, complain, on_terminal, refuse_name, refuse_unwritable, say, write_json
+from nls.cli.outputs import (
+    PAGES,
+    PICTURES,
+    Color,
+    complain,
+    on_terminal,
+    refuse_name,
+    refuse_unwritable,
+    say,
+    write_json,
+)
 from nls.cli.run import Clock, Problem, Run, Solved
 from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
@@ -257,7 +267,8 @@ def _report(kind: GraphFile, solved: Solved) -> None:
         solved.failed.append(error)
     if not options.quiet and options.json != "-":
         first = "" if on_terminal() else f"{input_line(solved.report, record['variables'], record['factors'])}\n"
-        say(first + table(kind, solved, record))
+        doubtful = Color.DOUBTFUL if record["doubtful"] else Color.GOOD
+        say(first + table(kind, solved, record), verdict=("result ", doubtful if record["converged"] else Color.BAD))
 
 
 def _status(kind: GraphFile, solved: Solved) -> int:
