@@ -244,21 +244,16 @@ def _models(
     number = np.repeat(np.arange(len(groups)), [len(group.index) for group in groups])
     first = np.unique(number, return_index=True)[1]  # of the members of every group
     N, v, entries = np.zeros((len(groups), d, d)), np.zeros((len(groups), d)), []
-    T_j = np.empty((len(number), 0))
+    T_r: Array | None = None
     for b in np.unique(batches):
-        batch = system.pattern.batches[b]
-        at = np.flatnonzero(batches == b)
-        X = batch.gather(values)
-        T = np.where(late[at, None], X[1][index[at]], X[0][index[at]])
-        T_j = T_j if T_j.size else np.empty((len(number), T.shape[1]))
-        T_j[at] = T
-    for b in np.unique(batches):
-        batch, blocks = system.pattern.batches[b], system.blocks[b]
-        at = np.flatnonzero(batches == b)
-        space, k, g = batch.model.manifolds[0], index[at], number[at]
+        batch, blocks, at = system.pattern.batches[b], system.blocks[b], np.flatnonzero(batches == b)
+        X, space, k, g = batch.gather(values), batch.model.manifolds[0], index[at], number[at]
         assert isinstance(space, LieGroup)
-        A_j = np.where(late[at, None, None], blocks[1][k], blocks[0][k])
-        C = A_j @ space.adjoint(space.compose(space.inverse(T_j[at]), T_j[first[g]]))
+        T_j, A_j = (np.where(late[at].reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][k], Y[0][k]) for Y in (X, blocks))
+        T_r = np.empty((len(groups), T_j.shape[1])) if T_r is None else T_r
+        begins = first[g] == at  # of the first batch of a group
+        T_r[g[begins]] = T_j[begins]
+        C = A_j @ space.adjoint(space.compose(space.inverse(T_j), T_r[g]))
         rows = batch.rows.start + k[:, None] * batch.model.dim + np.arange(batch.model.dim)
         np.add.at(N, g, C.mT @ C)
         np.add.at(v, g, np.matvec(C.mT, system.b[rows]))

@@ -50,29 +50,21 @@ options, examples and the exit status of a command: nls COMMAND --help
 """
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the optimum, and whether to trust it
-  nls solve survey.g2o -o solved.g2o --plot solved.png
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
-  nls solve survey.g2o --robust huber:1.0              outliers count less
-  nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
   nls solve survey.g2o --improve                       of a pose graph: from a lower minimum on, until there is none
-  nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
-  nls solve - < survey.g2o                             from a pipe or standard input, also compressed
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
-  nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
   nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls evaluate solved dive                             how far a trajectory is from the true one
-  nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
   nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
-  nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
   nls new mission                                      templates of mapping.toml and of every table
 
 exit status:

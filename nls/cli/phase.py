@@ -50,9 +50,8 @@ class Phase:
 
     @doing.setter
     def doing(self, doing: str) -> None:
-        self._doing, self._step = doing, ""
-        if self._ticker is not None:
-            self._ticker.stage(doing.removeprefix("while "))
+        self._doing = doing
+        self._told("")
 
     def show(self) -> None:
         """Show on the terminal what is done, until `hide`."""
@@ -60,9 +59,15 @@ class Phase:
 
     def step(self, words: str) -> None:
         """The latest step of what is done, for the terminal; without words somebody else is about to write there."""
-        self._step = words or self._step
+        if words:
+            self._told(words)
+        elif self._ticker is not None:
+            self._ticker.hide()
+
+    def _told(self, step: str) -> None:
+        self._step = step
         if self._ticker is not None:
-            self._ticker.step(words) if words else self._ticker.hide()
+            self._ticker.say(self._doing.removeprefix("while "), step)
 
     def hide(self) -> None:
         """Show nothing any more."""

@@ -1,4 +1,4 @@
-"""A line on a terminal that says what a process does and for how long, once a second, until the process ends.
+"""A line on a terminal that says what a process does and for how long, every half second, until the process ends.
 
 A process of its own writes it. A thread could not: a factorization by CHOLMOD keeps all other threads of Python
 waiting. The words are of what was done, the seconds of the stage so far. This file, run by itself, is that process; it
@@ -32,18 +32,19 @@ class Ticker:
 
         self._process: Popen[bytes] = Popen([sys.executable, "-I", "-S", __file__], stdin=PIPE, stdout=PIPE, bufsize=0)
 
-    def stage(self, name: str) -> None:
-        """A stage begins."""
-        self._send(f"*{name}")
+    def say(self, stage: str, step: str = "") -> None:
+        """A stage, and its latest step; without a stage the line is erased, until it is due again."""
+        from models.visible import visible
 
-    def step(self, words: str) -> None:
-        """The latest step of the stage."""
-        self._send(f"-{words}")
+        assert self._process.stdin is not None
+        words = "\t".join(" ".join(visible(text).split()) for text in (stage, step))
+        with suppress(BrokenPipeError):  # somebody ended it: no line, and the work goes on
+            self._process.stdin.write(f"{words}\n".encode())
 
     def hide(self) -> None:
-        """Wait until the line is gone; half a second later it is there again."""
-        self._send("")
+        """Wait until the line is erased."""
         assert self._process.stdout is not None
+        self.say("")
         self._process.stdout.read(1)
 
     def close(self) -> None:
@@ -52,71 +53,56 @@ class Ticker:
         self._process.stdin.close()
         self._process.wait()
 
-    def _send(self, line: str) -> None:
-        from models.visible import visible
-
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # somebody ended it: no line, and the work goes on
-            self._process.stdin.write(f"{' '.join(visible(line).split())}\n".encode())
-
 
 class _Line:
     """The line, on standard error."""
 
     def __init__(self) -> None:
-        from threading import Lock
-
-        self._lock = Lock()
-        self._stage, self._step, self._shown = "", "", ""
-        self._began = self._since = monotonic()
+        self.stage, self.step, self.shown = "", "", ""
+        self.began = self.since = monotonic()
 
     def draw(self) -> None:
         """Show what is done."""
-        with self._lock:
-            if (now := monotonic()) - self._began >= QUIET:
-                words = ": ".join(filter(None, (self._stage, self._step)))
-                text = f"{now - self._since:5.0f} s  {words}"[: (os.get_terminal_size(2).columns or 80) - 1]
-                self._write(text.ljust(len(self._shown)), text)
+        if (now := monotonic()) - self.began >= QUIET and self.stage:
+            text = f"{now - self.since:5.0f} s  {self.stage}{self.step and f': {self.step}'}"
+            self.show(text[: (os.get_terminal_size(2).columns or 80) - 1])
 
-    def erase(self) -> None:
-        """Leave an empty line."""
-        with self._lock:
-            self._write(" " * len(self._shown) + "\r", "")
-
-    def take(self, line: str) -> None:
-        """What the other end says."""
-        if line.startswith("*"):
-            self._stage, self._step, self._since = line[1:], "", monotonic()
-        elif line:
-            self._step = line[1:]
-        else:
-            self.erase()
-            os.write(1, b"\n")
-
-    def _write(self, text: str, shown: str) -> None:
-        sys.stderr.write(f"\r{text}" if shown or self._shown else "")
-        sys.stderr.flush()
-        self._shown = shown
+    def show(self, text: str = "") -> None:
+        """Replace what is shown."""
+        if text or self.shown:
+            sys.stderr.write(f"\r{text.ljust(len(self.shown))}" + "\r" * (not text))
+            sys.stderr.flush()
+            self.shown = text
 
 
 def _tick() -> None:
     """Draw until the other end closes."""
     import signal
-    from threading import Event, Thread
+    from threading import Lock, Thread
+    from time import sleep
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    line, over = _Line(), Event()
+    line, lock = _Line(), Lock()
 
-    def drawn() -> None:
-        while not over.wait(EVERY):
-            line.draw()
+    def draw() -> None:
+        while True:
+            sleep(EVERY)
+            with lock:
+                line.draw()
 
-    Thread(target=drawn, daemon=True).start()
+    Thread(target=draw, daemon=True).start()
     with open(0, encoding="utf-8") as lines:
         for words in lines:
-            line.take(words.rstrip("\n"))
-    over.set()
-    line.erase()
+            stage, _, step = words.rstrip("\n").partition("\t")
+            with lock:
+                if not stage:
+                    line.show()
+                    os.write(1, b"\n")
+                elif stage != line.stage:
+                    line.stage, line.since = stage, monotonic()
+                line.step = step
+    lock.acquire()  # nothing is drawn any more
+    line.show()
     os._exit(0)
 
 

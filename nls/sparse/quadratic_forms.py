@@ -29,41 +29,27 @@ def quadratic_forms(nodes: Supernodes, L: sp.csc_array, p: Index, U: sp.csc_arra
     U : (n, g d) the matrices side by side, the rows in the order of H.
     d : columns of each.
     """
-    place = np.empty(len(p), dtype=np.intp)
-    place[p] = np.arange(len(p))
-    row, column = place[U.indices], np.repeat(np.arange(U.shape[1]), np.diff(U.indptr))
-    g, node = U.shape[1] // d, nodes.node[row]
-    first = np.full(g, len(nodes))
-    np.minimum.at(first, column // d, node)
-    rank = np.empty(g, dtype=np.intp)
-    rank[np.argsort(first, kind="stable")] = np.arange(g)
-    number = rank[column // d]  # of the matrix, in the order of their beginnings
-    order = np.argsort(number, kind="stable")
-    row, node, number, within, data = row[order], node[order], number[order], column[order] % d, U.data[order]
-    step = max(1, TOGETHER // d)
-    cuts = np.searchsorted(number, np.arange(0, g + step, step))
-    columns, dense = DenseColumns(L, nodes), dict[int, tuple[Array, Array]]()
+    B = sp.csc_array(U[p])  # rows in the order of L
+    g, columns, dense = U.shape[1] // d, DenseColumns(L, nodes), dict[int, tuple[Array, Array]]()
     where, out = np.empty(len(p), dtype=np.intp), np.zeros((g, d, d))
-    for k, (begin, end) in enumerate(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)):
+    order = np.argsort(B.indices[np.minimum(B.indptr[:-1:d], B.nnz - 1)], kind="stable")
+    chunks = np.array_split(order, np.arange(TOGETHER // d, g, TOGETHER // d))
+    for k, chunk in enumerate(chunks):
         if k:
-            announce(f"{k * step:,} of {g:,} groups of closures")
-        way = _way(nodes, node[begin:end])
-        rows = np.concatenate([nodes.rows(j)[: nodes.width[j]] for j in way] or [np.zeros(0, dtype=np.intp)])
+            announce(f"{k} of {len(chunks)} parts of the closures")
+        part = B[:, (d * chunk[:, None] + np.arange(d)).reshape(-1)]
+        way = _way(nodes, nodes.node[part.indices])
+        rows = np.concatenate([nodes.columns[:0], *(nodes.rows(j)[: nodes.width[j]] for j in way)])
         where[rows] = np.arange(len(rows))
-        Y = np.zeros((len(rows), step, d))
-        Y[where[row[begin:end]], number[begin:end] - k * step, within[begin:end]] = data[begin:end]
-        flat, at = Y.reshape(len(rows), step * d), 0
+        Y, at = sp.csr_array(part)[rows].toarray(), 0
         for j in way:
-            if j not in dense:
-                dense[j] = columns.of(j)
-            L_JJ_inv, L_SJ = dense[j]
+            L_JJ_inv, L_SJ = dense[j] = dense.get(j) or columns.of(j)
             J = slice(at, at := at + len(L_JJ_inv))
-            flat[J] = L_JJ_inv @ flat[J]
-            if len(L_SJ):
-                flat[where[nodes.rows(j)[len(L_JJ_inv) :]]] -= L_SJ @ flat[J]
-        Y = np.ascontiguousarray(Y.transpose(1, 0, 2))
-        out[k * step : (k + 1) * step] = product(Y.mT, Y)[: g - k * step]
-    return out[rank]
+            Y[J] = L_JJ_inv @ Y[J]
+            Y[where[nodes.rows(j)[len(L_JJ_inv) :]]] -= L_SJ @ Y[J]
+        Y_k = Y.reshape(len(rows), -1, d).transpose(1, 0, 2)
+        out[chunk] = product(Y_k.mT, Y_k)
+    return out
 
 
 def _way(nodes: Supernodes, begin: Index) -> list[int]:

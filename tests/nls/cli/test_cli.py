@@ -141,7 +141,13 @@ def test_help_and_version(shell: Shell, capsys: pytest.CaptureFixture[str]) -> N
     assert len(screen.splitlines()) < 30
     assert ("nls solve survey.g2o" in screen, shell("--help")) == (True, screen)
     groups = re.findall(r"^(?!usage|exit|threads)\S.*:$", shell("solve --help"), re.MULTILINE)
-    assert groups[1:] == ["options:", "how FILE is read:", "how it is solved:", "how the output is written:", "examples:"]
+    assert groups[1:] == [
+        "options:",
+        "how FILE is read:",
+        "how it is solved:",
+        "how the output is written:",
+        "examples:",
+    ]
     out = shell("explain --help")
     assert "  2    bad input or usage" in out
     assert ("nls explain survey.g2o" in out, "nls convert survey" in out) == (True, False)
