@@ -47,7 +47,7 @@ ONLY_IN = {
     "sksparse": {"nls/linear/cholesky.py"},
     "sparseqr": {"nls/linear/qr.py"},
     "pyproj": {"nls/missions/charts/chart.py"},
-    "argcomplete": {"nls/cli/parser.py"},
+    "argcomplete": {"nls/cli/__init__.py"},
 }
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
 SLOW = {

@@ -260,9 +260,8 @@ def _models(
         for A, variables in zip(blocks, batch.variables, strict=True):
             start = system.pattern.starts[variables[k]]
             free = start >= 0
-            row = start[free, None, None] + np.arange(A.shape[2])[:, None]
-            column = g[free, None, None] * d + np.arange(d)
-            entries.append([a.reshape(-1) for a in np.broadcast_arrays(A[k[free]].mT @ C[free], row, column)])
+            place = start[free, None, None] + np.arange(A.shape[2])[:, None], d * g[free, None, None] + np.arange(d)
+            entries.append([a.reshape(-1) for a in np.broadcast_arrays(A[k[free]].mT @ C[free], *place)])
     data, row, column = map(np.concatenate, zip(*entries, strict=True))
     return sp.csc_array(sp.coo_array((data, (row, column)), shape=(system.pattern.n, len(groups) * d))), N, v
 

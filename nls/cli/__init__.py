@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from time import perf_counter, process_time
 
 from nls.cli.phase import INTERRUPTED, Phase
-from nls.cli.ticker import shows
 from nls.lazy import postpone
 
 TYPE_CHECKING = False
@@ -32,9 +31,11 @@ UNUSED = ("f2py", "ma", "polynomial", "testing")
 def command() -> int:
     """``nls`` as a process: one thread, Ctrl-C at any moment, then `main`."""
     if "_ARGCOMPLETE" in os.environ:  # by the shell, for a press of the tab key
-        from nls.cli.parser import complete
+        import argcomplete
 
-        complete()
+        from nls.cli.parser import parser
+
+        argcomplete.autocomplete(parser())
     phase = Phase("nls")
     phase.at_once()
     startup = process_time()
@@ -61,11 +62,8 @@ def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase |
         try:
             return phase.flushed(_main(argv, began, startup, phase))
         except KeyboardInterrupt:
-            phase.hide()
             print(phase, file=sys.stderr)
             return INTERRUPTED
-        finally:
-            phase.hide()
 
 
 def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase) -> int:
@@ -90,10 +88,13 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
             options.file = str(graph_file(options.file))
         from nls.stages import listened
 
-        if shows() and options.command != "stream" and not getattr(options, "quiet", False):
-            phase.show()
-        with listened(phase.step):
-            return int(options.run(options))
+        if options.command != "stream" and not getattr(options, "quiet", False):
+            phase.ticker.start()
+        try:
+            with listened(phase.step):
+                return int(options.run(options))
+        finally:
+            phase.ticker.close()
     except SystemExit as stop:
         return int(stop.code or 0)
     except Exception as error:  # all: a fault of ours, too, is one line and a status; --debug shows its traceback

@@ -38,17 +38,13 @@ def say(text: object, error: bool = False, verdict: tuple[str, Color] | None = N
     if (stream := sys.stderr if error else sys.stdout) is not None:  # else `print` takes the other one
         announce("")  # the line of a terminal is left to this
         lines = visible(str(text)).split("\n")
-        if (
-            verdict is not None
-            and stream.isatty()
-            and not os.environ.get("NO_COLOR")
-            and os.environ.get("TERM") != "dumb"
-        ):
+        plain = not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+        if verdict is not None and not plain:
             lines = [f"{verdict[1]}{line}\x1b[0m" if line.startswith(verdict[0]) else line for line in lines]
         print("\n".join(lines), file=stream, flush=True)
 
 
-def on_terminal() -> bool:
+def live() -> bool:
     """Whether somebody sees standard output as it comes, on a terminal."""
     return sys.stdout is not None and sys.stdout.isatty()
 

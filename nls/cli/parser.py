@@ -18,26 +18,17 @@ DIVES, START = "folders of further missions there", "start values (default: auto
 OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
 RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
-COORDINATES = (
-    "coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
-    "origin.csv and pyproj, and add columns to the tables"
-)
-SOLVED_GRAPH = (
-    "of a mission: write the graph that was solved, with the landmarks found for contacts without names, and its "
-    "optimum; the suffix says the format"
-)
+COORDINATES = "coordinates in a solved mission: local (default), utm or EPSG:n, which need origin.csv and pyproj"
+SOLVED_GRAPH = "of a mission: write the graph that was solved, with all landmarks; the suffix says the format"
 REJECTING = (
     "gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: wrong loop closures and, in a mission, wrong contacts "
     "are found, left out and listed; of a scan mission gnc (default), cauchy or none: how matches are selected; "
 )
 SCALES = (
-    "estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
-    ":units: one for lengths and one for angles of a kind; :components: one for every component"
+    "estimate: one scale on the sigmas of every kind of measurement (default: stated); :units: one for its lengths and "
+    "one for its angles; :components: one for every component"
 )
-TOLERANCE = (
-    "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
-    "the gap that is printed is absolute"
-)
+TOLERANCE = "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3)"
 ALONE = "turns off thresholds that are not given"
 FIRST = """begin with:
   nls solve survey.g2o                                 the optimum, and whether to trust it
@@ -52,13 +43,11 @@ EXAMPLES = """examples:
   nls solve survey.g2o                                 the optimum, and whether to trust it
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
-  nls solve survey.g2o --improve                       of a pose graph: from a lower minimum on, until there is none
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
-  nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls evaluate solved dive                             how far a trajectory is from the true one
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
@@ -250,13 +239,6 @@ def parser() -> Parser:
         added.usage = " ".join(["nls", name, *words, "[options]"])
         _flag(added, "--debug", "show the traceback of an error")
     return top
-
-
-def complete() -> None:
-    """Complete a line that the shell hands over, and end."""
-    import argcomplete
-
-    argcomplete.autocomplete(parser())
 
 
 def _reading(command: argparse.ArgumentParser, drops: bool = True) -> argparse._ArgumentGroup:

@@ -29,12 +29,13 @@ class Phase:
     ----------
     doing : the activity of this moment, such as ``while reading survey.g2o``.
     written : files that are complete.
+    ticker : shows them on a terminal, from its start on.
     as_read : the graph and its report, once they are read; an error may be about one of the measurements.
     """
 
     def __init__(self, program: str) -> None:
         self.program, self._doing, self._step = program, "at its start", ""
-        self._ticker: Ticker | None = None
+        self.ticker = Ticker()
         self.written: list[str] = []
         self.as_read: Any = None
 
@@ -50,30 +51,13 @@ class Phase:
 
     @doing.setter
     def doing(self, doing: str) -> None:
-        self._doing = doing
-        self._told("")
-
-    def show(self) -> None:
-        """Show on the terminal what is done, until `hide`."""
-        self._ticker = Ticker()
+        self._doing, self._step = doing, ""
+        self.ticker.say(doing.removeprefix("while "))
 
     def step(self, words: str) -> None:
-        """The latest step of what is done, for the terminal; without words somebody else is about to write there."""
-        if words:
-            self._told(words)
-        elif self._ticker is not None:
-            self._ticker.hide()
-
-    def _told(self, step: str) -> None:
-        self._step = step
-        if self._ticker is not None:
-            self._ticker.say(self._doing.removeprefix("while "), step)
-
-    def hide(self) -> None:
-        """Show nothing any more."""
-        if self._ticker is not None:
-            self._ticker.close()
-            self._ticker = None
+        """The latest step of what is done; without words somebody else is about to write to the terminal."""
+        self._step = words or self._step
+        self.ticker.say(self._doing.removeprefix("while ") if words else "", words)
 
     def at_once(self) -> None:
         """Let Ctrl-C end the process itself, until `now`. The imports of a start turn an exception into others.
@@ -97,7 +81,7 @@ class Phase:
 
     def over(self) -> None:
         """The command is done: Ctrl-C does nothing to a process that is about to end."""
-        self.hide()
+        self.ticker.close()
         if signal.getsignal(signal.SIGINT) in (self._leave, signal.default_int_handler):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -138,7 +122,7 @@ class Phase:
         return 2
 
     def _leave(self, *_: object) -> None:
-        self.hide()
+        self.ticker.close()
         os.write(2, f"{self}\n".encode(errors="backslashreplace"))  # print may be at work
         os._exit(INTERRUPTED)
 

@@ -13,17 +13,7 @@ from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile
 from nls.cli.inputs import input_of
-from nls.cli.outputs import (
-    PAGES,
-    PICTURES,
-    Color,
-    complain,
-    on_terminal,
-    refuse_name,
-    refuse_unwritable,
-    say,
-    write_json,
-)
+from nls.cli.outputs import PAGES, PICTURES, Color, complain, live, refuse_name, refuse_unwritable, say, write_json
 from nls.cli.run import Clock, Problem, Run, Solved
 from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
@@ -94,7 +84,7 @@ def _read(kind: GraphFile, run: Run) -> Problem:
     options = run.options
     as_read, values, report = kind.read_to_solve()
     kind.check_format("-o", run.form, report)
-    if on_terminal() and not options.quiet and options.json != "-":
+    if live() and not options.quiet and options.json != "-":
         say(input_line(report, len(values), len(as_read)))
     options.phase.doing = f"while computing the initial guess of {options.file}"
     graph = kind.prepared(as_read, values, report)
@@ -266,7 +256,7 @@ def _report(kind: GraphFile, solved: Solved) -> None:
         record["written"] = written
         solved.failed.append(error)
     if not options.quiet and options.json != "-":
-        first = "" if on_terminal() else f"{input_line(solved.report, record['variables'], record['factors'])}\n"
+        first = "" if live() else f"{input_line(solved.report, record['variables'], record['factors'])}\n"
         doubtful = Color.DOUBTFUL if record["doubtful"] else Color.GOOD
         say(first + table(kind, solved, record), verdict=("result ", doubtful if record["converged"] else Color.BAD))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
-from time import monotonic
+from time import monotonic, sleep
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -19,39 +19,35 @@ if TYPE_CHECKING:
 QUIET, EVERY = 1.0, 0.5  # seconds before the first line, and from line to line
 
 
-def shows() -> bool:
-    """Whether standard error is a terminal whose line can be written again."""
-    return sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-
-
 class Ticker:
-    """The other end of the line: what to say there."""
+    """The other end of the line: what to say there, from `start` on and on a terminal alone."""
 
-    def __init__(self) -> None:
-        from subprocess import PIPE, Popen
+    _process: Popen[bytes] | None = None
 
-        self._process: Popen[bytes] = Popen([sys.executable, "-I", "-S", __file__], stdin=PIPE, stdout=PIPE, bufsize=0)
+    def start(self) -> None:
+        """Begin, where standard error is a terminal whose line can be written again."""
+        if sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            from subprocess import PIPE, Popen
+
+            self._process = Popen([sys.executable, "-I", "-S", __file__], stdin=PIPE, stdout=PIPE, bufsize=0)
 
     def say(self, stage: str, step: str = "") -> None:
-        """A stage, and its latest step; without a stage the line is erased, until it is due again."""
-        from models.visible import visible
+        """A stage, and its latest step; without a stage wait until the line is erased, for half a second."""
+        if self._process is not None and self._process.stdin and self._process.stdout:
+            from models.visible import visible
 
-        assert self._process.stdin is not None
-        words = "\t".join(" ".join(visible(text).split()) for text in (stage, step))
-        with suppress(BrokenPipeError):  # somebody ended it: no line, and the work goes on
-            self._process.stdin.write(f"{words}\n".encode())
-
-    def hide(self) -> None:
-        """Wait until the line is erased."""
-        assert self._process.stdout is not None
-        self.say("")
-        self._process.stdout.read(1)
+            words = "\t".join(" ".join(visible(text).split()) for text in (stage, step))
+            with suppress(BrokenPipeError):  # somebody ended it: no line, and the work goes on
+                self._process.stdin.write(f"{words}\n".encode())
+            if not stage:
+                self._process.stdout.read(1)
 
     def close(self) -> None:
         """Wait until the line is gone for good."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
+        if self._process is not None and self._process.stdin:
+            self._process.stdin.close()
+            self._process.wait()
+            self._process = None
 
 
 class _Line:
@@ -79,7 +75,6 @@ def _tick() -> None:
     """Draw until the other end closes."""
     import signal
     from threading import Lock, Thread
-    from time import sleep
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     line, lock = _Line(), Lock()

@@ -92,8 +92,8 @@ def explain(
     idle = ~touched & ~fixed
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
-    with stage("free directions"):
-        free = freedom(pattern, values)
+    announce("free directions")
+    free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     if unmeasured := tuple(pattern.key(int(v)) for v in np.flatnonzero(idle)):
         advice = (Advice("factors"), Advice("drop", ("it" if len(unmeasured) == 1 else "them",)))
@@ -128,7 +128,10 @@ def explain(
                 with stage("outliers"):
                     disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
                     findings += disagreement
-                    findings += _unverified(held, values, free, disagreement, outliers)
+                    alike = FindingKind.SYSTEMATIC in {finding.kind for finding in disagreement}
+                    if outliers is not None and not (outliers.many or free.count or alike):
+                        for group in unverified_groups(held, values):
+                            findings.append(doubts.unverified(group, doubts.keys_of(held.factors, group.closures)))
             except KeyboardInterrupt:
                 findings.insert(0, Finding(FindingKind.INTERRUPTED))
             lower, here = np.inf if outliers is None else graph.chi2(outliers.values), graph.chi2(values)
@@ -197,17 +200,6 @@ def _disagreement(
     findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
     return findings + [kind for kind in kinds if kind not in alike], outliers
-
-
-def _unverified(
-    graph: FactorGraph, values: Values, free: Freedom, disagreement: list[Finding], outliers: Suspects | None
-) -> list[Finding]:
-    """Closures that nothing verifies, where the rest agrees."""
-    alike = any(finding.kind is FindingKind.SYSTEMATIC for finding in disagreement)
-    if outliers is None or outliers.many or free.count or alike:
-        return []
-    groups = unverified_groups(graph, values)
-    return [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
 
 
 def _causes(

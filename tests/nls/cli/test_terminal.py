@@ -18,13 +18,13 @@ BUSY = """
 import ctypes, sys, time
 from nls.cli.phase import Phase
 phase = Phase("nls")
-phase.show()
+phase.ticker.start()
 phase.doing = "while reading a\\x1b.g2o"
 phase.step("numbers")
 ctypes.PyDLL(None).usleep(1_800_000)  # no other thread of Python runs meanwhile, as in a factorization
 phase.step("")
 print("input", flush=True)
-phase.hide()
+phase.ticker.close()
 print("result")
 """
 
