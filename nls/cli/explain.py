@@ -24,9 +24,10 @@ def explain(options: argparse.Namespace) -> int:
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     kind.check_explainable()
     as_read, values, report = kind.read_to_solve()
-    options.phase.now(f"while explaining {options.file}")
+    options.phase.now(f"while computing the initial guess of {options.file}")
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
+    options.phase.now(f"while explaining {options.file}")
     explanation, how, report = _explained(kind, (graph, values, report), start)
     explanation = kind.with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
@@ -69,8 +70,9 @@ def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Expl
     tries = (("file", first), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
         try:
+            begin = nls.initialize(graph, start, init)[0]
             with stage("solve"):
-                result = graph.optimize(nls.initialize(graph, start, init)[0], method)
+                result = graph.optimize(begin, method)
         except nls.UnderconstrainedError:
             why = why or "something is free"
             continue

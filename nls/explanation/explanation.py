@@ -92,7 +92,9 @@ def explain(
     idle = ~touched & ~fixed
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
-    announce("free directions")
+    squares = [factor.chi2(values) for factor in graph.factors]
+    chi2 = sum(float(s.sum()) for s in squares)
+    announce(f"chi2 {chi2:.6g}, free directions")
     free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     if unmeasured := tuple(pattern.key(int(v)) for v in np.flatnonzero(idle)):
@@ -100,8 +102,6 @@ def explain(
         findings.append(Finding(FindingKind.UNMEASURED, unmeasured, {}, advice))
     findings += named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
-    squares = [factor.chi2(values) for factor in graph.factors]
-    chi2 = sum(float(s.sum()) for s in squares)
     dof = pattern.measured_rows - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
     outliers: Suspects | None = None
