@@ -28,7 +28,8 @@ def explain(options: argparse.Namespace) -> int:
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
     options.phase.now(f"while explaining {options.file}")
-    explanation, how, report = _explained(kind, (graph, values, report), start)
+    with stage("solve"):
+        explanation, how, report = _explained(kind, (graph, values, report), start)
     explanation = kind.with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
@@ -70,9 +71,7 @@ def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Expl
     tries = (("file", first), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
         try:
-            begin = nls.initialize(graph, start, init)[0]
-            with stage("solve"):
-                result = graph.optimize(begin, method)
+            result = graph.optimize(nls.initialize(graph, start, init)[0], method)
         except nls.UnderconstrainedError:
             why = why or "something is free"
             continue

@@ -36,7 +36,7 @@ def quadratic_forms(nodes: Supernodes, L: sp.csc_array, p: Index, U: sp.csc_arra
     chunks = np.array_split(order, np.arange(TOGETHER // d, g, TOGETHER // d))
     for k, chunk in enumerate(chunks):
         if k:
-            announce(f"{k} of {len(chunks)} parts of the closures")
+            announce(f"forward solve {k} of {len(chunks)}")
         part = B[:, (d * chunk[:, None] + np.arange(d)).reshape(-1)]
         way = _way(nodes, nodes.node[part.indices])
         rows = np.concatenate([nodes.columns[:0], *(nodes.rows(j)[: nodes.width[j]] for j in way)])
