@@ -44,9 +44,8 @@ class Ticker:
 
     def close(self) -> None:
         """Wait until the line is gone for good."""
-        if self._process is not None and self._process.stdin:
-            self._process.stdin.close()
-            self._process.wait()
+        if self._process is not None:
+            self._process.communicate()
             self._process = None
 
 
