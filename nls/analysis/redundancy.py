@@ -244,13 +244,12 @@ def _models(
     number = np.repeat(np.arange(len(groups)), [len(group.index) for group in groups])
     first = np.unique(number, return_index=True)[1]  # of the members of every group
     N, v, entries = np.zeros((len(groups), d, d)), np.zeros((len(groups), d)), []
-    T_r: Array | None = None
+    T_r = np.empty((len(groups), values.stacks[groups[0].kinds[0]].X.shape[1]))
     for b in np.unique(batches):
         batch, blocks, at = system.pattern.batches[b], system.blocks[b], np.flatnonzero(batches == b)
         X, space, k, g = batch.gather(values), batch.model.manifolds[0], index[at], number[at]
         assert isinstance(space, LieGroup)
         T_j, A_j = (np.where(late[at].reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][k], Y[0][k]) for Y in (X, blocks))
-        T_r = np.empty((len(groups), T_j.shape[1])) if T_r is None else T_r
         begins = first[g] == at  # of the first batch of a group
         T_r[g[begins]] = T_j[begins]
         C = A_j @ space.adjoint(space.compose(space.inverse(T_j), T_r[g]))

@@ -44,7 +44,6 @@ EXAMPLES = """examples:
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
-  nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
