@@ -28,6 +28,7 @@ from nls.stages import announce, stage
 from nls.values import Values, refuse_other
 
 WORST = 10  # measurements that are named
+TRIED = 50_000  # measurements of a graph that is solved anew for causes: dozens of optimizations
 Kinds = dict[str, list[tuple[int, Index]]]  # by name: number of the batch, indices of its measurements
 
 
@@ -60,7 +61,8 @@ def explain(
     Notes
     -----
     Ctrl-C ends the search for outliers: a finding says so, and all numbers that were there are in the explanation. At
-    most 100 measurements, or groups of them, are taken out.
+    most 100 measurements, or groups of them, are taken out. Above 50,000 measurements no other reading and no
+    calibration is tried; a finding says so where chi2 is off.
     The statistics are those of geodetic networks, see the theory page on explanations.
 
     Examples
@@ -185,7 +187,7 @@ def _disagreement(
     assert free.checked is not None
     findings = [] if free.count else causes.duplicate_points(free.checked, pattern, values)
     announce("calibrations")
-    wrong = calibrations(graph, values, free)
+    wrong = calibrations(graph, values, free) if len(graph) <= TRIED else ()
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
@@ -199,6 +201,8 @@ def _disagreement(
     alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
     findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
+    if len(graph) > TRIED and (kinds or outliers.places):
+        findings.append(Finding(FindingKind.NOT_TRIED, (), {"measurements": len(graph), "most": TRIED}))
     return findings + [kind for kind in kinds if kind not in alike], outliers
 
 
@@ -207,9 +211,10 @@ def _causes(
 ) -> list[Finding]:
     """What explains a chi2 that noise does not: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
-    if alike or outliers.many:
+    tried = len(graph) <= TRIED
+    if tried and (alike or outliers.many):
         findings = causes.misread(graph, values)
-    if not findings and (alike or outliers.places):
+    if tried and not findings and (alike or outliers.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
     return findings or causes.clocks_by_residuals(checked, values, len(graph.factors))
 

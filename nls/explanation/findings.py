@@ -43,6 +43,7 @@ class FindingKind(StrEnum):
     TURN = "turn"
     TWINS = "twins"
     UNVERIFIED = "unverified"
+    NOT_TRIED = "not_tried"
     REPEATED = "repeated"
     UNCHECKED = "unchecked"
 

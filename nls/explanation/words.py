@@ -240,6 +240,10 @@ SENTENCES: Sentences = {
         "under two numbers?"
     ),
     FindingKind.UNVERIFIED: _unverified,
+    FindingKind.NOT_TRIED: (
+        "calibrations, other readings and exchanged landmarks were not tried as causes: that takes dozens of "
+        "optimizations, and the graph has {measurements:,} measurements (tried up to {most:,})"
+    ),
     FindingKind.REPEATED: _repeated,
     FindingKind.UNCHECKED: _unchecked,
     ChoiceKind.REJECTED: _rejected,
