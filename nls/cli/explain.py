@@ -36,8 +36,7 @@ def explain(options: argparse.Namespace) -> int:
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
         color = Color.DOUBTFUL if explanation.findings else Color.GOOD
-        text = f"{report.path}, {how}\n\n{explanation.report(shell=True)}"
-        say(text, verdict=(explanation.summary, color))
+        say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}", verdict=(explanation.summary, color))
         for note in report.notes:
             if note not in report.warnings:
                 say(f"note        {note}")

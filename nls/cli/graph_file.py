@@ -119,7 +119,7 @@ class GraphFile:
         Reading solves nothing. A command that solves may add a stage, which is shown as part of the reading.
         """
         options = self.options
-        options.phase.doing = f"while reading {options.file}"
+        options.phase.begin(f"while reading {options.file}")
         graph, values, report = stage(self._read())
         options.phase.as_read = graph, report
         return graph, values, report

@@ -15,8 +15,6 @@ FILE = (
     "'-' is standard input"
 )
 DIVES, START = "folders of further missions there", "start values (default: auto)"
-OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
-RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
 COORDINATES = "coordinates in a solved mission: local (default), utm or EPSG:n, which need origin.csv and pyproj"
 SOLVED_GRAPH = "of a mission: write the graph that was solved, with all landmarks; the suffix says the format"
@@ -49,7 +47,6 @@ EXAMPLES = """examples:
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls evaluate solved dive                             how far a trajectory is from the true one
   nls plot survey.g2o survey.png                       the graph as it was read
-  nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
   nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
@@ -264,8 +261,8 @@ def _writing(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Options of the graph that is written."""
     group = command.add_argument_group("how the output is written")
     group.add_argument("--to", choices=outputs(), help="format of the output (default: by its suffix)")
-    _flag(group, "--overwrite", OVERWRITE)
-    _flag(group, "--renumber", RENUMBER)
+    _flag(group, "--overwrite", "let OUT replace FILE even if lines are lost, as with gnc-tls or another format")
+    _flag(group, "--renumber", "give variables whose numbers clash in OUT new numbers; poses keep theirs")
     return group
 
 

@@ -34,7 +34,7 @@ class Phase:
     """
 
     def __init__(self, program: str) -> None:
-        self.program, self._doing, self._step = program, "at its start", ""
+        self.program, self.doing, self._step = program, "at its start", ""
         self.ticker = Ticker()
         self.written: list[str] = []
         self.as_read: Any = None
@@ -44,20 +44,15 @@ class Phase:
         words = f"{self.program}: interrupted {self.doing}{self._step and f': {self._step}'}; {written}"
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
 
-    @property
-    def doing(self) -> str:
-        """The activity of this moment."""
-        return self._doing
-
-    @doing.setter
-    def doing(self, doing: str) -> None:
-        self._doing, self._step = doing, ""
+    def begin(self, doing: str) -> None:
+        """Another activity."""
+        self.doing, self._step = doing, ""
         self.ticker.say(doing.removeprefix("while "))
 
     def step(self, words: str) -> None:
         """The latest step of what is done; without words somebody else is about to write to the terminal."""
         self._step = words or self._step
-        self.ticker.say(self._doing.removeprefix("while ") if words else "", words)
+        self.ticker.say(self.doing.removeprefix("while ") if words else "", words)
 
     def at_once(self) -> None:
         """Let Ctrl-C end the process itself, until `now`. The imports of a start turn an exception into others.
@@ -75,7 +70,7 @@ class Phase:
 
     def now(self, doing: str) -> None:
         """Another activity, in which Ctrl-C is an exception: there is something to tidy up, or to keep."""
-        self.doing = doing
+        self.begin(doing)
         if signal.getsignal(signal.SIGINT) == self._leave:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 

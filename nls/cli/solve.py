@@ -86,7 +86,7 @@ def _read(kind: GraphFile, run: Run) -> Problem:
     kind.check_format("-o", run.form, report)
     if live() and not options.quiet and options.json != "-":
         say(input_line(report, len(values), len(as_read)))
-    options.phase.doing = f"while computing the initial guess of {options.file}"
+    options.phase.begin(f"while computing the initial guess of {options.file}")
     graph = kind.prepared(as_read, values, report)
     run.clock.lap("read")
     return Problem(**vars(run), as_read=as_read, values=values, report=report, graph=graph, start=values)

@@ -19,7 +19,7 @@ import ctypes, sys, time
 from nls.cli.phase import Phase
 phase = Phase("nls")
 phase.ticker.start()
-phase.doing = "while reading a\\x1b.g2o"
+phase.begin("while reading a\\x1b.g2o")
 phase.step("numbers")
 ctypes.PyDLL(None).usleep(2_500_000)  # no other thread of Python runs meanwhile, as in a factorization
 phase.step("")
