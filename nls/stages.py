@@ -11,15 +11,18 @@ from typing import TypeVar
 
 T = TypeVar("T")
 _SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
+_INSIDE: ContextVar[bool | None] = ContextVar("inside", default=None)
 _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", default=None)
 
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count the seconds inside under a name, where somebody collects them; 2 us where nobody does."""
+    """Count the seconds inside under a name, where somebody collects them, and announce it; 2 us where nobody does."""
+    announce(name.partition(" ")[2] or name)
     start = perf_counter()
     try:
-        yield
+        with _inside(_INSIDE, True):
+            yield
     finally:
         seconds = _SECONDS.get()
         if seconds is not None:
@@ -50,8 +53,13 @@ def collected() -> AbstractContextManager[dict[str, float]]:
     return _inside(_SECONDS, {})
 
 
+def inside_stage() -> bool:
+    """Whether a stage is under way here, which Ctrl-C ends as a whole."""
+    return bool(_INSIDE.get())
+
+
 def announce(words: str) -> None:
-    """How far a long stage is, for whoever listens."""
+    """How far a long stage is, for whoever listens; without words: something is printed now."""
     if (listener := _LISTENER.get()) is not None:
         listener(words)
 

@@ -104,7 +104,7 @@ def rows(world: World) -> Rows:
         ("world", f"{world.name}, seed {world.seed}"),
         ("poses", f"{world.poses} in {world.truth.stack('x').manifold}"),
         ("edges", f"{len(world.graph)}: {len(odometry)} odometry, {len(closures)} loop closures"),
-        ("chi2 at start", f"{world.graph.chi2(world.start):.6g} (convention log)"),
+        ("chi2 at start", f"{world.graph.chi2(world.start):.6g}"),
         ("chi2 at truth", f"{world.graph.chi2(world.truth):.6g}, expected {world.rows} (rows of A)"),
         ("dof", f"{world.dof}: the expected chi2 at the optimum"),
         ("start error", f"{position_error(world.start, world.truth):.4g} m (RMSE of positions, first pose aligned)"),

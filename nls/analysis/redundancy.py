@@ -34,10 +34,13 @@ Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, int
 P. Teunissen, "Testing theory: an introduction", 2000, model errors of several dimensions.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse as sp
 
 from factors.keys import Kind
 from models import LieGroup
@@ -49,7 +52,7 @@ from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import factorize
-from nls.linear.factorization import SingularSystemError
+from nls.linear.factorization import Factorization, SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.metrics import displacements
 from nls.posegraph import closures, odometry, places
@@ -63,7 +66,6 @@ from nls.values import Values
 GROUP_WINDOW = 20  # steps at either end between closures of one group
 MOVED_SIGMAS = 3.0  # of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
 PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
-GROUPS_TOGETHER = 8  # solved for: city10000 in half of the time
 
 
 @dataclass(frozen=True)
@@ -183,8 +185,7 @@ def unverified_groups(graph: FactorGraph, values: Values) -> tuple[Unverified, .
     pattern = whole.holding(choose_gauge("first", whole, values, fixed | ~touched_variables(whole)).held)
     system = LinearSystem.at(pattern, values)
     groups = list(closure_groups(pattern))
-    pairs = zip(groups, _common(values, system, groups), strict=True)
-    judged = (_judged(graph, values, pattern, group, common) for group, common in pairs)
+    judged = (_judged(graph, values, pattern, groups[k], common) for k, common in _common(values, system, groups))
     return tuple(sorted((group for group in judged if group is not None), key=lambda group: -group.meters))
 
 
@@ -197,51 +198,71 @@ class Common:
     redundancy : share of it that the residuals show.
     t : its test statistic.
     observable : whether the residuals show every direction of it.
-    dx : (n,) step of the map where the group is freed as one, in the observable directions.
+    nabla : (d,) its estimate in the observable directions.
     """
 
     redundancy: float
     t: float
     observable: bool
-    dx: Array
+    nabla: Array
+    _U: sp.csc_array
+    _factorization: Factorization
+
+    @property
+    def dx(self) -> Array:
+        """(n,) step of the map where the group is freed as one."""
+        return -self._factorization.solve(self._U @ self.nabla)
 
 
-def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]) -> Iterator[Common]:
-    """The equations of the module, for one group after the other."""
+def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]) -> Iterator[tuple[int, Common]]:
+    """The number of every group, and the equations of the module for it."""
     try:
         factorization = factorize(system)
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    for begin in range(0, len(groups), GROUPS_TOGETHER):
-        models = [_model(values, system, group) for group in groups[begin : begin + GROUPS_TOGETHER]]
-        Us = [system.A[rows].T @ C for rows, C in models]
-        ends = np.cumsum([U.shape[1] for U in Us])
-        PUs = np.split(factorization.solve(np.concatenate(Us, axis=1)), ends[:-1], axis=1)
-        for (rows, C), U, PU in zip(models, Us, PUs, strict=True):
-            N = C.T @ C
-            M, v = N - U.T @ PU, C.T @ system.b[rows]
+    spaces = [system.pattern.batches[group.batch[0]].model.manifolds[0] for group in groups]
+    for space in dict.fromkeys(spaces):
+        numbers = [k for k, other in enumerate(spaces) if other is space]
+        U, Ns, vs = _models(values, system, [groups[k] for k in numbers], space.dim)
+        Ms = Ns - factorization.quadratic_forms(U, space.dim)
+        for place, (k, N, M, v) in enumerate(zip(numbers, Ns, Ms, vs, strict=True)):
             F = _whitening(N)
             rho, E = np.linalg.eigh(F.T @ M @ F)  # eigenvalues of N^-1 M
             observable = rho > UNSEEN_REDUNDANCY
             along = (F @ E)[:, observable]
             n = along @ (along.T @ v / rho[observable])
             redundancy = float(np.clip(rho, 0, 1).mean()) if len(rho) else 1.0  # without weight it says nothing
-            yield Common(redundancy, float(n @ v), bool(observable.all()), -PU @ n)
+            U_k = U[:, place * space.dim : (place + 1) * space.dim]
+            yield k, Common(redundancy, float(n @ v), bool(observable.all()), n, U_k, factorization)
 
 
-def _model(values: Values, system: LinearSystem, group: ClosureGroup) -> tuple[Index, Array]:
-    """The rows (m,) of a group and its C there, (m, d)."""
-    rows, blocks, T_r = [], [], None
-    for number in np.unique(group.batch):
-        members, batch = group.batch == number, system.pattern.batches[number]
-        index, late, space = group.index[members], group.late[members], batch.model.manifolds[0]
+def _models(
+    values: Values, system: LinearSystem, groups: Sequence[ClosureGroup], d: int
+) -> tuple[sp.csc_array, Array, Array]:
+    """U = A'C of g groups in a space of d dimensions, side by side (n, g d), N = C'C (g, d, d) and v = C'b (g, d)."""
+    batches, index, late = (np.concatenate([getattr(g, name) for g in groups]) for name in ("batch", "index", "late"))
+    number = np.repeat(np.arange(len(groups)), [len(group.index) for group in groups])
+    first = np.unique(number, return_index=True)[1]  # of the members of every group
+    N, v, entries = np.zeros((len(groups), d, d)), np.zeros((len(groups), d)), []
+    T_r = np.empty((len(groups), values.stacks[groups[0].kinds[0]].X.shape[1]))
+    for b in np.unique(batches):
+        batch, blocks, at = system.pattern.batches[b], system.blocks[b], np.flatnonzero(batches == b)
+        X, space, k, g = batch.gather(values), batch.model.manifolds[0], index[at], number[at]
         assert isinstance(space, LieGroup)
-        X, A = batch.gather(values), system.blocks[number]
-        T_j, A_j = (np.where(late.reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][index], Y[0][index]) for Y in (X, A))
-        T_r = T_j[:1] if T_r is None else T_r
-        blocks.append(A_j @ space.adjoint(space.compose(space.inverse(T_j), np.broadcast_to(T_r, T_j.shape))))
-        rows.append((batch.rows.start + index[:, None] * batch.model.dim + np.arange(batch.model.dim)).reshape(-1))
-    return np.concatenate(rows), np.concatenate([B.reshape(-1, B.shape[2]) for B in blocks])
+        T_j, A_j = (np.where(late[at].reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][k], Y[0][k]) for Y in (X, blocks))
+        begins = first[g] == at  # of the first batch of a group
+        T_r[g[begins]] = T_j[begins]
+        C = A_j @ space.adjoint(space.compose(space.inverse(T_j), T_r[g]))
+        rows = batch.rows.start + k[:, None] * batch.model.dim + np.arange(batch.model.dim)
+        np.add.at(N, g, C.mT @ C)
+        np.add.at(v, g, np.matvec(C.mT, system.b[rows]))
+        for A, variables in zip(blocks, batch.variables, strict=True):
+            start = system.pattern.starts[variables[k]]
+            free = start >= 0
+            place = start[free, None, None] + np.arange(A.shape[2])[:, None], d * g[free, None, None] + np.arange(d)
+            entries.append([a.reshape(-1) for a in np.broadcast_arrays(A[k[free]].mT @ C[free], *place)])
+    data, row, column = map(np.concatenate, zip(*entries, strict=True))
+    return sp.csc_array(sp.coo_array((data, (row, column)), shape=(system.pattern.n, len(groups) * d))), N, v
 
 
 def _whitening(N: Array) -> Array:

@@ -45,10 +45,12 @@ from nls.linear.factorization import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.posegraph import odometry
 from nls.sparse.pattern import Pattern, measuring
+from nls.stages import announce
 from nls.starts import chordal
 from nls.values import Values
 
 ITERATIONS = 25  # of optimizing the rest
+MOST = 100  # measurements or groups that are taken out, each at the cost of a solve and of a look at all others
 SIGNIFICANT = 1e-3  # chance of the worst measurement among all, if the model is right
 
 Place = tuple[int, int]  # number of the batch, of the measurement in it
@@ -167,7 +169,7 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
     kinds = kinds_of(pattern, count)
     scale = _scales(kinds, checks(checked, count), count)
     closing = sum(len(indices) for name, kind in kinds.items() if name.endswith("closures") for _, indices in kind)
-    most = max(10, int(0.05 * closing))  # that are looked for, and closures of a group
+    most = min(max(10, int(0.05 * closing)), MOST)  # that are looked for, and closures of a group
     removals: list[list[Place]] = []  # of one measurement, or of a group
     rivals: dict[Place, Rivals] = {}
     many = False
@@ -240,6 +242,7 @@ def _search(checked: Checked, scale: list[Array], most: int, left: int, count: i
         # what is as far off still is wrong by itself
         as_far = [(j, o) for j, o in as_far if not off[j][o] > 0 and (j, o) not in places]
         out.append(dict.fromkeys(places, (len(as_far), as_far[0] if as_far else None)))
+        announce(f"{len(out)} outliers taken out")
     return out
 
 

@@ -30,6 +30,12 @@ UNUSED = ("f2py", "ma", "polynomial", "testing")
 
 def command() -> int:
     """``nls`` as a process: one thread, Ctrl-C at any moment, then `main`."""
+    if "_ARGCOMPLETE" in os.environ:  # by the shell, for a press of the tab key
+        import argcomplete
+
+        from nls.cli.parser import parser
+
+        argcomplete.autocomplete(parser())
     phase = Phase("nls")
     phase.at_once()
     startup = process_time()
@@ -80,7 +86,15 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
             from nls.io.files import graph_file
 
             options.file = str(graph_file(options.file))
-        return int(options.run(options))
+        from nls.stages import listened
+
+        if options.command != "stream" and not getattr(options, "quiet", False):
+            phase.ticker.start()
+        try:
+            with listened(phase.step):
+                return int(options.run(options))
+        finally:
+            phase.ticker.close()
     except SystemExit as stop:
         return int(stop.code or 0)
     except Exception as error:  # all: a fault of ours, too, is one line and a status; --debug shows its traceback

@@ -31,7 +31,7 @@ def evaluate(options: argparse.Namespace) -> int:
     refuse_unwritable({"--json": options.json}, options.file, options.truth)
     read = []
     for file, names in ((options.file, FILES), (options.truth, TRUE_FILES)):
-        options.phase.doing = f"while reading {file}"
+        options.phase.begin(f"while reading {file}")
         try:
             read.append(read_poses(file, names))
         except nls.GraphFileError as error:
@@ -39,7 +39,7 @@ def evaluate(options: argparse.Namespace) -> int:
                 error.advise(Advice("convert first", (shlex.quote(file),)))
             raise
     estimate, truth = read
-    options.phase.doing = f"while comparing {options.file} with {options.truth}"
+    options.phase.begin(f"while comparing {options.file} with {options.truth}")
     record = compared(estimate, truth, options.align, distances, options.tolerance)
     if record["turned_over"]:
         say(f"nls: warning: {options.file}: {TURNED_OVER.format(options.align)}", error=True)

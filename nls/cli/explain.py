@@ -9,34 +9,38 @@ from models.listing import several
 from nls.cli.choices import GNC, ROBUST
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import Progress, refuse_unwritable, say, write_json
+from nls.cli.outputs import Color, refuse_unwritable, say, write_json
+from nls.cli.phase import INTERRUPTED
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
+from nls.stages import stage
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
+    """Read, start, optimize, explain; returns the exit status, 0 whatever was found, 130 after Ctrl-C."""
     kind = input_of(options)
     refuse_unwritable({"--json": options.json}, *kind.files)
     if kind.rejects:
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     kind.check_explainable()
     as_read, values, report = kind.read_to_solve()
-    options.phase.doing = f"while explaining {options.file}"
+    options.phase.now(f"while computing the initial guess of {options.file}")
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
-    with Progress("solve") as progress:
-        explanation, how, report = _explained(kind, (graph, values, report), start, progress)
-        explanation = kind.with_tables(explanation, report)
+    options.phase.now(f"while explaining {options.file}")
+    with stage("solve"):
+        explanation, how, report = _explained(kind, (graph, values, report), start)
+    explanation = kind.with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
-        say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}")
+        color = Color.DOUBTFUL if explanation.findings else Color.GOOD
+        say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}", verdict=(explanation.summary, color))
         for note in report.notes:
             if note not in report.warnings:
                 say(f"note        {note}")
-    return 0
+    return INTERRUPTED * any(f.kind is nls.FindingKind.INTERRUPTED for f in explanation.findings)
 
 
 def _without_wrong_contacts(
@@ -54,17 +58,15 @@ def _without_wrong_contacts(
     return replace(explanation, findings=(first, *explanation.findings, *exchanged)), how
 
 
-def _explained(
-    kind: GraphFile, read: Read, start: nls.Values, progress: Progress
-) -> tuple[nls.Explanation, str, nls.LoadReport]:
+def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Explanation, str, nls.LoadReport]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; which of them; the report.
 
     That of a mission whose contacts do not fit is of its optimum without the wrong ones, but with ``--robust``.
     """
     graph, values, report = read
     best, how, why = start, "at the start", ""
-    first = default_optimizer(graph.factors, callback=progress.show)
-    damped = nls.LevenbergMarquardt(callback=progress.show)
+    first = default_optimizer(graph.factors)
+    damped = nls.LevenbergMarquardt()
     tries = (("file", first), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
         try:
@@ -76,16 +78,13 @@ def _explained(
             why = error.message
             continue
         if (choice := kind.choice((graph, values, report), result)) is not None:
-            progress.next("explain")
             return *_without_wrong_contacts(kind, graph, choice, report), report
         report = kind.with_findings((graph, values, report), result)
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
-            progress.next("explain")
             return kind.explanation(graph, result.values, report), how, report
         best, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
-    progress.next("explain")
     explanation = kind.explanation(graph, best, report)
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, best))
     finding = nls.Finding(nls.FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)

@@ -18,12 +18,11 @@ from models.listing import number
 from models.options import did_you_mean
 from nls.cli import formats
 from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
-from nls.cli.outputs import Progress, input_name, refuse_loss
+from nls.cli.outputs import input_name, refuse_loss
 from nls.cli.run import Problem, Solved
 from nls.io.files import title_of, write_bytes
 from nls.io.formats import FORMATS, Reading, check_renumber, format_of, refuse_needless, suffix_of, suffixes
 from nls.optimizers import OPTIMIZERS, default_optimizer
-from nls.stages import listened
 
 if TYPE_CHECKING:
     from nls.missions.charts import MapProjection
@@ -124,9 +123,8 @@ class GraphFile:
         Reading solves nothing. A command that solves may add a stage, which is shown as part of the reading.
         """
         options = self.options
-        options.phase.doing = f"while reading {options.file}"
-        with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
-            graph, values, report = stage(self._read())
+        options.phase.begin(f"while reading {options.file}")
+        graph, values, report = stage(self._read())
         options.phase.as_read = graph, report
         return graph, values, report
 
@@ -205,14 +203,13 @@ class GraphFile:
         """The optimum from the start of a problem; with ``--sigmas estimate`` of the graph with rescaled noise."""
         options = self.options
         options.phase.now(f"while solving {options.file}")
-        with Progress("solve", options.max_iterations, options.quiet) as progress:
-            if options.method == "auto":
-                optimizer = default_optimizer(problem.graph.factors, problem.stop, progress.show)
-            else:
-                optimizer = OPTIMIZERS[options.method](problem.stop, progress.show)
-            if options.sigmas != "stated":
-                return _rescaled(problem, optimizer)
-            result = problem.graph.optimize(problem.start, optimizer, problem.solver, options.gauge)
+        if options.method == "auto":
+            optimizer = default_optimizer(problem.graph.factors, problem.stop)
+        else:
+            optimizer = OPTIMIZERS[options.method](problem.stop)
+        if options.sigmas != "stated":
+            return _rescaled(problem, optimizer)
+        result = problem.graph.optimize(problem.start, optimizer, problem.solver, options.gauge)
         return Solved(**{**vars(problem), "result": result})
 
     def solved(self, problem: Problem) -> Solved:

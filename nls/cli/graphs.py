@@ -34,7 +34,7 @@ def info(options: argparse.Namespace) -> int:
 
     refuse_unwritable({"--json": options.json}, options.file)
     graph, values, report = input_of(options).read()
-    options.phase.doing = f"while inspecting {options.file}"
+    options.phase.begin(f"while inspecting {options.file}")
     facts = report.counts | inspect(graph, values)
     head = {"input": report.path, "format": report.format, "dimension": report.dimension}
     options.phase.now("while writing the report")

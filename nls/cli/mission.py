@@ -15,7 +15,6 @@ import nls.missions
 from nls.cli import formats
 from nls.cli.graph_file import NO_FOLDER, GraphFile, Meaningless, Read, Writer
 from nls.cli.outliers import choice_of
-from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
 from nls.io.files import new_folder, title_of, write_bytes
 from nls.io.formats import format_of, suffixes
@@ -23,7 +22,6 @@ from nls.missions import MissionReport
 from nls.missions.checks.table_errors import table_errors
 from nls.missions.summary import lines, of_tables
 from nls.optimizers.result import TWICE, shares
-from nls.stages import listened
 
 if TYPE_CHECKING:
     from nls.missions.charts import MapProjection
@@ -203,9 +201,8 @@ class Mission(Folder):
         if not worth_trying(mission.findings):
             return mission
         elevation = self.options.elevation or "hinge"
-        with Progress("explain", quiet=getattr(self.options, "quiet", False)) as progress, listened(progress.say):
-            tables = read_tables(mission.path)[0]
-            explanation = explained(tables, result.chi2_final, result.dof, errors, elevation)
+        tables = read_tables(mission.path)[0]
+        explanation = explained(tables, result.chi2_final, result.dof, errors, elevation)
         tried = explanation.trials or "contacts.csv" not in mission.tags  # the mounting of a sonar is not tried
         return replace(mission, explained=explanation) if tried else mission
 

@@ -113,9 +113,9 @@ def record(choice: nls.Robustified, sources: Sequence[Source]) -> dict[str, Any]
 def rows(choice: nls.Robustified, asked: bool) -> list[str]:
     """For the table: all that is known where the choice was asked for, else one line of contacts."""
     if not asked:
-        return [f"rejected    {sentence(choice)}"]
+        return [f"outliers    {sentence(choice)}"]
     first, *lines = choice.report(SHOWN)
-    return [f"rejected    {first}", *(f"          {line}" for line in lines)]
+    return [f"outliers    {first}", *(f"          {line}" for line in lines)]
 
 
 def sentence(choice: nls.Robustified) -> str:

@@ -6,13 +6,21 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import nls
+from nls.stages import announce
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
+
+
+class Color(StrEnum):
+    """Colors of a verdict on a terminal."""
+
+    GOOD, DOUBTFUL, BAD = "\x1b[32m", "\x1b[33m", "\x1b[31m"
 
 
 def input_name(file: str) -> str:
@@ -20,12 +28,25 @@ def input_name(file: str) -> str:
     return "<stdin>" if file == "-" else file
 
 
-def say(text: object, error: bool = False) -> None:
-    """Print for people, on standard output or standard error where it is open; controls of a terminal are escaped."""
+def say(text: object, error: bool = False, verdict: tuple[str, Color] | None = None) -> None:
+    """Print for people, on standard output or standard error where it is open; controls of a terminal are escaped.
+
+    On a terminal the line that begins with the words of the verdict has its color, unless NO_COLOR is set.
+    """
     from models.visible import visible
 
     if (stream := sys.stderr if error else sys.stdout) is not None:  # else `print` takes the other one
-        print(visible(str(text)), file=stream)
+        announce("")  # the line of a terminal is left to this
+        lines = visible(str(text)).split("\n")
+        plain = not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+        if verdict is not None and not plain:
+            lines = [f"{verdict[1]}{line}\x1b[0m" if line.startswith(verdict[0]) else line for line in lines]
+        print("\n".join(lines), file=stream, flush=True)
+
+
+def live() -> bool:
+    """Whether somebody sees standard output as it comes, on a terminal."""
+    return sys.stdout is not None and sys.stdout.isatty()
 
 
 def complain(problem: object) -> None:
@@ -33,57 +54,6 @@ def complain(problem: object) -> None:
 
     message, *advice = problem.lines(shell=True) if isinstance(problem, nls.LeadlineError) else [str(problem)]
     say("\n".join([f"nls: {' '.join(message.split())}", *advice]), error=True)
-
-
-class Progress:
-    """A line on standard error where that is a terminal, gone at the end; nothing elsewhere.
-
-    Parameters
-    ----------
-    title : is done.
-    most : iterations, as far as that is known.
-    quiet : nothing on a terminal either.
-    late : nothing before the first step, where most inputs take none.
-    """
-
-    def __init__(self, title: str, most: int | None = None, quiet: bool = False, late: bool = False) -> None:
-        self.bar: Any = None
-        self.active = sys.stderr is not None and sys.stderr.isatty() and not quiet
-        self.title, self.most, self.late = title, most, late
-
-    def __enter__(self) -> Progress:
-        if not self.late:
-            self._open()
-        return self
-
-    def _open(self) -> None:
-        """Begin the line, unless it has begun."""
-        if self.active and self.bar is None:
-            from tqdm import tqdm
-
-            self.bar = tqdm(total=self.most, desc=self.title, unit="it", leave=False)
-
-    def show(self, iteration: nls.Iteration) -> None:
-        """One more iteration."""
-        self.say(f"chi2 {iteration.chi2:.6g}")
-
-    def say(self, step: object) -> None:
-        """One more step, in its own words."""
-        self._open()
-        if self.bar is not None:
-            from models.visible import visible
-
-            self.bar.set_postfix_str(visible(str(step)))
-            self.bar.update()
-
-    def next(self, title: str) -> None:
-        """Something else is done now."""
-        if self.bar is not None:
-            self.bar.set_description_str(title)
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.close()
 
 
 def refuse_unwritable(names: Mapping[str, str | None], *read: str) -> None:
@@ -203,6 +173,7 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
         return
     text = json_text(report)
     if where == "-":
+        announce("")
         print(text, end="")  # ASCII
     else:
         write_bytes(where, text.encode())

@@ -15,63 +15,43 @@ FILE = (
     "'-' is standard input"
 )
 DIVES, START = "folders of further missions there", "start values (default: auto)"
-OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
-RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
-COORDINATES = (
-    "coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
-    "origin.csv and pyproj, and add columns to the tables"
-)
+COORDINATES = "coordinates in a solved mission: local (default), utm or EPSG:n, which need origin.csv and pyproj"
 VIEW = "write one HTML page to turn, zoom and ask, with layers and a slider of time; needs the package plotly"
-SOLVED_GRAPH = (
-    "of a mission: write the graph that was solved, with the landmarks found for contacts without names, and its "
-    "optimum; the suffix says the format"
-)
-GRADUATED = (
-    "; gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: find wrong loop closures and, in a mission, wrong "
-    "contacts, solve without them, list them; of a scan mission gnc (default), cauchy or none: how matches are selected"
+SOLVED_GRAPH = "of a mission: write the graph that was solved, with all landmarks; the suffix says the format"
+REJECTING = (
+    "gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: wrong loop closures and, in a mission, wrong contacts "
+    "are found, left out and listed; of a scan mission gnc (default), cauchy or none: how matches are selected; "
 )
 SCALES = (
-    "estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
-    ":units: one for lengths and one for angles of a kind; :components: one for every component"
+    "estimate: one scale on the sigmas of every kind of measurement (default: stated); :units: one for its lengths and "
+    "one for its angles; :components: one for every component"
 )
-TOLERANCE = (
-    "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
-    "the gap that is printed is absolute"
-)
+TOLERANCE = "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3)"
 ALONE = "turns off thresholds that are not given"
+FIRST = """begin with:
+  nls solve survey.g2o                                 the optimum, and whether to trust it
+  nls explain survey.g2o                               what is free, what does not fit, and what helps
+  nls solve survey.g2o -o solved.g2o --report solved.html
+  nls solve mission -o mission/solved                  a folder with the tables of a vehicle
+  nls import dive.csv > mapping.toml                   a log of your own: a draft of what its columns mean
+
+options, examples and the exit status of a command: nls COMMAND --help
+"""
 EXAMPLES = """examples:
-  nls solve survey.g2o                                 the table and the sentence
-  nls solve survey.g2o -o solved.g2o --plot solved.png
+  nls solve survey.g2o                                 the optimum, and whether to trust it
   nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
-  nls solve survey.g2o --robust huber:1.0              outliers count less
-  nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
-  nls solve floor --robust none                        a mission with all its contacts, also wrong ones
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
-  nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
-  nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
-  nls solve survey.g2o --improve                       the same; where it is not, go on from the lower one
-  nls solve bundle.txt --hold k                        cameras and points, the lenses held
-  nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
-  nls solve harbor -o harbor/solved                    a scan mission: keyframes and scans, matched to a map
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
-  nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
   nls evaluate solved dive                             how far a trajectory is from the true one
-  nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls view survey.g2o -o survey.html                   the graph as it was read, as a page to turn, zoom and ask
-  nls solve survey.g2o --view solved.html              the solution on such a page
-  nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
-  nls solve - < survey.g2o                             from a pipe or standard input, also compressed
-  nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
-  nls convert - survey.toro < survey.g2o
   nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
-  nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
   nls new mission                                      templates of mapping.toml and of every table
 
 exit status:
@@ -80,7 +60,7 @@ exit status:
        chi2, a table that a kernel ignores, a choice of --robust gnc-tls, a setup that bends a map from scans;
        also a solve that Ctrl-C stops while it iterates, which writes its best values
   2    bad input or usage, or an output that could not be written (the others are)
-  130  ended by Ctrl-C
+  130  ended by Ctrl-C; explain prints what it knows by then
 
 threads: one while a graph is solved; elsewhere one, unless the environment says more, as by OPENBLAS_NUM_THREADS=2
 """
@@ -138,25 +118,23 @@ class Once(argparse.Action):
 
 def parser() -> Parser:
     """All commands and options."""
-    top = Parser("nls", description="Least squares on factor graphs: solve, explain, convert, draw.", epilog=EXAMPLES)
-    top.formatter_class = argparse.RawDescriptionHelpFormatter
+    top = Parser("nls", description="Least squares on factor graphs: solve, explain, convert, draw.", epilog=FIRST)
+    top.formatter_class, top.usage = argparse.RawDescriptionHelpFormatter, "nls COMMAND FILE [options]"
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
+    commands = top.add_subparsers(prog="nls", title="commands", dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(
         name: str, summary: str, module: str = "", function: str = "", reads_graph: bool = True
     ) -> argparse.ArgumentParser:
-        own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
+        own = [
+            line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or line.startswith(f"  nls {name} ")
+        ]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=partial(_run, module or name, function or name), default_of=added.get_default)
         if reads_graph:
-            _input(added)
-            if name != "stream":  # which makes a variable where the first edge names it
-                _flag(added, "--drop-absent", "leave out edges to vertices without a line")
-        else:
-            _flag(added, "--debug", "show the traceback of an error")
+            added.add_argument("file", metavar="FILE", help=FILE)
         return added
 
     solve = command("solve", "find the optimum")
@@ -164,51 +142,57 @@ def parser() -> Parser:
     add("dives", metavar="DIVE", nargs="*", default=[], help=DIVES)
     output = "write the optimum: a file whose suffix says the format, or the folder of a solved mission"
     add("-o", "--output", metavar="OUT.g2o", help=output)
-    add("--write-graph", metavar="OUT.npz", help=SOLVED_GRAPH)
-    _overwriting(solve)
-    add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
-    add("--crs", metavar="CRS", help=COORDINATES)
-    add("--to", choices=outputs(), help="format of OUT.g2o (default: by its suffix)")
+    add("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
+    add("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    add("--view", metavar="OUT.html", help=VIEW)
+    add("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
+    _json(solve)
+    _robust(solve, REJECTING)
     add("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
+    proof = "prove that a pose graph is at its global optimum; exit with 1 if a better one is found"
+    _flag(solve, "--certify", proof)
+    how = solve.add_mutually_exclusive_group()
+    _flag(how, "--quiet", "print nothing but errors")
+    _flag(how, "--verbose", "print every iteration and where the time went")
+    _reading(solve).add_argument("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
+
+    more = solve.add_argument_group("how it is solved")
+    add = more.add_argument
     add("--method", default="auto", choices=["auto", *choices.OPTIMIZERS], help="optimizer (default: auto)")
     solvers = ["auto", *choices.SOLVERS]
     add("--linear-solver", default="auto", choices=solvers, help="linear solver (default: the best one installed)")
-    _problem(solve, GRADUATED)
+    _hold(more)
     add("--sigmas", default="stated", choices=choices.SIGMAS, help=SCALES)
+    add("--gauge", default="first", choices=choices.GAUGES, help="how the free directions are held")
+    better = "--certify before anything is written; while a better optimum is found, go on from there and say so"
+    _flag(more, "--improve", better)
     add("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
     add("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     decrease = f"converged when the relative decrease of chi2 is below X; {ALONE}"
     add("--chi2-rtol", type=float, metavar="X", help=decrease)
-    add("--gauge", default="first", choices=choices.GAUGES, help="how the free directions are held")
-    _flag(solve, "--allow-unconverged", "exit with 0 at an iteration limit, too")
-    _flag(solve, "--allow-doubtful", "exit with 0 for a doubtful result, too")
-    proof = "prove that a pose graph is at its global optimum; exit with 1 if a better one is found"
-    _flag(solve, "--certify", proof)
-    better = "--certify before anything is written; while a better optimum is found, go on from there and say so"
-    _flag(solve, "--improve", better)
-    _json(solve)
-    add("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
-    add("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
-    add("--view", metavar="OUT.html", help=VIEW)
-    add("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
-    how = solve.add_mutually_exclusive_group()
-    _flag(how, "--quiet", "print nothing but errors")
-    _flag(how, "--verbose", "print every iteration and where the time went")
+    _flag(more, "--allow-unconverged", "exit with 0 at an iteration limit, too")
+    _flag(more, "--allow-doubtful", "exit with 0 for a doubtful result, too")
+
+    written = _writing(solve)
+    written.add_argument("--write-graph", metavar="OUT.npz", help=SOLVED_GRAPH)
+    written.add_argument("--crs", metavar="CRS", help=COORDINATES)
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps")
-    add = explain.add_argument
-    add("dives", metavar="DIVE", nargs="*", default=[], help=DIVES)
-    add("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
-    add("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
-    _problem(explain)
+    explain.add_argument("dives", metavar="DIVE", nargs="*", default=[], help=DIVES)
     _json(explain)
+    _robust(explain)
+    explain.add_argument("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
+    _hold(explain)
+    _reading(explain).add_argument("--elevation", choices=choices.TREATMENTS, help=ELEVATION)
 
-    _json(command("info", "what is in a file", "graphs"))
+    info = command("info", "what is in a file", "graphs")
+    _json(info)
+    _reading(info)
 
     convert = command("convert", "write a graph in another format", "graphs")
     convert.add_argument("output", metavar="OUT", help="the file to write")
-    convert.add_argument("--to", choices=outputs(), help="format of OUT (default: by its suffix)")
-    _overwriting(convert)
+    _writing(convert)
+    _reading(convert)
 
     stream = command("stream", "the optimum at every step, while lines arrive")
     add = stream.add_argument
@@ -220,6 +204,7 @@ def parser() -> Parser:
     add("--robust", action=Once, metavar="KERNEL:SIGMAS", help=kernel)
     state = "file of the state, written every 100 steps; the next run goes on from it, equal to the bit"
     add("--checkpoint", metavar="STATE", help=state)
+    _reading(stream, drops=False)  # a variable is made where the first edge names it
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", reads_graph=False)
     add = evaluate.add_argument
@@ -236,9 +221,11 @@ def parser() -> Parser:
 
     plot = command("plot", "draw the graph as it was read", "graphs")
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+    _reading(plot)
 
     view = command("view", "write a page to turn, zoom and ask: the graph as it was read", "graphs")
     view.add_argument("-o", "--output", metavar="OUT.html", help="the page to write (default: NAME-view.html)")
+    _reading(view)
 
     imports = command("import", "make a mission folder of logs", "logs", "import_logs", reads_graph=False)
     add = imports.add_argument
@@ -250,20 +237,26 @@ def parser() -> Parser:
     new = command("new", "write templates of a mission", "logs", reads_graph=False)
     new.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
     _flag(new, "--map", "write mapping.toml alone")
+    for name, added in commands.choices.items():
+        words = (f"[{a.metavar} ...]" if a.nargs == "*" else f"{a.metavar}" for a in added._get_positional_actions())
+        added.usage = " ".join(["nls", name, *words, "[options]"])
+        _flag(added, "--debug", "show the traceback of an error")
     return top
 
 
-def _input(command: argparse.ArgumentParser) -> None:
-    """The file every command reads, and how it is read."""
-    add = command.add_argument
-    add("file", metavar="FILE", help=FILE)
+def _reading(command: argparse.ArgumentParser, drops: bool = True) -> argparse._ArgumentGroup:
+    """Options of how FILE is read; ``drops``: some of its edges can be left out."""
+    group = command.add_argument_group("how FILE is read")
+    add = group.add_argument
     add("--dialect", default="auto", choices=dialects(), help="format of FILE (default: auto, by its content)")
-    _flag(command, "--repair-information", "make negative information semi-definite")
-    ignored = "unknown tags of edges that are left out; others are refused"
-    add("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
     residual = "residual of pose measurements (default: g2o)"
     add("--convention", default="g2o", choices=choices.CONVENTIONS, help=residual)
-    _flag(command, "--debug", "show the traceback of an error")
+    ignored = "unknown tags of edges that are left out; others are refused"
+    add("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
+    if drops:
+        _flag(group, "--drop-absent", "leave out edges to vertices without a line")
+    _flag(group, "--repair-information", "make negative information semi-definite")
+    return group
 
 
 def _flag(command: argparse._ActionsContainer, name: str, words: str) -> None:
@@ -271,20 +264,26 @@ def _flag(command: argparse._ActionsContainer, name: str, words: str) -> None:
     command.add_argument(name, action="store_true", help=words)
 
 
-def _overwriting(command: argparse.ArgumentParser) -> None:
-    """Options of what is written in the place of the input, or in another format."""
-    _flag(command, "--overwrite", OVERWRITE)
-    _flag(command, "--renumber", RENUMBER)
+def _writing(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Options of the graph that is written."""
+    group = command.add_argument_group("how the output is written")
+    group.add_argument("--to", choices=outputs(), help="format of the output (default: by its suffix)")
+    _flag(group, "--overwrite", "let OUT replace FILE even if lines are lost, as with gnc-tls or another format")
+    _flag(group, "--renumber", "give variables whose numbers clash in OUT new numbers; poses keep theirs")
+    return group
 
 
-def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
-    """Options of what is done to the graph before it is solved; ``more``: that can be asked for besides kernels."""
+def _robust(command: argparse.ArgumentParser, rejecting: str = "") -> None:
+    """Kernels, and ways of rejecting measurements."""
     kernels = (
-        "robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
-        f"one of {', '.join(choices.KERNELS)}; of a mission none: believe all contacts (default: without wrong ones "
-        f"where chi2 and residuals say that there are some){more}"
+        f"what is done about outliers: {rejecting}a kernel on every factor, such as huber:1.0, or on those of a type, "
+        f"such as RangeAzimuth=cauchy:1; one of {', '.join(choices.KERNELS)}; of a mission none: believe all contacts "
+        "(default: without wrong ones where chi2 and residuals say that there are some)"
     )
     command.add_argument("--robust", action=Once, metavar="[TYPE=]KERNEL:SIGMAS", help=kernels)
+
+
+def _hold(command: argparse._ActionsContainer) -> None:
     command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
 
 

@@ -1,4 +1,4 @@
-"""How far a command is: Ctrl-C ends it at every moment with one line that says so, and with status 130."""
+"""How far a command is: a terminal shows it, and Ctrl-C ends it at every moment with one line and status 130."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+
+from nls.cli.ticker import Ticker
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,18 +29,30 @@ class Phase:
     ----------
     doing : the activity of this moment, such as ``while reading survey.g2o``.
     written : files that are complete.
+    ticker : shows them on a terminal, from its start on.
     as_read : the graph and its report, once they are read; an error may be about one of the measurements.
     """
 
     def __init__(self, program: str) -> None:
-        self.program, self.doing = program, "at its start"
+        self.program, self.doing, self._step = program, "at its start", ""
+        self.ticker = Ticker()
         self.written: list[str] = []
         self.as_read: Any = None
 
     def __str__(self) -> str:
         written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"
-        words = f"{self.program}: interrupted {self.doing}; {written}"
+        words = f"{self.program}: interrupted {self.doing}{self._step and f': {self._step}'}; {written}"
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
+
+    def begin(self, doing: str) -> None:
+        """Another activity."""
+        self.doing, self._step = doing, ""
+        self.ticker.say(doing.removeprefix("while "))
+
+    def step(self, words: str) -> None:
+        """The latest step of what is done; without words somebody else is about to write to the terminal."""
+        self._step = words or self._step
+        self.ticker.say(self.doing.removeprefix("while ") if words else "", words)
 
     def at_once(self) -> None:
         """Let Ctrl-C end the process itself, until `now`. The imports of a start turn an exception into others.
@@ -56,12 +70,13 @@ class Phase:
 
     def now(self, doing: str) -> None:
         """Another activity, in which Ctrl-C is an exception: there is something to tidy up, or to keep."""
-        self.doing = doing
+        self.begin(doing)
         if signal.getsignal(signal.SIGINT) == self._leave:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def over(self) -> None:
         """The command is done: Ctrl-C does nothing to a process that is about to end."""
+        self.ticker.close()
         if signal.getsignal(signal.SIGINT) in (self._leave, signal.default_int_handler):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -102,6 +117,7 @@ class Phase:
         return 2
 
     def _leave(self, *_: object) -> None:
+        self.ticker.close()
         os.write(2, f"{self}\n".encode(errors="backslashreplace"))  # print may be at work
         os._exit(INTERRUPTED)
 

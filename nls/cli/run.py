@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import nls
+from models.listing import several
 from nls.io.report import Source
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ class Problem(Run):
 
         as_read, report = without_rejected(self.as_read, choice, self.report)
         if self.form and (count := len(choice.rejected)):
-            report.notes.append(f"{self.graph_file} holds the graph without the {count} rejected measurements")
+            report.notes.append(f"{self.graph_file} leaves out {several(count, 'rejected measurement')}")
         return replace(
             self,
             as_read=as_read,

@@ -15,7 +15,6 @@ from factors.keys import kinds
 from models.options import did_you_mean
 from nls.cli.graph_file import named
 from nls.cli.mission import Folder
-from nls.cli.outputs import Progress
 from nls.cli.run import Problem, Solved
 from nls.missions.checks.findings import SetupFinding
 from nls.missions.checks.scan_setup import check_setup
@@ -25,6 +24,7 @@ from nls.missions.scans.folder import ScanReport, is_scan_mission
 from nls.missions.scans.scans import in_world
 from nls.missions.scans.solution import GRAPH, SolvedScans
 from nls.missions.summary import scan_lines
+from nls.stages import announce
 
 if TYPE_CHECKING:
     from nls.missions.scans import Round
@@ -83,12 +83,11 @@ class ScanMission(Folder):
         report, graph, values = problem.report, problem.graph, problem.values
         assert isinstance(report, ScanReport)
         self.options.phase.now(f"while matching the scans of {self.options.file}")
-        with Progress("match scans", ROUNDS, self.options.quiet) as progress:
 
-            def show(after: Round) -> None:
-                progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
+        def show(after: Round) -> None:
+            announce(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
 
-            closing = close(graph, values, report.scans, ROUNDS, self.select, report=show)
+        closing = close(graph, values, report.scans, ROUNDS, self.select, report=show)
         findings: list[SetupFinding] = []
         try:
             findings = check_setup(graph, values, report.scans, closing, report.vertex_times["x"])

@@ -13,12 +13,12 @@ from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile
 from nls.cli.inputs import input_of
-from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, say, write_json
+from nls.cli.outputs import PAGES, PICTURES, Color, complain, live, refuse_name, refuse_unwritable, say, write_json
 from nls.cli.run import Clock, Problem, Run, Solved
-from nls.cli.solve_report import SCHEMA, advice, record_of, table, write_page
+from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
 from nls.linear import SOLVERS
-from nls.stages import collected
+from nls.stages import announce, collected
 
 
 def solve(options: argparse.Namespace) -> int:
@@ -89,7 +89,9 @@ def _read(kind: GraphFile, run: Run) -> Problem:
     options = run.options
     as_read, values, report = kind.read_to_solve()
     kind.check_format("-o", run.form, report)
-    options.phase.doing = f"while searching for a start for {options.file}"
+    if live() and not options.quiet and options.json != "-":
+        say(input_line(report, len(values), len(as_read)))
+    options.phase.begin(f"while computing the initial guess of {options.file}")
     graph = kind.prepared(as_read, values, report)
     run.clock.lap("read")
     return Problem(**vars(run), as_read=as_read, values=values, report=report, graph=graph, start=values)
@@ -196,6 +198,7 @@ def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.Underconst
 def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
     from nls.io.table import write_covariances
 
+    announce("marginals")
     write_covariances(path, solved.marginals, unmeasured=kind.unmeasured(solved.report))
 
 
@@ -257,7 +260,9 @@ def _report(kind: GraphFile, solved: Solved) -> None:
         record["written"] = written
         solved.failed.append(error)
     if not options.quiet and options.json != "-":
-        say(table(kind, solved, record))
+        first = "" if live() else f"{input_line(solved.report, record['variables'], record['factors'])}\n"
+        doubtful = Color.DOUBTFUL if record["doubtful"] else Color.GOOD
+        say(first + table(kind, solved, record), verdict=("result ", doubtful if record["converged"] else Color.BAD))
 
 
 def _status(kind: GraphFile, solved: Solved) -> int:

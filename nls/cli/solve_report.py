@@ -138,24 +138,28 @@ def _doubt(report: dict[str, Any]) -> str:
     return f"; but {'; '.join(doubts)}" if doubts else ""
 
 
+def input_line(report: nls.LoadReport, variables: int, measurements: int) -> str:
+    """The line of the table on what was read: first where somebody waits for it."""
+    counts = f"{several(variables, 'variable')}, {several(measurements, 'measurement')}"
+    return f"input       {report.path}: {counts}, {report.dimension}"
+
+
 def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     """The table of a run, from its report for programs."""
-    result, verbose = solved.result, solved.options.verbose
-    lines = result.steps if verbose else []
+    result, options = solved.result, solved.options
+    lines = result.steps if options.verbose else []
     file = kind.read_values
     start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
+    convention = f", convention {options.convention}" * (options.convention != options.default_of("convention"))
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     of = " of what the kernel believes" if result.shares else ""
     ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
     lines += [
-        f"input       {report['input']}: {several(report['variables'], 'variable')}, "
-        f"{several(report['factors'], 'measurement')}, "
-        f"{report['dimension']}",
         f"start       {report['init'].replace('file', file)} (chi2: {start})",
         f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
-        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}, "
-        f"convention {report['convention']}{robust}",
+        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}"
+        f"{convention}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         *([f"ignored     by the kernel: {', '.join(map(str, result.shares))}"] if result.shares else []),
@@ -169,7 +173,7 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
         lines.append(f"free        and {more} more directions")
     lines += [f"written     {name}" for name in report["written"]]
     lines += [f"note        {note}" for note in report["notes"] if note not in solved.report.warnings]
-    if verbose:
+    if options.verbose:
         lines += [*iteration_table(result.history), *time_table(seconds)]
     return "\n".join(lines)
 

@@ -91,11 +91,12 @@ def of_suspects(
     if not suspects.places:
         return []
     names = _names(graph.factors, suspects.places)
+    graduated = graduates(graph, suspects.values)
     if suspects.many:
         keys = keys_of(graph.factors, suspects.places)
         robust = any(factor.kernel is not None for factor in graph.factors)
         cures = REMOVAL if robust else (Advice.robust("Cauchy", 1),)
-        cures = (Advice("gnc"),) * graduates(graph, suspects.values) + cures
+        cures = (Advice("gnc"),) * graduated + cures
         places = tuple(suspects.places[:SOME])
         return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, cures, places)]
     out, closing = [], closures(pattern)
@@ -111,8 +112,9 @@ def of_suspects(
         }
         if (k, i) == suspects.places[-1]:
             numbers |= {"removed": len(names), "chi2_without": suspects.chi2, "dof_without": suspects.dof}
-        doubtful = (Advice("inspect", ("it",)), Advice("remove", ("it",)), Advice.robust("Cauchy", 1))
         kind = FindingKind.WRONG_CLOSURE if closure else FindingKind.OUTLIER
+        without = Advice("gnc") if closure and graduated else Advice.robust("Cauchy", 1)
+        doubtful = (Advice("inspect", ("it",)), Advice("remove", ("it",)), without)
         keys = tuple(keys[[i]] for keys in factor.keys)
         cures = tuple(Advice(CURES[reading]) for reading in read)
         out.append(Finding(kind, keys, numbers, cures or doubtful, ((k, i),)))

@@ -24,9 +24,11 @@ from nls.gauge import Gauge, choose_gauge, component_labels, fixed_variables, mo
 from nls.graph import FactorGraph
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
+from nls.stages import announce, stage
 from nls.values import Values, refuse_other
 
 WORST = 10  # measurements that are named
+TRIED = 50_000  # measurements of a graph that is solved anew for causes: dozens of optimizations
 Kinds = dict[str, list[tuple[int, Index]]]  # by name: number of the batch, indices of its measurements
 
 
@@ -58,6 +60,9 @@ def explain(
 
     Notes
     -----
+    Ctrl-C ends the search for outliers: a finding says so, and all numbers that were there are in the explanation. At
+    most 100 measurements, or groups of them, are taken out. Above 50,000 measurements no other reading and no
+    calibration is tried; a finding says so where chi2 is off.
     The statistics are those of geodetic networks, see the theory page on explanations.
 
     Examples
@@ -89,6 +94,9 @@ def explain(
     idle = ~touched & ~fixed
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
+    squares = [factor.chi2(values) for factor in graph.factors]
+    chi2 = sum(float(s.sum()) for s in squares)
+    announce(f"chi2 {chi2:.6g}, free directions")
     free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     if unmeasured := tuple(pattern.key(int(v)) for v in np.flatnonzero(idle)):
@@ -96,8 +104,6 @@ def explain(
         findings.append(Finding(FindingKind.UNMEASURED, unmeasured, {}, advice))
     findings += named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
-    squares = [factor.chi2(values) for factor in graph.factors]
-    chi2 = sum(float(s.sum()) for s in squares)
     dof = pattern.measured_rows - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
     outliers: Suspects | None = None
@@ -120,8 +126,16 @@ def explain(
             findings.insert(0, Finding(FindingKind.NO_OPTIMUM, (), {"fall": fall, "chi2": chi2}, (Advice("solve"),)))
         else:
             held = FactorGraph(graph.factors, [*graph.fixed, *unmeasured])
-            disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
-            findings += disagreement
+            try:
+                with stage("outliers"):
+                    disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
+                    findings += disagreement
+                    alike = FindingKind.SYSTEMATIC in {finding.kind for finding in disagreement}
+                    if outliers is not None and not (outliers.many or free.count or alike):
+                        for group in unverified_groups(held, values):
+                            findings.append(doubts.unverified(group, doubts.keys_of(held.factors, group.closures)))
+            except KeyboardInterrupt:
+                findings.insert(0, Finding(FindingKind.INTERRUPTED))
             lower, here = np.inf if outliers is None else graph.chi2(outliers.values), graph.chi2(values)
             if lower < here - little:
                 cures = (Advice("start"), *(Advice("certify"),) * doubts.certifies(graph, values))
@@ -172,10 +186,12 @@ def _disagreement(
     """
     assert free.checked is not None
     findings = [] if free.count else causes.duplicate_points(free.checked, pattern, values)
-    wrong = calibrations(graph, values, free)
+    announce("calibrations")
+    wrong = calibrations(graph, values, free) if len(graph) <= TRIED else ()
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
+    announce("outliers")
     outliers = suspects(graph, free.checked.linear.pattern, values, free.checked)
     without = _parts(kinds_of(pattern, len(tests)), outliers.s, outliers.tests, outliers.accepted)
     kinds = doubts.of_parts(without, outliers, graph)
@@ -185,11 +201,9 @@ def _disagreement(
     alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
     findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-    findings += [kind for kind in kinds if kind not in alike]
-    if not (free.count or alike or outliers.many):
-        groups = unverified_groups(graph, values)
-        findings += [doubts.unverified(group, doubts.keys_of(graph.factors, group.closures)) for group in groups]
-    return findings, outliers
+    if len(graph) > TRIED and (kinds or outliers.places):
+        findings.append(Finding(FindingKind.NOT_TRIED, (), {"measurements": len(graph), "most": TRIED}))
+    return findings + [kind for kind in kinds if kind not in alike], outliers
 
 
 def _causes(
@@ -197,9 +211,10 @@ def _causes(
 ) -> list[Finding]:
     """The explanation of a chi2 that noise does not explain: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
-    if alike or outliers.many:
+    tried = len(graph) <= TRIED
+    if tried and (alike or outliers.many):
         findings = causes.misread(graph, values)
-    if not findings and (alike or outliers.places):
+    if tried and not findings and (alike or outliers.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
     return findings or causes.clocks_by_residuals(checked, values, len(graph.factors))
 

@@ -20,6 +20,7 @@ RECORDED = "summary variables unknowns measurements rows gauge rank nullity chi2
 class FindingKind(StrEnum):
     """The subject of a finding, the identifier that programs get; ``implausible`` ones come from `nls.missions`."""
 
+    INTERRUPTED = "interrupted"
     IMPLAUSIBLE = "implausible"
     NOT_CONVERGED = "not_converged"
     NO_OPTIMUM = "no_optimum"
@@ -42,6 +43,7 @@ class FindingKind(StrEnum):
     TURN = "turn"
     TWINS = "twins"
     UNVERIFIED = "unverified"
+    NOT_TRIED = "not_tried"
     REPEATED = "repeated"
     UNCHECKED = "unchecked"
 

@@ -198,15 +198,18 @@ def _rejected(f: Finding) -> str:
     far = f", {which} far off, by up to {n['most']:.3g} sigmas" if n["far"] else ""
     right = "less than one is" if n["by_chance"] < 1 else f"about {n['by_chance']:.0f} are"
     expected = f"; {right} expected by chance at {100 * n['probability']:.6g} %" if n["far"] < n["count"] else ""
-    return f"{n['count']:,} of {n['doubted']:,} doubted measurements rejected{scaled}{far}{expected}"
+    return f"{n['count']:,} of {n['doubted']:,} judged measurements rejected{scaled}{far}{expected}"
 
 
 def _left(f: Finding) -> str:
     n = f.numbers
-    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} doubted measurements of theirs agree"
+    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} judged measurements of theirs agree"
 
 
 SENTENCES: Sentences = {
+    FindingKind.INTERRUPTED: (
+        "interrupted: the search for outliers and their causes has not ended; the tables below are complete"
+    ),
     FindingKind.NOT_CONVERGED: "no optimum was found ({reason}); the other findings are about the values {values}",
     FindingKind.NO_OPTIMUM: (
         "these values are no optimum: one Gauss-Newton step lowers chi2 by {fall!n}, from {chi2!n}; measurements are "
@@ -239,6 +242,10 @@ SENTENCES: Sentences = {
         "under two numbers?"
     ),
     FindingKind.UNVERIFIED: _unverified,
+    FindingKind.NOT_TRIED: (
+        "calibrations, other readings and exchanged landmarks were not tried as causes: that takes dozens of "
+        "optimizations, and the graph has {measurements:,} measurements (tried up to {most:,})"
+    ),
     FindingKind.REPEATED: _repeated,
     FindingKind.UNCHECKED: _unchecked,
     ChoiceKind.REJECTED: _rejected,

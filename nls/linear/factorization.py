@@ -11,6 +11,7 @@ from models.abstract import Abstract
 from models.algebra import Array, Index
 from models.errors import EvaluationError
 from nls.sparse.hessian import Hessian
+from nls.sparse.quadratic_forms import quadratic_forms
 from nls.sparse.takahashi import Supernodes, inverse_blocks, supernodes
 from nls.system import LinearSystem
 
@@ -142,13 +143,19 @@ class Factorization:
         ResourceLimitError
             They would take more.
         """
-        if not len(i):
-            return np.zeros(0)
+        return inverse_blocks(*self._fronts(), self.hessian.dims, i, j, memory_limit) if len(i) else np.zeros(0)
+
+    def quadratic_forms(self, U: sp.csc_array, d: int) -> Array:
+        """U_k' H^-1 U_k (g, d, d) of g sparse matrices of d columns, side by side in U (n, g d)."""
+        return quadratic_forms(*self._fronts(), U, d) if U.nnz else np.zeros((U.shape[1] // d, d, d))
+
+    def _fronts(self) -> tuple[Supernodes, sp.csc_array, Index]:
+        """The supernodes of L, and L with its order p."""
         L, p = self.lower()
         L.eliminate_zeros()  # CHOLMOD pads its supernodes
         if self._supernodes is None:
             self._supernodes = supernodes(self.hessian, p)
-        return inverse_blocks(self._supernodes, self.hessian.dims, L, p, i, j, memory_limit)
+        return self._supernodes, L, p
 
     def refuse_free(self, system: LinearSystem) -> None:
         """Look for a free direction that rounding has hidden from the pivots of the latest factorization.

@@ -19,6 +19,7 @@ from nls.optimizers import stop
 from nls.optimizers.problem import Problem, Undamped
 from nls.optimizers.result import Callback, Iteration, Status
 from nls.optimizers.step import Record, Step, Stop
+from nls.stages import announce, inside_stage
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -93,6 +94,7 @@ class Watch(Record):
 
     def call_back(self) -> None:
         """Show the latest step to the callback, which may stop."""
+        announce(f"iteration {self.step_count}, chi2 {self.history[-1].chi2:.6g}")
         self.halted = self.callback is not None and bool(self.callback(self.history[-1]))
         if self.halted and self.status is None:
             self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
@@ -160,6 +162,8 @@ class Optimizer(Abstract):
     def run(self, problem: Problem, values: Values) -> Watch:
         """Iterate from the values until a rule ends it; Ctrl-C ends it too, with the best point so far.
 
+        Inside a `nls.stages.stage` it is a part of something larger, and Ctrl-C ends that.
+
         Raises
         ------
         UnderconstrainedError
@@ -196,4 +200,6 @@ class Optimizer(Abstract):
                 raise
             watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
         except KeyboardInterrupt:
+            if inside_stage():
+                raise
             watch.end(Status.INTERRUPTED, f"after {watch.step_count} iterations", "interrupt")

@@ -34,7 +34,7 @@ APART = "{meters:.3g} m ({fraction!p:.2g} % of its extent) and {radians:.2g} rad
 class DoubtKind(Enum):
     """Why an estimate is doubtful; the value is the sentence."""
 
-    FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
+    FEW_KEPT = "{count} of {total} judged measurements were kept, less than half"
     NO_START = "all {total} poses began at one place: give them a start, nls.initialize(graph, values)"
     DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
     CONTRADICTED = (

@@ -193,15 +193,15 @@ def supernodes(hessian: Hessian, p: Index) -> Supernodes:
 
 
 def inverse_blocks(
-    nodes: Supernodes, dims: Index, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float
+    nodes: Supernodes, L: sp.csc_array, p: Index, dims: Index, i: Index, j: Index, memory_limit: float
 ) -> Array:
     """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
 
     Parameters
     ----------
     nodes : the supernodes of L.
-    dims : (V,) columns of every variable.
     L, p : with H[p][:, p] = L L', the columns of H in the order in which they were given.
+    dims : (V,) columns of every variable.
     i, j : (k,) variables; any two that share a block, or one twice.
     memory_limit : bytes the dense fronts may take.
 
@@ -229,6 +229,29 @@ def inverse_blocks(
     return Sigma
 
 
+class DenseColumns:
+    """The columns of L, lower triangular without a zero pivot, supernode by supernode."""
+
+    def __init__(self, L: sp.csc_array, nodes: Supernodes) -> None:
+        self._nodes, self._columns = nodes, sp.csc_array(L[:, nodes.columns])
+        self._local = np.repeat(nodes.local[nodes.columns], np.diff(self._columns.indptr))
+        self._where = np.empty(L.shape[0], dtype=np.intp)
+
+    def of(self, k: int) -> tuple[Array, Array]:
+        """L_JJ^-1 (w, w) and L_SJ (h, w) of supernode k."""
+        from scipy.linalg.lapack import dtrtri
+
+        nodes, columns = self._nodes, self._columns
+        w, rows = int(nodes.width[k]), nodes.rows(k)
+        self._where[rows] = np.arange(len(rows))
+        entries = slice(columns.indptr[nodes.first[k]], columns.indptr[nodes.first[k + 1]])
+        L_J = np.zeros((len(rows), w))
+        L_J.reshape(-1)[self._where[columns.indices[entries]] * w + self._local[entries]] = columns.data[entries]
+        return dtrtri(L_J[:w].T, lower=0)[0].T, L_J[
+            w:
+        ]  # the transpose of a C array is what LAPACK takes without a copy
+
+
 def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array, Array]]:
     """Sigma_JJ (w, w), symmetric, and Sigma_SJ (h, w) of every supernode k, the last first.
 
@@ -237,23 +260,14 @@ def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array, 
     L : lower triangular, no zero pivot.
     nodes : its supernodes.
     """
-    from scipy.linalg.lapack import dtrtri
-
-    columns = sp.csc_array(L[:, nodes.columns])
-    data, rows, indptr = columns.data, columns.indices, columns.indptr
-    local = np.repeat(nodes.local[nodes.columns], np.diff(indptr))
-    where, waiting = np.empty(L.shape[0], dtype=np.intp), nodes.children.tolist()
+    waiting, columns = nodes.children.tolist(), DenseColumns(L, nodes)
     fronts: list[Array | None] = [None] * len(nodes)
     for k in range(len(nodes) - 1, -1, -1):
         w, h, parent = int(nodes.width[k]), int(nodes.height[k]), int(nodes.parent[k])
-        where[nodes.rows(k)] = np.arange(w + h)
-        entries = slice(indptr[nodes.first[k]], indptr[nodes.first[k + 1]])
-        L_J = np.zeros((w + h, w))
-        L_J.reshape(-1)[where[rows[entries]] * w + local[entries]] = data[entries]
-        L_JJ_inv = dtrtri(L_J[:w].T, lower=0)[0].T  # the transpose of a C array is what LAPACK takes without a copy
-        Sigma_JJ, Sigma_SJ = L_JJ_inv.T @ L_JJ_inv, L_J[w:]
+        L_JJ_inv, L_SJ = columns.of(k)
+        Sigma_JJ, Sigma_SJ = L_JJ_inv.T @ L_JJ_inv, L_SJ
         if h:
-            Y = L_J[w:] @ L_JJ_inv
+            Y = L_SJ @ L_JJ_inv
             Sigma_SS = _submatrix(fronts[parent], nodes.below(k))
             Sigma_SJ = -Sigma_SS @ Y
             Sigma_JJ -= Y.T @ Sigma_SJ

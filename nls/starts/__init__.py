@@ -21,7 +21,7 @@ from models.errors import (
 )
 from nls.gauge import fixed_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.optimizers import Dogleg, Status, Stop
+from nls.optimizers import Dogleg, Stop
 from nls.posegraph import pose_graphs, says_poses
 from nls.sparse.threads import single_thread
 from nls.stages import stage
@@ -227,13 +227,7 @@ class Candidates:
                 self.advance(name)
 
     def advance(self, name: str) -> None:
-        """Take steps from a start; where they lead is a candidate, too. From where they cannot begin nothing is added.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            The optimizer was interrupted.
-        """
+        """Take steps from a start; where they lead is a candidate, too. Where they cannot begin, nothing is added."""
         after = f"{name} + {COMPARED_STEPS} steps"
         try:
             with stage(f"init {after}"), warnings.catch_warnings():
@@ -241,8 +235,6 @@ class Candidates:
                 result = self.graph.optimize(self._starts[name], Dogleg(Stop(max_iterations=COMPARED_STEPS)))
         except REFUSED:
             return
-        if result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
         if result.chi2_final <= self.chi2[self.name]:
             self.believes_all = not result.doubt and not any(share.ignored for share in result.shares)
         self._list(after, result.values, result.chi2_final, (1 - SAME_CHI2) * self.chi2[self.name])

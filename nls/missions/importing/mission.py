@@ -28,6 +28,7 @@ from nls.missions.importing.mapping import Mapping, Section
 from nls.missions.importing.quantities import DAY, WEEK
 from nls.missions.importing.tables import TIMES, WHOLE, Rows, rows_of
 from nls.missions.importing.text_log import Log, TextLog
+from nls.stages import announce
 
 READING = ("separator", "decimal", "header", "skip", "join")  # options of a section that say how its log is read
 
@@ -191,6 +192,7 @@ def _text(parts: Sequence[Rows], zero: int, origin: LocalPlane | None) -> tuple[
     if len(parts) > 1 and "time_s" in merged:
         order = np.argsort(merged["time_s"], kind="stable")
     _refuse_whole(parts[0].section, merged)
+    announce(f"{table}.csv: {count:,} rows")
     for name in names:
         if name in (*WHOLE, "valid"):
             merged[name] = merged[name].astype(np.int64)

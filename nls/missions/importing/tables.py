@@ -15,6 +15,7 @@ from nls.missions.importing.headers import guess, mission_unit, nearest, plain
 from nls.missions.importing.mapping import Section
 from nls.missions.importing.quantities import DAY, FULL_TURN, WEEK, Stamps, convert_column, hemispheres, stamps
 from nls.missions.importing.text_log import MISSING, Log, blanked, is_number
+from nls.stages import announce
 
 TIMES = ("time_s", "time_i_s", "time_j_s")
 WORDS = ("name", "kernel")
@@ -71,6 +72,7 @@ def rows_of(section: Section, log: Log) -> Rows:
     count = len(log)
     rows = Rows(section, log, np.full(count, bool(section.together)), np.arange(count))
     for column, cell in section.cells.items():
+        announce(f"{section.table}.csv, {column}: {count:,} rows")
         if column in TIMES and cell.columns:
             _known(section, column, cell, log)
             rows.times[column] = stamps(section, log, column, rows.notes)

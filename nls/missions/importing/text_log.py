@@ -19,6 +19,7 @@ from models.options import did_you_mean
 from nls.io.files import read_bytes
 from nls.io.text import NUMBER
 from nls.missions.importing.headers import dimension
+from nls.stages import announce
 
 Missing = tuple[str | float, ...]  # words and numbers of cells that stand for none
 
@@ -186,6 +187,7 @@ class TextLog(Log):
             text = data.decode("latin-1")
         self.text = text.replace("\r\n", "\n").split("\n")
         self.path = str(path)
+        announce(f"{len(self.text):,} lines of {self.path}")
         kept = [k for k, line in enumerate(self.text) if k >= skip and _counts(line)]
         if not kept:
             raise GraphFileError("has no row; expected a line of names and rows of values", self.path)

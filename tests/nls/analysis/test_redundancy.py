@@ -39,7 +39,7 @@ def early(count: int = 10) -> Between:
 def common(graph: FactorGraph, values: Values) -> list[Common]:
     """The common error of every group of a graph in which a variable is fixed."""
     system = graph.linearize(values)
-    return list(_common(values, system, list(closure_groups(system.pattern))))
+    return [error for _, error in _common(values, system, list(closure_groups(system.pattern)))]
 
 
 @for_all(space=[SE2, SE3])

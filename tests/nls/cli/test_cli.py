@@ -18,13 +18,13 @@ import pytest
 import nls
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS
-from tests.nls.cli.shell import Shell, process, row
+from tests.nls.cli.shell import SPOILED, Shell, process, row
 from tests.nls.io.g2o_files import PLANE, SPACE
 
 
 def test_the_table_of_solve(shell: Shell) -> None:
     out = shell(f"solve {shell.file()} --init file --verbose")
-    for text in ("4 variables, 4 measurements, 2-D", "gauge: x0 held", "convention g2o", "3 degrees of freedom"):
+    for text in ("4 variables, 4 measurements, 2-D", "gauge: x0 held", "3 degrees of freedom"):
         assert text in out
     assert row(out, "result").startswith("converged: ")
     assert "iteration          chi2    max|dx|   seconds" in out
@@ -137,8 +137,17 @@ def test_faults_of_ours_are_one_line_and_debug_shows_the_traceback(
 
 def test_help_and_version(shell: Shell, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
-    assert "  0    solve: converged; all other commands: done" in capsys.readouterr().out
-    assert "nls solve survey.g2o" in shell("--help")
+    screen = capsys.readouterr().out
+    assert len(screen.splitlines()) < 30
+    assert ("nls solve survey.g2o" in screen, shell("--help")) == (True, screen)
+    groups = re.findall(r"^(?!usage|exit|threads)\S.*:$", shell("solve --help"), re.MULTILINE)
+    assert groups[1:] == [
+        "options:",
+        "how FILE is read:",
+        "how it is solved:",
+        "how the output is written:",
+        "examples:",
+    ]
     out = shell("explain --help")
     assert "  2    bad input or usage" in out
     assert ("nls explain survey.g2o" in out, "nls convert survey" in out) == (True, False)
@@ -236,13 +245,13 @@ def test_ctrl_c_while_nls_sim_is_imported() -> None:
     ("function", "doing", "written"),
     [
         ("nls.load", "while reading graph.g2o", 0),
-        ("nls.initialize", "while searching for a start for graph.g2o", 0),
+        ("nls.initialize", "while computing the initial guess of graph.g2o", 0),
         ("nls.FactorGraph.optimize", "while solving graph.g2o", 0),
         ("nls.cli.formats.rendered", "while writing o", 0),
-        ("nls.io.table.write_covariances", "while writing o.csv", 1),
+        ("nls.io.table.write_covariances", "while writing o.csv: marginals", 1),
         ("nls.plot.picture.write_picture", "while writing o.png", 2),
         ("nls.certify", "while certifying the optimum", 3),
-        ("nls.cli.solve_report._facts", "while writing o.html", 3),
+        ("nls.cli.solve_report._facts", "while writing o.html: outliers", 3),
         ("nls.cli.solve.write_json", "while writing the report", 4),
         ("nls.cli.solve.table", "while writing the report", 5),
     ],
@@ -264,7 +273,7 @@ def test_the_line_is_true_in_every_phase_of_solve(
     ("words", "function", "doing"),
     [
         ("info graph.g2o", "nls.analysis.inspection.inspect", "while inspecting graph.g2o"),
-        ("explain graph.g2o", "nls.explain", "while explaining graph.g2o"),
+        ("explain graph.g2o", "nls.explain", "while explaining graph.g2o: iteration 2, chi2 0.195465"),
         ("convert graph.g2o a.tum", "nls.io.files.write_bytes", "while writing a.tum"),
         ("plot graph.g2o a.png", "nls.plot.trajectory", "while writing a.png"),
     ],
@@ -275,6 +284,17 @@ def test_the_line_of_other_commands(
     shell.file()
     monkeypatch.setattr(function, interrupted)
     assert shell.both(words, 130) == ("", f"nls: interrupted {doing}; nothing was written\n")
+
+
+def test_an_interrupted_explanation_says_what_is_known(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = shell(f"explain {shell.file(SPOILED)}").splitlines()
+    monkeypatch.setattr("nls.explanation.explanation.unverified_groups", interrupted)  # the last of the search
+    out, err = shell.both("explain graph.g2o", 130)
+    assert (err, "1. interrupted: the search for outliers and their causes has not ended" in out) == ("", True)
+    outlier = next(line for line in whole if "a loop closure, is probably wrong" in line)
+    assert {outlier.replace("1. ", "2. "), *whole[whole.index("rank        21 of 21 unknowns") :]} <= {
+        *out.splitlines()
+    }
 
 
 @posix

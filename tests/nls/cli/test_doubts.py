@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -306,14 +305,6 @@ def test_kernels_and_kinds_that_are_held_as_in_solve(shell: Shell) -> None:
     chi2 = {kind["name"]: kind["chi2"] for kind in robust["parts"]}
     assert chi2["Between, closures"] > 2 * plain["parts"][1]["chi2"]  # it is let go
     assert (plain["unknowns"], held["unknowns"]) == (9, 0)
-
-
-def test_a_line_moves_on_a_terminal(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    shell(f"explain {shell.file()}")
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    _, err = shell.both("explain graph.g2o")
-    for text in ("\rsolve: ", "\rexplain: ", "chi2 "):
-        assert text in err
 
 
 @pytest.mark.parametrize("landmarks", [False, True], ids=["poses", "landmarks"])

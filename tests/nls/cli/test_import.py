@@ -13,6 +13,8 @@ import nls
 from models import euler
 from models.geodesy import LocalPlane
 from nls.missions.folder.poses import read_poses
+from nls.missions.importing import Mapping, import_logs
+from nls.stages import listened
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.missions.folder.mission_files import folder, raw
 
@@ -221,3 +223,12 @@ def test_what_nothing_checks_is_in_the_table_the_report_and_the_page(log: Shell)
     assert words in (log / "page.html").read_text()
     unchecked = log.json()["mission"]["unchecked"]
     assert [entry["quantity"] for entry in unchecked] == ["depth", "heading", "place", "clock"]
+
+
+def test_an_import_says_how_far_it_is(shell: Shell) -> None:
+    shell.file(LOG, "log.csv")
+    steps: list[str] = []
+    with listened(steps.append):
+        import_logs(["log.csv"], Mapping(MAPPING, "mapping.toml"))
+    columns = [f"depth.csv, {name}: 2 rows" for name in ("time_s", "z_m")]
+    assert steps == ["4 lines of log.csv", *columns, "depth.csv: 2 rows"]

@@ -39,9 +39,9 @@ def test_wrong_contacts_are_left_out_and_counted(shell: Shell, undrawn: None) ->
     count, total = len(report["rejected"]), len(given.contacts)
     assert report["doubted"] == total
     assert given.wrong.sum() * 0.95 < count < given.wrong.sum() + 0.05 * total
-    assert row(out, "rejected").startswith(f"{count} of {total:,} contacts rejected; ")
-    assert f"{report['expected_by_chance']:.0f} expected by chance at 99 %" in row(out, "rejected")
-    assert len([line for line in out.splitlines() if line.startswith("rejected")]) == 1
+    assert row(out, "outliers").startswith(f"{count} of {total:,} contacts rejected; ")
+    assert f"{report['expected_by_chance']:.0f} expected by chance at 99 %" in row(out, "outliers")
+    assert len([line for line in out.splitlines() if line.startswith("outliers")]) == 1
     assert report["mission"]["contacts"] == total - count - sum(each["measurements"] for each in report["left"])
     assert report["robust"] is None
     assert report["chi2_final"] < 1.2 * report["dof"]

@@ -176,6 +176,16 @@ def test_a_kind_that_is_wrong_as_a_whole(case: tuple[list[float], str]) -> None:
     assert {"outlier", "wrong_closure"}.isdisjoint(found)
 
 
+def test_causes_of_a_large_graph_are_not_tried_and_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nls.explanation.explanation.TRIED", 50)
+    world = sim.manhattan(np.random.default_rng(0), 100)
+    steps = world.graph.factors[0]
+    wrong = FactorGraph([Between(*steps.keys, steps.z * [1, 1, -1], steps.noise), *world.graph.factors[1:]])
+    found = kinds(explained(wrong, world.truth))
+    assert ("not_tried" in found, "misread" in found) == (True, False)
+    assert "not_tried" not in kinds(explained(world.graph, world.truth))
+
+
 def test_a_factor_made_from_a_function() -> None:
     """Such factors have no parts; what is wrong in them is named all the same."""
     angle = np.array([3.1, -3.1, 3.1])

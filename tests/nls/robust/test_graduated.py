@@ -208,7 +208,7 @@ def test_sigmas_a_hundred_times_too_large_and_another_frame_start_and_order_chan
 def test_without_wrong_ones_nothing_is_lost(city: sim.World) -> None:
     found = nls.gnc(city.graph, city.truth)
     assert len(found.rejected) <= 0.03 * found.doubted
-    assert "doubted measurements rejected" in str(found)
+    assert "judged measurements rejected" in str(found)
 
 
 def test_named_factors_are_doubted_from_the_values_given() -> None:

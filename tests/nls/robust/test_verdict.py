@@ -63,7 +63,7 @@ def test_more_than_half_wrong_is_doubtful(
     quiet = np.sqrt(found.result.chi2_final / found.result.dof) < verdict.QUIET
     assert quiet == (times == 2.0)
     if expected:
-        assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
+        assert str(found.doubts[0]) == f"{loops} of {4 * loops} judged measurements were kept, less than half"
         assert "doubtful: " in str(found)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse as sp
 
 import sim
 from factors import Between, Isotropic, Prior
@@ -43,6 +44,17 @@ def dense_world(seed: int) -> LinearSystem:
     world = sim.manhattan(np.random.default_rng(seed), n_poses=120)
     world.graph.fix(x[0])
     return world.graph.linearize(world.truth)
+
+
+@every_factorization
+def test_quadratic_forms_of_many_matrices(kind: type[Decomposition]) -> None:
+    """More than go the way together; one is zero, and one begins in every variable."""
+    system, rng = dense_world(2), np.random.default_rng(0)
+    U = rng.normal(size=(system.pattern.n, 3 * 150)) * (rng.random((system.pattern.n, 3 * 150)) < 0.02)
+    U[:, 3:6], U[:, 6] = 0.0, 1.0
+    H, blocks = (system.A.T @ system.A).toarray(), U.reshape(-1, 150, 3).transpose(1, 0, 2)
+    found = factorized(kind, system).quadratic_forms(sp.csc_array(U), 3)
+    near(found, blocks.mT @ np.linalg.solve(H, blocks), 1e-10)
 
 
 @every_factorization

@@ -1,0 +1,104 @@
+"""A line on a terminal that says what a process does and for how long, every half second, until the process ends.
+
+A process of its own writes it. A thread could not: a factorization by CHOLMOD keeps all other threads of Python
+waiting. The words are of what was done, the seconds of the stage so far. This file, run by itself, is that process; it
+imports nothing of the library.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from time import monotonic, sleep
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from subprocess import Popen
+
+QUIET, EVERY = 1.0, 0.5  # seconds before the first line, and from line to line
+
+
+class Ticker:
+    """The other end of the line: what to say there, from `start` on and on a terminal alone."""
+
+    _process: Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Begin, where standard error is a terminal whose line can be written again."""
+        if sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            from subprocess import PIPE, Popen
+
+            self._process = Popen([sys.executable, "-I", "-S", __file__], stdin=PIPE, stdout=PIPE, bufsize=0)
+
+    def say(self, stage: str, step: str = "") -> None:
+        """A stage, and its latest step; without a stage wait until the line is erased, for half a second."""
+        if self._process is not None and self._process.stdin and self._process.stdout:
+            from models.visible import visible
+
+            words = "\t".join(" ".join(visible(text).split()) for text in (stage, step))
+            with suppress(BrokenPipeError):  # somebody ended it: no line, and the work goes on
+                self._process.stdin.write(f"{words}\n".encode())
+            if not stage:
+                self._process.stdout.read(1)
+
+    def close(self) -> None:
+        """Wait until the line is gone for good."""
+        if self._process is not None:
+            self._process.communicate()
+            self._process = None
+
+
+class _Line:
+    """The line, on standard error."""
+
+    def __init__(self) -> None:
+        self.stage, self.step, self.shown = "", "", ""
+        self.began = self.since = monotonic()
+
+    def draw(self) -> None:
+        """Show what is done."""
+        if (now := monotonic()) - self.began >= QUIET and self.stage:
+            text = f"{now - self.since:5.0f} s  {self.stage}{self.step and f': {self.step}'}"
+            self.show(text[: (os.get_terminal_size(2).columns or 80) - 1])
+
+    def show(self, text: str = "") -> None:
+        """Replace what is shown."""
+        if text or self.shown:
+            sys.stderr.write(f"\r{text.ljust(len(self.shown))}" + "\r" * (not text))
+            sys.stderr.flush()
+            self.shown = text
+
+
+def _tick() -> None:
+    """Draw until the other end closes."""
+    import signal
+    from threading import Lock, Thread
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    line, lock = _Line(), Lock()
+
+    def draw() -> None:
+        while True:
+            sleep(EVERY)
+            with lock:
+                line.draw()
+
+    Thread(target=draw, daemon=True).start()
+    with open(0, encoding="utf-8") as lines:
+        for words in lines:
+            stage, _, step = words.rstrip("\n").partition("\t")
+            with lock:
+                if not stage:
+                    line.show()
+                    os.write(1, b"\n")
+                elif stage != line.stage:
+                    line.stage, line.since = stage, monotonic()
+                line.step = step
+    lock.acquire()  # nothing is drawn any more
+    line.show()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _tick()
