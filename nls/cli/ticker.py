@@ -20,7 +20,7 @@ QUIET, EVERY = 1.0, 0.5  # seconds before the first line, and from line to line
 
 
 class Ticker:
-    """The other end of the line: what to say there, from `start` on and on a terminal alone."""
+    """Words for the line, from `start` on and on a terminal alone."""
 
     _process: Popen[bytes] | None = None
 
