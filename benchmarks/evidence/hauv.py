@@ -23,9 +23,9 @@ import sim
 from factors import RangeAzimuth, sonar_factors
 from models import SE3
 from models.algebra import Array, Mask
+from models.chi_squared import chi2_gate
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Marginals, UnderconstrainedError, Values, kinds
 from nls.analysis import landmark_information
-from nls.analysis.chi_squared import chi2_gate
 from nls.filters.consistency import nees_bounds
 from nls.optimizers import Optimizer
 from sim.mission import rebuilt

@@ -26,9 +26,9 @@ from factors.replaced import replaced
 from factors.robust import EFFICIENT, Kernel
 from models import SE2
 from models.algebra import Array, Mask
+from models.chi_squared import chi2_gate
 from nls import FactorGraph, Keys, Marginals, Result, Values, variance_components
 from nls.analysis import VarianceComponents
-from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Nearest
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF

@@ -19,8 +19,8 @@ import numpy as np
 from factors import Position, Sighting
 from models import SE2, SE3
 from models.alignment import align
+from models.chi_squared import chi2_tail
 from models.errors import EvaluationError, GraphError, GraphWarning, SingularGeometryError, UnderconstrainedError
-from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
 from nls.linear.factorization import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop

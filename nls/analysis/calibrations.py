@@ -29,8 +29,8 @@ from factors.keys import Keys, Kind
 from factors.replaced import predicted
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
+from models.chi_squared import chi2_tail
 from nls.analysis.alternatives import EQUAL, Fit, Judged, expected, nearest, scale, solved
-from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Checked
 from nls.covariance import Marginals

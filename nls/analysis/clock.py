@@ -20,7 +20,7 @@ import numpy as np
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array, Index, Mask, apply
-from nls.analysis.chi_squared import chi2_tail
+from models.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Checked, checks, kinds_of
 from nls.values import Stack, Values
 

@@ -33,7 +33,7 @@ from itertools import combinations
 import numpy as np
 
 from models.algebra import Array, Index, Mask, apply, product
-from nls.analysis.chi_squared import chi2_gate
+from models.chi_squared import chi2_gate
 from nls.linear import factorize
 from nls.linear.limits import default_limit
 from nls.posegraph import closures, odometry

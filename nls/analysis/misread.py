@@ -37,9 +37,9 @@ from factors.noise import square
 from factors.replaced import replaced
 from models import SE2, SE3, SO2, SO3
 from models.algebra import Array, Index, wrap
+from models.chi_squared import chi2_tail, innovation_distances
 from models.manifolds.units import unit
 from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, solved, supported
-from nls.analysis.chi_squared import chi2_tail, innovation_distances
 from nls.analysis.leave_one_out import Checked, Linearization, kinds_of, middle_variance
 from nls.analysis.suspects import weights_without
 from nls.graph import FactorGraph

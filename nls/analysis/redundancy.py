@@ -45,8 +45,8 @@ from scipy import sparse as sp
 from factors.keys import Kind
 from models import LieGroup
 from models.algebra import Array, Index
+from models.chi_squared import mahalanobis
 from models.errors import UnderconstrainedError
-from nls.analysis.chi_squared import mahalanobis
 from nls.analysis.leave_one_out import UNSEEN_REDUNDANCY
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables

@@ -25,8 +25,8 @@ from itertools import chain
 import numpy as np
 
 from models.algebra import Array, Index
+from models.chi_squared import chi2_log_tail, chi2_tail
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
-from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
 from nls.analysis.leave_one_out import (
     UNCHECKED,
     Checked,

@@ -30,9 +30,9 @@ from factors import Factor, Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
 from models.algebra import Array, Index, Mask
+from models.chi_squared import chi2_gate, chi2_tail
 from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED, UNLIKELY, Fit, decisive, expected, solved, supported
-from nls.analysis.chi_squared import chi2_gate, chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop

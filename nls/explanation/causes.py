@@ -10,8 +10,8 @@ from factors import Sighting
 from factors.keys import Keys
 from models import R
 from models.advice import Advice
+from models.chi_squared import chi2_gate
 from models.listing import SOME
-from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.clock import clock_offsets
 from nls.analysis.misread import misread_kinds, misread_measurements
 from nls.analysis.scales import outsized

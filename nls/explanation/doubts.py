@@ -12,9 +12,9 @@ from factors.base import Factor
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Index
+from models.chi_squared import chi2_tail
 from models.errors import GraphError
 from models.listing import SOME
-from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import Unverified
 from nls.analysis.suspects import Suspects

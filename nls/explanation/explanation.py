@@ -8,10 +8,10 @@ import numpy as np
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
+from models.chi_squared import chi2_interval, chi2_tail
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from nls.analysis.alternatives import expected
 from nls.analysis.calibrations import calibrations
-from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Checked, Tested, checks, kinds_of, spoiled
 from nls.analysis.redundancy import unverified_groups

@@ -28,9 +28,9 @@ from factors.replaced import replaced
 from factors.sighting import Sighting
 from models.abstract import Abstract
 from models.algebra import Array, Index
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError, ResourceLimitError
 from models.options import check_between
-from nls.analysis.chi_squared import chi2_gate
 
 NODES = 200_000  # pairings tried by `jcbb`; 25 sightings in a clutter of landmarks within each other's gates
 

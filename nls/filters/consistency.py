@@ -16,9 +16,9 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array, Mask
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, UnderconstrainedError
 from models.finite import finite
-from nls.analysis.chi_squared import chi2_gate
 
 
 def nees_bounds(dim: int, runs: int, probability: float = 0.95) -> tuple[float, float]:

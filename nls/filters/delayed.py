@@ -22,8 +22,8 @@ from factors.joined import joined
 from factors.keys import Keys
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, Mask, apply
+from models.chi_squared import chi2_gate
 from models.sensors import cartesian
-from nls.analysis.chi_squared import chi2_gate
 from nls.filters.map_state import MapState, Measurements, rows_of, select
 from nls.filters.motion import copies
 

@@ -26,9 +26,9 @@ from factors import Factor, Sighting
 from factors.keys import Keys
 from models import LieGroup, R
 from models.algebra import Array, Index
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError
 from models.options import check_between, check_whole
-from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Joint
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step

@@ -28,8 +28,8 @@ from factors.keys import Keys
 from factors.sighting import Sighting
 from models import Manifold
 from models.algebra import Array, Index, Mask
+from models.chi_squared import chi2_gate, innovation_distances
 from models.errors import EvaluationError
-from nls.analysis.chi_squared import chi2_gate, innovation_distances
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.keys import Keys
+from models.chi_squared import chi2_gate
 from models.errors import EvaluationError, OptionError, SingularGeometryError
 from models.visible import visible
-from nls.analysis.chi_squared import chi2_gate
 from nls.covariance.frames import outlines
 from nls.gauge import placeless_kinds
 from nls.io.table import EMPTY

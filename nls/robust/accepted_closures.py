@@ -53,7 +53,7 @@ from scipy import sparse as sp
 
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from models.chi_squared import chi2_gate, mahalanobis
 from nls.covariance import Marginals
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph

@@ -47,8 +47,8 @@ from factors.noise import square
 from factors.sighting import Sighting
 from models import SE3, LieGroup
 from models.algebra import Array, Index, Mask, Numbers
+from models.chi_squared import chi2_gate, innovation_distances
 from models.sensors import cartesian
-from nls.analysis.chi_squared import chi2_gate, innovation_distances
 from nls.covariance import Marginals
 from nls.covariance.frames import turned
 from nls.gauge import component_labels

@@ -42,9 +42,9 @@ from factors.base import Factor
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
+from models.chi_squared import chi2_gate, chi2_tail
 from models.errors import GraphError, OptionError, SingularGeometryError, UnderconstrainedError
 from models.options import check_between
-from nls.analysis.chi_squared import chi2_gate, chi2_tail
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result

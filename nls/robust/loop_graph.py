@@ -38,9 +38,9 @@ import numpy as np
 
 from models.advice import Advice
 from models.algebra import Array, Index, Mask
+from models.chi_squared import chi2_gate, mahalanobis
 from models.errors import GraphError
 from models.manifolds.rn import Vectors
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
 from nls.posegraph import Edges, PoseGraph, pose_graphs

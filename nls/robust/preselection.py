@@ -13,7 +13,7 @@ from math import ceil
 import numpy as np
 
 from models.algebra import Mask
-from nls.analysis.chi_squared import chi2_gate
+from models.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration
 from nls.robust import verdict
 from nls.robust.accepted_closures import Witness, grown, misfits, witnesses

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from models.algebra import Mask
+from models.chi_squared import chi2_gate
 from models.findings import Numbered, Sentences, register
-from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Fit, Result
 from nls.robust.accepted_closures import FITS, Witness, misfits

@@ -26,8 +26,8 @@ import numpy as np
 
 from models import LieGroup
 from models.algebra import Array, Index, apply, product
+from models.chi_squared import mahalanobis
 from models.sensors import point_in_frame
-from nls.analysis.chi_squared import mahalanobis
 from nls.missions.contacts import partition
 from nls.missions.contacts.estimate import KERNEL, quadratic
 

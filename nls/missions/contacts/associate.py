@@ -31,9 +31,9 @@ import numpy as np
 from factors.keys import Keys, Kind, kinds
 from factors.sighting import Sighting
 from models.algebra import Array, Index
+from models.chi_squared import chi2_gate
 from models.errors import GraphFileError, UnderconstrainedError
 from models.options import check_between, check_whole
-from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.missions.contacts import partition

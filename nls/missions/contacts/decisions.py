@@ -43,8 +43,8 @@ from factors import Between, Isotropic
 from factors.replaced import replaced
 from models import R
 from models.algebra import Array, Index, Mask, apply, product
+from models.chi_squared import chi2_gate, mahalanobis
 from models.errors import ResourceLimitError
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance import Marginals
 from nls.filters.association import jcbb
 from nls.graph import FactorGraph

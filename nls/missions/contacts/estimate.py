@@ -40,8 +40,8 @@ from factors.keys import Keys
 from factors.robust import Kernel
 from models import LieGroup, R
 from models.algebra import Array, Index, Mask, congruence, product
+from models.chi_squared import chi2_tail, mahalanobis
 from models.sensors import point_in_frame
-from nls.analysis.chi_squared import chi2_tail, mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.missions.contacts import partition

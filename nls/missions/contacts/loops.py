@@ -33,8 +33,8 @@ from factors.keys import Keys
 from factors.noise import square
 from models import LieGroup
 from models.algebra import Array, Index, Mask, congruence
+from models.chi_squared import chi2_gate
 from models.sensors import point_in_frame
-from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.leave_one_out import UNCHECKED, left_out
 from nls.covariance import Marginals
 from nls.covariance.frames import of_motions

@@ -11,7 +11,7 @@ a later round. In the end a track that nothing needs is none.
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_tail
+from models.chi_squared import chi2_tail
 from nls.sparse.elimination import connected
 
 

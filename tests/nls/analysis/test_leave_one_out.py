@@ -9,9 +9,9 @@ import nls
 import sim
 from factors import XYH, Between, Cauchy, Diagonal, Factor, Information, Isotropic, Prior, Robust
 from models import SE2, SE3, R
+from models.chi_squared import chi2_interval, chi2_tail
 from nls import FactorGraph, Marginals, Values
 from nls.analysis import suspects
-from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.leave_one_out import checks
 from nls.starts.chordal import chordal
 from tests.combinations import for_all

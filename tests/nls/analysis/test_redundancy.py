@@ -10,10 +10,10 @@ import sim
 from factors import Between, Diagonal, Information, Isotropic, Prior, Tukey
 from models import SE2, SE3, SO2, LieGroup, R
 from models.algebra import Array, Index
+from models.chi_squared import chi2_log_tail
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
-from nls.analysis.chi_squared import chi2_log_tail
 from nls.analysis.leave_one_out import Checked, Linearization, checks
 from nls.analysis.redundancy import Common, _common, closure_groups
 from nls.analysis.suspects import GroupTests

@@ -11,9 +11,9 @@ import sim
 from factors import BearingRange, Between, Diagonal, Isotropic, Landmark, Prior
 from models import SE2, R
 from models.algebra import Array
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
-from nls.analysis.chi_squared import chi2_gate
 from nls.filters import association
 from nls.filters.association import JointCompatibility, Nearest, jcbb, nearest, pair_precision_recall, precision_recall
 from nls.filters.ekf import EKF

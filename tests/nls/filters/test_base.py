@@ -15,9 +15,9 @@ import sim
 from factors import Between, Heading, Isotropic, Landmark, Prior
 from factors.replaced import predicted
 from models import SE2, R
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
-from nls.analysis.chi_squared import chi2_gate
 from nls.filters import Smoother
 from nls.filters.association import Nearest
 from nls.filters.base import Step, Track, steps

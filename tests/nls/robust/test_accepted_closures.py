@@ -12,9 +12,9 @@ import sim
 from factors import Between, Diagonal, Information, Isotropic
 from models import SE2, SE3, LieGroup
 from models.algebra import Index
+from models.chi_squared import chi2_gate
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.analysis.chi_squared import chi2_gate
 from nls.robust import accepted_closures, grow
 from nls.robust.accepted_closures import misfits, path_covariances, witnesses
 from nls.robust.loop_graph import LOW, Neighbors, loop_graph, neighbors

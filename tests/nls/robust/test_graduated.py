@@ -11,9 +11,9 @@ import nls
 import sim
 from factors import Between, Diagonal, Factor, GemanMcClure, Information, Isotropic, Range
 from models import SE2, SE3, LieGroup, R
+from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
-from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 from nls.robust import Robustified
 from nls.robust.accepted_closures import FITS, WIDER_GATE, misfits, path_covariances, witnesses

@@ -7,8 +7,8 @@ import pytest
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
+from models.chi_squared import chi2_gate
 from nls import kinds
-from nls.analysis.chi_squared import chi2_gate
 from nls.missions.contacts.alignment import Points, aligned
 from nls.missions.contacts.loops import LocalMap, measured_motion
 
