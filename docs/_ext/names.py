@@ -220,7 +220,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("names", Names)
     app.add_role("name", Name())
     app.connect("missing-reference", elsewhere)
-    app.connect("builder-inited", write)
+    app.connect("builder-inited", write, priority=100)  # before other extensions read the pages that are there
     app.connect("html-page-context", sidebar, priority=400)  # before the theme draws it
     # numpydoc compiles its template again for each docstring
     kept: dict[str, SandboxedEnvironment] = {}
