@@ -38,7 +38,8 @@ Names in the order in which a program meets them:
     plot                   pictures: trajectory, ellipses, convergence, matrices, report
     save                   a graph file
 
-Rooms for more: `starts`, `filters`, `sonar`, `analysis`, `missions`, `metrics`. Each has a ``help`` of its own.
+Rooms for more: `starts`, `filters`, `sonar`, `analysis`, `metrics`. Each has a ``help`` of its own. Missions of
+vehicles are in `nls.missions`.
 
 Everything is imported when it is first used, so that ``import nls`` costs nothing and a program pays for what it needs.
 """
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from factors.keys import Keys as Keys, Kind as Kind, kinds as kinds
     from models.errors import *  # noqa: F403  # all of them are public here
     from nls import analysis as analysis, filters as filters, metrics as metrics
-    from nls import missions as missions, plot as plot, sonar as sonar, starts as starts
+    from nls import plot as plot, sonar as sonar, starts as starts
     from nls.analysis.variance_components import (
         VarianceComponents as VarianceComponents,
         variance_components as variance_components,
@@ -121,6 +122,6 @@ _WHERE = {
 }
 
 if not TYPE_CHECKING:
-    _ROOMS = ["analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"]
+    _ROOMS = ["analysis", "filters", "metrics", "plot", "sonar", "starts"]
     __getattr__, __dir__, __all__ = importer("nls", _WHERE, *_ROOMS)
     del importer, TYPE_CHECKING  # no names for users

@@ -157,7 +157,7 @@ def test_storeys_import_downward() -> None:
         upward += [f"{name_of(path)} imports {room}" for room in rooms if storey_of.get(room, 9) < here]
         visitors += [name_of(path)] * ("missions" in rooms and room_of(path) not in {"missions", "sonar", "cli", "sim"})
     assert upward == ["nls/plot/__init__.py imports missions"]  # pictures under their public path, when they are used
-    assert visitors == ["nls/__init__.py", "nls/plot/__init__.py"]  # names of users, imported when they are used
+    assert visitors == ["nls/plot/__init__.py"]
     assert set(storey_of) == {room_of(path) for path in FILES if name_of(path).startswith("nls/")} - {
         "__init__",
         "__main__",
@@ -369,7 +369,7 @@ def undocumented(module: ModuleType) -> Iterator[str]:
 
 def test_tab_completion_shows_the_public_names() -> None:
     """None that the file of a package needs for itself, and of its modules the rooms of `nls` that pages use."""
-    assert {"analysis", "filters", "metrics", "missions", "plot", "sonar", "starts"} <= {*dir(nls)}
+    assert {"analysis", "filters", "metrics", "plot", "sonar", "starts"} <= {*dir(nls)}
     for package in (models, factors, nls, sim):
         assert {name for name in dir(package) if not name.startswith("__")} == set(package.__all__)
     for package in (nls, sim):

@@ -42,7 +42,10 @@ def make() -> tuple[list[Figure], list[float]]:
             width = max(NARROW, rooms[part].lines)
             axes.add_patch(Rectangle((x, y), width, 1, color=color))
             label, turn = part.rpartition("/")[2], 90 if width < LEVEL else 0
-            axes.text(x + width / 2, y + 0.5, label, color="white", ha="center", va="center", rotation=turn)
+            size = 8 if turn else 10  # the longest name fits the height of its box
+            axes.text(
+                x + width / 2, y + 0.5, label, color="white", ha="center", va="center", rotation=turn, fontsize=size
+            )
             x += width + GAP
         ends.append(x)
         total = sum(rooms[room].lines for room in storeys[name])
@@ -52,7 +55,7 @@ def make() -> tuple[list[Figure], list[float]]:
             start, end = (-2.0 * k + y for y in ends_of)
             arrow = FancyArrowPatch((x, start), (x, end), arrowstyle="-|>", mutation_scale=18, linewidth=2, color=color)
             axes.add_patch(arrow)
-            axes.text(x + 150, (start + end) / 2, f"{count} imports", va="center", color=color)
+            axes.text(x + 150, (start + end) / 2, f"{count} import{'s' * (count > 1)}", va="center", color=color)
     axes.set(xlim=(-3200, max(ends)), ylim=(-6.2, 1.2))
     axes.set_axis_off()
     return [figure], [0.0]

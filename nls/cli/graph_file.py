@@ -145,7 +145,7 @@ class GraphFile:
         return row.read(how, file)
 
     def read_to_solve(self) -> Read:
-        """The problem of `solve` and `explain`: as it was read, and the landmarks of contacts without names."""
+        """The graph that `solve` and `explain` take: as it was read, and the landmarks of contacts without names."""
         return self.read()
 
     def check_format(self, option: str, form: str, report: nls.LoadReport) -> None:
@@ -287,7 +287,7 @@ class GraphFile:
         return {}
 
     def findings(self, report: nls.LoadReport) -> dict[str, Any]:
-        """Implausible things of the tables, in the report for programs."""
+        """Implausible tables, in the report for programs."""
         return {}
 
     def lines(self, record: dict[str, Any]) -> list[str]:

@@ -183,8 +183,8 @@ class Mission(Folder):
     def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
         """The report with errors of whole tables, and what explains an implausible chi2.
 
-        Nothing is tried of a graph that is not as read. Special values and wrong units of its
-        tables come first: beside them nothing is tried.
+        Nothing is tried of a graph that is not as read. Special values and wrong units of its tables come first: beside
+        them nothing is tried.
         """
         (graph, _, report), (chi2, dof) = read, result.believed
         mission = self.mission(report)
@@ -207,7 +207,7 @@ class Mission(Folder):
         return replace(mission, explained=explanation) if tried else mission
 
     def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
-        """The problem with implausible tables named first, no kernel for all, no sigmas of what is unmeasured."""
+        """The explanation with implausible tables first, no kernel for all, no sigmas of unmeasured components."""
         mission = self.mission(report)
         first = [*mission.findings, *([mission.explained] if mission.explained else ())]
         findings = [nls.Finding(nls.FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in first]
@@ -234,7 +234,7 @@ class Mission(Folder):
         return [f"implausible: {', '.join(dict.fromkeys(left))}"] * bool(left) + super().doubts(solved)
 
     def findings(self, report: nls.LoadReport) -> dict[str, Any]:
-        """Implausible things of the tables, in the report for programs."""
+        """Implausible tables, in the report for programs."""
         mission = self.mission(report)
         explained = mission.explained and mission.explained.record()
         return {"findings": [finding.record() for finding in mission.findings], "explained": explained}

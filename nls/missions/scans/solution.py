@@ -20,6 +20,7 @@ from nls.missions.charts.writers import ply_text
 from nls.missions.checks.findings import SetupFinding
 from nls.missions.checks.scan_setup import BENDING
 from nls.missions.determination import or_empty
+from nls.missions.folder.columns import LEVEL, suffixed
 from nls.missions.folder.table import csv_text
 from nls.missions.scans import Closing, Matches, Verdict
 from nls.missions.scans.folder import ScanReport
@@ -29,11 +30,10 @@ from nls.robust.graduated import Rejected
 
 GRAPH = "graph.npz"
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
-POSE_COLUMNS = ("x_m", "y_m", "yaw_rad")
-SIGMAS = tuple(f"sigma_{name}" for name in POSE_COLUMNS)
-TRAJECTORY = ("keyframe", "time_s", *POSE_COLUMNS, *SIGMAS, "correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
+SIGMAS = suffixed(LEVEL)
+TRAJECTORY = ("keyframe", "time_s", *LEVEL, *SIGMAS, "correlation_x_y", "correlation_x_yaw", "correlation_y_yaw")
 MAP = ("x_m", "y_m", "keyframe", "intensity")
-CLOSURES = ("keyframe_i", "keyframe_j", *POSE_COLUMNS, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
+CLOSURES = ("keyframe_i", "keyframe_j", *LEVEL, *SIGMAS, "score", "ratio", "edge", "spread_m", "verdict")
 x = kinds("x")[0]
 
 
