@@ -169,11 +169,12 @@ class Diagonal(Noise):
                     f"Diagonal: {sigmas.shape[1]} sigmas for a measurement of {len(names)} components {names}"
                 )
             return 1.0 / sigmas
-        if set(self.named) != set(names):
+        plain = component_names(names)  # a measurement may be named by an alias, such as depth
+        if set(self.named) != set(plain):
             raise NoiseModelError(
                 f"Diagonal: sigmas are given for {sorted(self.named)}, the measurement's components are {list(names)}"
             )
-        columns = [_shared_or_each(self.named[name], n, f"sigma of {name}") for name in names]
+        columns = [_shared_or_each(self.named[name], n, f"sigma of {name}") for name in plain]
         return 1.0 / np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def __repr__(self) -> str:

@@ -198,6 +198,6 @@ class Lapack(Decomposition):
 class Small(SparseSolver):
     """A'A = L L' as a dense matrix."""
 
-    name = "cholesky"
+    name = "dense-cholesky"
     decomposition = Lapack
     per_number = 32.0

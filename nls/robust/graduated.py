@@ -46,6 +46,7 @@ from models.chi_squared import chi2_gate, chi2_tail
 from models.errors import GraphError, OptionError, SingularGeometryError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.redundancy import Unverified, unverified_groups
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.posegraph import closures, says_poses
@@ -66,7 +67,8 @@ class Rejected:
     """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off.
 
     `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0. `keys` are
-    its variables. `chance` bounds the probability that noise takes one of all doubted measurements so far off.
+    its variables. `chance` bounds the probability that noise takes one of all doubted measurements so far off, loop
+    closures from what the kept ones predict.
     """
 
     factor: str
@@ -243,6 +245,7 @@ def gnc(
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
         choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.typical
         doubts = preselected.doubts()
+        off = problem.least_distances(choice, Marginals(choice.graph, choice.result.values))
     else:
         if preselect and doubted_contacts(graph, values, masks):
             choice = problem.softened(*selected(graph, values, landmarks))
@@ -251,19 +254,20 @@ def gnc(
         variance, local = 1.0, float("nan")
         doubts = verdict.doubts(choice.result, total - problem.rejected(choice.inliers), total, probability)
         doubts += verdict.no_start(values) if doubts else []
+        off = choice.s
     gone = landmarks.gone(choice.inliers)
     left: list[Left] = []
     for kind, mask in gone.items():
         keys, counts = Keys(kind, values.stack(kind).numbers[mask]), landmarks.counts(kind, masks)[mask]
         left += [Left(repr(key), int(count)) for key, count in zip(keys, counts, strict=True)]
-    tails = [np.minimum(total * chi2_tail(s / variance, np.array(m)), 1) for s, m in zip(choice.s, dims, strict=True)]
+    tails = [np.minimum(total * chi2_tail(d2 / variance, np.array(m)), 1) for d2, m in zip(off, dims, strict=True)]
     rows = zip(graph.factors, masks, choice.inliers, choice.s, tails, landmarks.leaving(gone), strict=True)
-    off = [
+    found = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n, tuple(keys[[n]] for keys in factor.keys), float(p[n]))
         for k, (factor, d, m, s, p, leaves) in enumerate(rows)
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]
-    rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))
+    rejected = tuple(sorted(found, key=lambda rejection: -rejection.sigmas))
     weights = [m.astype(float) for m in choice.inliers]
     sigma0 = float(np.sqrt(variance))
     return Robustified(

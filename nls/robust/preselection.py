@@ -41,7 +41,9 @@ class Preselection:
         self.tried = False
         self._judged: tuple[Choice | None, list[Witness]] = None, []
         explained = self._explained()
-        self.choice, self.variance = explained or self._grown()
+        choice, self.variance = explained or self._grown()
+        self.choice = problem.scaled(self.variance).taken_back(choice)
+        self.rivals[:1] = [self.choice]
         self.moved = 0.0
         for _ in range(0 if explained else 3):
             other, self.moved = self._without_contradicted(self.choice)

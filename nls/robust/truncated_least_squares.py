@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from factors import Factor, GemanMcClure
-from models.algebra import Array, Mask
+from models.algebra import Array, Mask, congruence
+from models.chi_squared import innovation_distances
+from nls.covariance import Marginals
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
@@ -114,6 +116,33 @@ class Truncated:
                 break
             choice = self.optimum(choice.values, inliers)
         return choice
+
+    def taken_back(self, choice: Choice) -> Choice:
+        """The choice, with rejected measurements that the uncertainty of its map explains, where that lowers the cost.
+
+        Their residual may be large because the map is uncertain; their distance d2 from its prediction is not.
+        """
+        marginals, inliers = Marginals(choice.graph, choice.result.values), list(choice.inliers)
+        for k, (bound, c2) in enumerate(zip(self.least_distances(choice, marginals), self.c2, strict=True)):
+            if len(near := np.flatnonzero(bound <= c2)):
+                inliers[k] = inliers[k].copy()
+                inliers[k][near] = marginals.gate(self.graph.factors[k][near]).d2 <= c2
+        if self.rejected(inliers) == self.rejected(choice.inliers):
+            return choice
+        other = self.settled(self.optimum(choice.values, inliers).values)
+        return other if other.cost < choice.cost else choice
+
+    def least_distances(self, choice: Choice, marginals: Marginals) -> list[Array]:
+        """Per factor (n,) a lower bound of d2 of what was rejected, nan of what was kept: Sigma <= 2 diag(Sigma_kk)."""
+        bounds = [np.full(len(factor), np.nan) for factor in self.graph.factors]
+        for factor, bound, mask, kept in zip(self.graph.factors, bounds, self.masks, choice.inliers, strict=True):
+            if len(rows := np.flatnonzero(mask & ~kept)):
+                model, X = choice.values.gather(factor[rows])
+                A, b = model.linearize(*X)
+                Sigma = [marginals.covariance(keys[rows], frame="body") for keys in factor.keys]
+                C = sum((congruence(A_k, Sigma_k) for A_k, Sigma_k in zip(A, Sigma, strict=True)), np.zeros(()))
+                bound[rows] = innovation_distances(b, 2 * C)
+        return bounds
 
     def optimum(self, values: Values, inliers: list[Mask]) -> Choice:
         """The optimum of some inliers."""

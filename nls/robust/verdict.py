@@ -5,7 +5,7 @@ Every kind of doubt, its sentence, its bound and what decides it.
 
 from dataclasses import dataclass
 from enum import Enum
-from math import exp, gamma, log, sqrt
+from math import exp, gamma, log, log1p, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -244,7 +244,7 @@ def _rivals(evidence: Evidence, inliers: Mask) -> list[Doubt]:
                 return [Doubt(DoubtKind.RIVAL, 0, 0, worse, *apart)]
             continue
         distance = _distance(here, rival)
-        odds = _odds(evidence, inliers, given_up, distance)
+        odds = _odds(evidence, inliers, given_up, distance, max(rival.result.dof, 1))
         if odds > 0.005:  # right closures that hold a map with others have 1e-5 to 0.003
             weak += [Doubt(DoubtKind.WEAK, int(given_up.sum()), int(inliers.sum()), odds, *apart, sqrt(distance))]
     return sorted(weak, key=lambda doubt: -doubt.number)[:1]
@@ -264,13 +264,17 @@ def _distance(here: Values, rival: Choice) -> float:
     return max(rival.graph.chi2(here) - rival.result.chi2_final, 0.0) / variance
 
 
-def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) -> float:
-    r"""The odds that all g groups of k closures (m,) are wrong: (r p)^g exp(D / 2).
+def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float, dof: int) -> float:
+    r"""The odds that all g groups of k closures (m,) are wrong: (r p)^g exp(E / 2).
 
     r is the number of rejected groups for one that was kept. A wrong group lies anywhere on the map. A right one lies
-    where the other map is, as far as that is uncertain: p is the ratio of both densities at its most probable place. D
-    is the squared distance less (k - g) d: the noise of odometry between the closures of a group takes up to d for
-    each after the first.
+    where the other map is, as far as that is uncertain: p is the ratio of both densities at its most probable place. E
+    is what noise does not explain of the squared distance D,
+
+        E = n log(1 + D / n) - q
+
+    with n degrees of freedom behind the noise of the other map: of few it may be small by chance (Student). q is the
+    99 % quantile of chi2 of (k - g) d, for the noise of odometry between the closures of a group.
     """
     cluster, d = evidence.loops.neighbors.cluster, evidence.loops.poses.group.dim
     kept, out = (set(cluster[closures].tolist()) for closures in (inliers, ~inliers))
@@ -281,7 +285,9 @@ def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float) ->
     if not all(least):
         return 0.0  # a group that is too large to be judged checks itself
     prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
-    excess = max(distance - (int(given_up.sum()) - len(least)) * d, 0.0)
+    repeated = (int(given_up.sum()) - len(least)) * d
+    explained = chi2_gate(repeated, 0.99) if repeated else 0.0
+    excess = max(dof * log1p(distance / dof) - explained, 0.0)
     # 700 is the largest exponent of a float
     return exp(min(sum(log(prior * peak * passing) for passing in least) + excess / 2, 700.0))
 

@@ -189,6 +189,7 @@ def test_a_noise_shows_its_numbers() -> None:
     ):
         assert repr(noise) == shown
     assert Diagonal(x=0.1, theta=0.2).named["yaw"] == 0.2
+    assert Diagonal(depth=0.1).sqrt_information(1, ("depth",)).tolist() == [[10.0]]
     assert repr(Prior(x[0], [0.0], Isotropic(0.1))) == "Prior(x0)", "messages name a factor without its numbers"
 
 

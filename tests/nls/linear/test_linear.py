@@ -170,7 +170,7 @@ def test_the_default_is_cholesky_and_without_suitesparse_lu(monkeypatch: pytest.
     assert (result.linear_solver, result.converged) == ("lu", True)
     few = pose_graph(SE3)
     assert best_decomposition(DENSE_COLUMNS) is Lapack
-    assert few.graph.optimize(few.values).linear_solver == "cholesky"
+    assert few.graph.optimize(few.values).linear_solver == "dense-cholesky"
 
 
 @pytest.mark.parametrize("kind", DECOMPOSITIONS)
