@@ -60,8 +60,8 @@ class Factor(Traits, Abstract):
 
     Attributes
     ----------
-    relative : True when the residual does not change if all variables are moved by the same group element. Only a part
-        of a graph all of whose factors say so has a gauge that may be held.
+    relative : True when the residual does not change if all variables are moved by the same group element; beside poses
+        this includes turns, unless `knows_axes`. Only where all factors of a part say so its gauge may be held.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
     per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part

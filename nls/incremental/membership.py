@@ -206,6 +206,11 @@ class Arrivals:
             spaces, starts = self._known.spaces | {kind: space}, self._known.starts | new
             self._known = replace(self._known, spaces=spaces, starts=starts)
 
+    def anchors(self, factor: Factor) -> bool:
+        """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
+        spaces = tuple(self._known.space(keys.kind) for keys in factor.keys)
+        return not factor.relative or (factor.knows_axes(spaces) and self._known.poses)
+
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
         self._pending += [(factor, factor) for factor in factors]
