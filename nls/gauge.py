@@ -132,7 +132,9 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
             stacklevel=_outside(),
         )
         fixed = fixed | ~touched
-    points = np.repeat([m in (R(2), R(3)) for m in pattern.manifolds.values()], [*map(len, pattern.numbers.values())])
+    points = np.zeros(len(fixed), dtype=bool)
+    for kind, numbers in pattern.numbers.items():
+        points[pattern.offsets[kind] :][: len(numbers)] = pattern.manifolds[kind] in (R(2), R(3))
     free = touched & ~calibrations(pattern) & ~anchored[label]
     chosen = _first_of_components(label, pattern, free & (points | ~oriented[label]))
     if not len(chosen):
