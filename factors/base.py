@@ -60,8 +60,8 @@ class Factor(Traits, Abstract):
 
     Attributes
     ----------
-    relative : True when the residual does not change if all variables are moved by the same group element. Only a part
-        of a graph all of whose factors say so has a gauge that may be held.
+    relative : True when the residual does not change if all variables are moved by the same group element; beside poses
+        this includes turns, unless `knows_axes`. The gauge of a part may be held where all its factors say so.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
     per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part
@@ -284,7 +284,7 @@ class Factor(Traits, Abstract):
         noise : noise of the residual; unit variance when omitted.
         jacobians : called with the same stacks; returns one (n, dim, dim_k) array per slot, the derivative of the
             residual with respect to a tangent step of that variable. Central differences when omitted.
-        relative : True when the residual does not change if all variables are moved together: the gauge may be held.
+        relative : True when a shift of everything, beside poses also a turn, leaves the residual: the gauge may be held.
 
         Returns
         -------

@@ -41,7 +41,7 @@ class Bearing(Sighting):
     -----
     The distance is not measured. A target needs two directions from positions not in line with it. A map of bearings
     alone has no scale. Across the line of sight a sigma of azimuth is worth that times the cosine of the elevation.
-    Bearings from points turn with the world. So they are not relative in the sense of the gauge: fix one of the points.
+    Bearings from points turn with the world: beside poses they determine headings, and a shift alone is free (gauge).
     R. Hartley, A. Zisserman, Multiple View Geometry in Computer Vision, 2004, chapter 12.
 
     Examples
@@ -58,12 +58,7 @@ class Bearing(Sighting):
     array([1., 1.])
     """
 
-    from_points = True
-
-    @property
-    def relative(self) -> bool:  # type: ignore[override]
-        """Whether a motion of everything changes nothing; a turn does where the bearing is from a point."""
-        return self._model is None or self._model.manifolds[0].body_axes
+    from_points = along_world = True
 
     def measured(self, d: int) -> Manifold:
         return Measured("bearing") if d == 2 else Measured("azimuth", "elevation")

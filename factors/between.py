@@ -35,8 +35,9 @@ class Between(Factor):
 
     Notes
     -----
-    Only differences are measured: with no other factor the whole group of motions is free (gauge). G. Grisetti et al.,
-    "A tutorial on graph-based SLAM", 2010.
+    Only differences are measured: with no other factor the whole group of motions is free (gauge). A difference of
+    points determines headings, too: beside poses a shift alone is free. G. Grisetti et al., "A tutorial on graph-based
+    SLAM", 2010.
 
     Examples
     --------
@@ -51,7 +52,7 @@ class Between(Factor):
     """
 
     slots = (None, None)
-    relative = True
+    relative = along_world = True
     frame = "first"
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:

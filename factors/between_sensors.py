@@ -56,7 +56,7 @@ class BetweenSensors(Factor):
     array([3., 0., 0.])
     """
 
-    relative = True
+    relative = along_world = True
     frame = "first"
     per_measurement = ("offset",)
 

@@ -57,6 +57,7 @@ class DriftingStep(Factor):
     """
 
     slots = (SE2, SE2, R(2))
+    relative = True
     unmoved = (2,)
     frame = "first"
     per_measurement = ("length",)

@@ -82,6 +82,9 @@ class Shifted(Factor):
         self.relative, self.damped = factor.relative, factor.damped
         self.unmoved = (*factor.unmoved, len(factor.keys))
 
+    def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
+        return self.factor.knows_axes(manifolds[:-1])
+
     def sizes(self) -> tuple[int, ...]:
         return self.factor.sizes()
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from factors.noise_size import numbers_of_z
+from models import Manifold, R
 from models.algebra import Array
 
 __all__ = ["Traits"]
@@ -24,11 +25,13 @@ class Traits:
         variable as seen from the first, ``sensor`` of a target. Empty where no other reading of z makes sense.
     sequential : True when its relative poses are of one stretch of the way, whatever their numbers: no loop closures.
     opaque : True when a function of the user's alone knows its data: it cannot be sliced.
+    along_world : True when it measures along the axes of the world where its first variable is a point.
     """
 
     frame: ClassVar[str] = ""
     sequential: ClassVar[bool] = False
     opaque: ClassVar[bool] = False
+    along_world: bool = False
 
     def __str__(self) -> str:
         """The variables of a factor, as in messages, and its numbers.
@@ -48,6 +51,10 @@ class Traits:
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         """The text that IPython and Jupyter show."""
         printer.text(str(self))
+
+    def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
+        """Whether a turn of everything changes its residual, though a shift does not, for variables in these spaces."""
+        return self.along_world and manifolds[0] in (R(2), R(3))
 
     def relative_poses(self, model: Any) -> Array | None:
         """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""

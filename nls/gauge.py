@@ -1,7 +1,8 @@
 """The gauge: what relative measurements leave free, and what is done about it, by name.
 
 - ``first``: hold one variable in every component that has only relative measurements and nothing fixed. It is the
-  lowest numbered of the kind with the most degrees of freedom (a pose, where there are poses)
+  lowest numbered of the kind with the most degrees of freedom (a pose, where there are poses). It is a point where
+  measurements between points know the axes of the world: these determine headings, and a shift alone is free
 - ``prior``: give that variable a prior of unit information at its start value instead
 - ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse: |dx| in meters and radians
 - ``none``: do nothing; a graph with a free gauge is then refused as under-constrained, but for `Pinv` and the damped
@@ -20,6 +21,7 @@ import numpy as np
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
+from models import R
 from models.algebra import Index, Mask
 from models.errors import GraphWarning, OptionError
 from models.listing import some
@@ -114,13 +116,12 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
     if name == "none":
         return Gauge(pattern, fixed, fixed, description="nothing is held")
     label = component_labels(pattern)
-    touched, (anchored, moving) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
+    touched, (anchored, oriented) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
     for batch in pattern.batches:
-        for variables in _moved(batch):
-            moving[variables] = True
-        if not batch.model.factor.relative:
-            anchored[label[batch.variables[0]]] = True
+        component, factor = label[np.concatenate(batch.variables)], batch.model.factor
+        anchored[component] |= not factor.relative
+        oriented[component] |= factor.knows_axes(batch.model.manifolds)
     if not (touched | fixed).all():
         isolated = np.flatnonzero(~touched & ~fixed)
         pronoun = "it" if len(isolated) == 1 else "them"
@@ -131,7 +132,11 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
             stacklevel=_outside(),
         )
         fixed = fixed | ~touched
-    chosen = _first_of_components(label, pattern, moving, anchored)
+    points = np.zeros(len(fixed), dtype=bool)
+    for kind, numbers in pattern.numbers.items():
+        points[pattern.offsets[kind] :][: len(numbers)] = pattern.manifolds[kind] in (R(2), R(3))
+    free = touched & ~calibrations(pattern) & ~anchored[label]
+    chosen = _first_of_components(label, pattern, free & (points | ~oriented[label]))
     if not len(chosen):
         return Gauge(pattern, fixed, fixed, description="fixed by the graph itself")
     named = _named(pattern, chosen)
@@ -160,11 +165,11 @@ def _named(pattern: Pattern, variables: Index) -> str:
     return some([pattern.key(int(v)) for v in variables])
 
 
-def _first_of_components(label: Index, pattern: Pattern, moving: Mask, anchored: Mask) -> Index:
-    """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
+def _first_of_components(label: Index, pattern: Pattern, some_of: Mask) -> Index:
+    """Per component, of some variables (V,), that of most degrees of freedom, first kind, lowest number."""
     kinds = sorted(pattern.numbers, key=lambda kind: -pattern.manifolds[kind].dim)
     order = np.concatenate([*(by_number(pattern, kind) for kind in kinds), np.zeros(0, dtype=np.intp)])
-    return firsts(label, order[(moving & ~anchored[label])[order]])
+    return firsts(label, order[some_of[order]])
 
 
 def fixed_of(fixed: Sequence[Keys], stack: Stack) -> Mask:

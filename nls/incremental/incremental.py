@@ -126,15 +126,18 @@ class Incremental:
 
     def _use(self, factors: list[Factor], values: Values | None) -> None:
         """Take measurements, but for absolute ones that are too few to let the gauge go: these wait."""
-        self._undecided, absolute = [], [factor for factor in factors if not factor.relative]
+        if values is not None:
+            self._arrivals.offer(values)
+        absolute = [*filter(self._arrivals.anchors, factors)]
+        self._undecided = []
         if not absolute:
-            return self._take(factors, values)
+            return self._take(factors)
         try:
             with self._unless_it_fails():
-                self._take(factors, values)
+                self._take(factors)
         except UnderconstrainedError:
             self._undecided = absolute
-            self._take([factor for factor in factors if factor.relative], values)
+            self._take([factor for factor in factors if factor not in absolute])
 
     def _leave(self) -> None:
         """Marginalize what is older than the window."""
@@ -194,10 +197,8 @@ class Incremental:
             self.settle()
         return decided
 
-    def _take(self, factors: list[Factor], values: Values | None) -> None:
+    def _take(self, factors: list[Factor]) -> None:
         """Add variables and measurements, and settle."""
-        if values is not None:
-            self._arrivals.offer(values)
         exact, residuals = None, False
         for arrival in self._arrivals.take(factors):
             if isinstance(arrival, New):

@@ -61,7 +61,7 @@ class MarginalPrior(Factor):
     X0 : per variable the value (size,) where it was linearized.
     A : (m, D) whitened rows over the tangent steps delta from X0, side by side.
     z : (m,) whitened right-hand side.
-    relative, unmoved : as the measurements were, see `Factor`.
+    relative, unmoved, axes : as the measurements were, see `Factor`; axes is what `knows_axes` says.
 
     Notes
     -----
@@ -95,13 +95,18 @@ class MarginalPrior(Factor):
         z: Array,
         relative: bool = False,
         unmoved: tuple[int, ...] = (),
+        axes: bool = False,
     ) -> None:
         super().__init__(keys, z, Isotropic(1.0))
         A, X0 = np.asarray(A, dtype=float), tuple(np.asarray(x0, dtype=float) for x0 in X0)
         if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
             raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
-        self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), X0, A, bool(relative), unmoved
+        self.slots, self.X0, self.A, self.unmoved = (None,) * len(keys), X0, A, unmoved
+        self.relative, self.axes = bool(relative), bool(axes)
         self._charts: dict[tuple[Manifold, ...], list[_Chart]] = {}  # by spaces; copies of the prior share it
+
+    def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
+        return self.axes
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
@@ -233,8 +238,10 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
         left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
         if near and len(left):
             X0, slots = [touched[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
-            relative = all(b.model.factor.relative for b in pattern.batches if rows[b.rows].any())
-            priors.append(MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative=relative, unmoved=slots))
+            models = [b.model for b in pattern.batches if rows[b.rows].any()]
+            relative = all(model.factor.relative for model in models)
+            axes = any(model.factor.knows_axes(model.manifolds) for model in models)
+            priors.append(MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative, slots, axes))
     return priors
 
 

@@ -327,7 +327,7 @@ SENSOR_SAMPLES = [
     shifted(shifted(head(SE2, "level", np.array([1.0, 2.0, -3.0])), 1), 2),
     shifted(position(SE3, ("z", "x"), MOUNT[SE3][:3]), 2),
     shifted(prior(SE2, "log", ("yaw", "x")), 1),
-    *(shifted(between(group, "log"), 2) for group in PLANE_AND_SPACE),
+    *(shifted(sample, 2) for sample in (between(SE2, "log"), between(SE3, "log"), sighting_from_point(Bearing, SE2))),
 ]
 
 

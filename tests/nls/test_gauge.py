@@ -5,15 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Between, Factor, Isotropic, Prior
+from factors import Bearing, Between, DriftingStep, Factor, Isotropic, Landmark, Position, Prior, Shifted
 from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
-from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
+from models.sensors import direction
+from nls import (
+    FactorGraph,
+    GaussNewton,
+    GraphWarning,
+    Incremental,
+    Marginals,
+    Pinv,
+    Stop,
+    UnderconstrainedError,
+    Values,
+)
 from nls.analysis.inspection import inspect
 from nls.gauge import calibrations, placeless_kinds
 from nls.linear import SOLVERS
 from nls.missions.scans import dead_reckoning
-from tests.nls.graphs import Seen, distance, in_frame, l, p, pose_graph, walk, x, y
+from tests.nls.graphs import Seen, distance, in_frame, l, moved, p, pose_graph, walk, x, y
 
 ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))
 GAUGES = ("first", "prior", "free", "none")
@@ -182,3 +193,85 @@ def test_the_warning_is_about_the_line_that_called() -> None:
         with pytest.warns(GraphWarning, match="x1: no measurement touches it") as caught:
             call(values)
         assert [warning.filename for warning in caught] == [__file__]
+
+
+def turned_start(group: LieGroup, n: int = 4) -> tuple[list[Factor], Array, Values]:
+    """Poses that see points, with hardly an error; the points; a start where everything is turned and shifted."""
+    rng, space = np.random.default_rng(3), R(group.point_dim)
+    X, k = walk(group, n, rng), np.arange(n)
+    L, T = group.act(X, rng.normal(size=(n, space.dim)) + 2), group.exp(np.full((1, group.dim), 0.4))
+    i, j = np.repeat(k, 3), np.clip(np.repeat(k, 3) + np.tile([-1, 0, 1], n), 0, n - 1)
+    seen = Landmark(x[i], l[j], group.act(group.inverse(X[i]), L[j]), Isotropic(0.1))
+    z = moved(group, group.between(X[:-1], X[1:]), 0.001, rng)
+    values = Values({x: (group, group.compose(T, X)), l: (space, group.act(T, L)), p: (R(1), [0.0])})
+    return [Between(x[k[:-1]], x[k[1:]], z, Isotropic(0.1)), seen], L, values
+
+
+def along_world(kind: str, L: Array) -> list[Factor]:
+    """Measurements without error between points, which know the axes of the world."""
+    i, j, free = l[[0, 1, 2]], l[[1, 2, 3]], Prior(p[0], [0.0], Isotropic(1.0))
+    if kind == "difference":
+        return [Between(i, j, np.diff(L[:4], axis=0), Isotropic(0.1)), free]
+    z = direction(np.diff(L[:4], axis=0))[0]
+    bearing = Bearing(i, j, z, Isotropic(0.1))
+    return [bearing if kind == "bearing" else Shifted(bearing, np.ones((z.shape[1], 1)), p[0]), free]
+
+
+in_plane_and_space = pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+
+
+@in_plane_and_space
+@pytest.mark.parametrize("kind", ["difference", "bearing", "shifted bearing"])
+def test_beside_poses_points_that_know_the_axes_leave_a_shift_free(group: LieGroup, kind: str) -> None:
+    """They determine the headings. A pose that is held would keep the one of its start."""
+    seen, L, start = turned_start(group)
+    known = along_world(kind, L)
+    assert FactorGraph([*seen, known[1]]).optimize(start).gauge == "x0 held"
+    for gauge, says in zip(GAUGES[:3], ("l0 held", "a prior of unit information on l0", "l0 held"), strict=True):
+        result = FactorGraph([*seen, *known]).optimize(start, gauge=gauge)
+        assert result.gauge.endswith(says)
+        assert result.converged
+        assert result.chi2_final < 0.01
+        np.testing.assert_allclose(result.values[l] - result.values[l[0]], L - L[0], atol=0.01)
+    marginals = Marginals(FactorGraph([*seen, *known]), result.values)
+    assert marginals.gauge == "l0 held"
+    assert (np.diag(marginals.covariance(x[0], "world")) > 1e-6).all()
+
+
+@in_plane_and_space
+@pytest.mark.parametrize("lag", [None, 3])
+def test_points_that_know_the_axes_turn_a_map_that_grows(group: LieGroup, lag: int | None) -> None:
+    (steps, seen), L, start = turned_start(group, 9)
+    smoother = Incremental(1e-6, lag)
+    for k in range(9):
+        new = [f[f.keys[1 - (f is seen)].numbers == k] for f in (steps, seen)]
+        smoother.update([f for f in new if len(f)], start if k == 0 else None)
+        if 3 <= k < 6:  # one difference in space leaves a turn about itself free, and waits
+            smoother.update(Between(l[k - 1], l[k], L[k] - L[k - 1], Isotropic(0.1)))
+    assert smoother.chi2 < 0.01
+    assert not smoother.pending
+    found = smoother.values.stack(l)
+    np.testing.assert_allclose(found.X - found.X[0], L[found.numbers] - L[found.numbers[0]], atol=0.02)
+    assert Marginals(smoother.graph, smoother.values).gauge == f"l{found.numbers[0]} held"
+
+
+def test_one_difference_in_space_leaves_a_turn_about_itself_free() -> None:
+    seen, L, start = turned_start(SE3)
+    differences, free = along_world("difference", L)
+    with pytest.raises(UnderconstrainedError, match="leave 1 direction free"):
+        FactorGraph([*seen, differences[[0]], free]).optimize(start)
+
+
+def test_a_calibration_that_walks_is_not_held() -> None:
+    """The poses determine it, though the factor that joins its values is relative."""
+    X, drifts = walk(SE2, 3, np.random.default_rng(0)), np.array([[0.1, 0.0], [0.3, 0.2]])
+    z = SE2.between(X[:-1], X[1:])
+    z[:, :2] += drifts
+    step = DriftingStep(x[[0, 1]], x[[1, 2]], p[[0, 1]], z, Isotropic(0.1), length=[1.0, 1.0])
+    graph = FactorGraph([step, Between(p[0], p[1], drifts[1] - drifts[0], Isotropic(0.1))])
+    values = Values({x: (SE2, X), p: (R(2), np.zeros((2, 2)))})
+    graph.fix(x[2])
+    graph.add(Position(x[[0, 1]], X[:2, :2], Isotropic(0.01)))
+    result = graph.optimize(values)
+    assert (result.gauge, result.chi2_final < 1e-12) == ("fixed by the graph itself", True)
+    np.testing.assert_allclose(result.values[p], drifts, atol=1e-6)
