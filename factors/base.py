@@ -102,7 +102,7 @@ class Factor(Traits, Abstract):
         for a, b in combinations(self.keys, 2):
             if a.kind == b.kind and (same := a.numbers == b.numbers).any():
                 twice = a[[int(np.argmax(same))]]
-                raise GraphError(f"{name}: measurement {int(np.argmax(same))} joins {twice} to itself", [twice], name)
+                raise GraphError(f"{name}: measurement {np.argmax(same)} connects {twice} to itself", [twice], name)
         try:
             self._z = np.array(z, dtype=float)  # a copy, and read-only: what was added stays what it was
         except (TypeError, ValueError, OverflowError) as error:
@@ -314,7 +314,7 @@ class Factor(Traits, Abstract):
 
 
 class Model(NamedTuple):
-    """A factor bound to the spaces of its variables; what assembly and filters call. Arrays in, arrays out."""
+    """A factor bound to the spaces of its variables, as assembly and filters call it. Arrays in, arrays out."""
 
     factor: Factor
     manifolds: tuple[Manifold, ...]
@@ -371,7 +371,7 @@ class Model(NamedTuple):
             index = int(np.argmax(~(np.abs(b).max(axis=1) <= SQUARABLE)))
             raise EvaluationError(
                 f"{self.factor.describe(index)}: its residual is {np.abs(b[index]).max():.3g} sigmas, too large for a "
-                "chi2; check its measurement, sigmas and start values",
+                "chi2; check its measurement, sigmas and initial values",
                 self.factor.name,
                 [k[[index]] for k in self.factor.keys],
                 where="residual",

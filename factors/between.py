@@ -60,7 +60,7 @@ class Between(Factor):
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         if manifolds[0] is not manifolds[1]:
-            raise GraphError(f"{self!r} joins {manifolds[0]} and {manifolds[1]}; both must be in the same group")
+            raise GraphError(f"{self!r} connects {manifolds[0]} and {manifolds[1]}; both must be in the same group")
         if not isinstance(manifolds[0], LieGroup):
             raise GraphError(f"{self!r}: {manifolds[0]} is no group, so it has no differences of elements")
         return manifolds[0]

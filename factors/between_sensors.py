@@ -86,7 +86,7 @@ class BetweenSensors(Factor):
         group = manifolds[0]
         if manifolds[1] is not group or not isinstance(group, LieGroup):
             raise GraphError(
-                f"{self!r} joins {group} and {manifolds[1]}; both must be in the same group", self.keys, self.name
+                f"{self!r} connects {group} and {manifolds[1]}; both must be in the same group", self.keys, self.name
             )
         for offset in [self.offset] if isinstance(self.offset, Keys) else self.offset:
             check_offset(self, offset, group, manifolds[-1])

@@ -168,7 +168,7 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
                 doubt = "is uncertain by more than the column itself, at every step, so mistakes"
             warnings.warn(
                 f"{factor.describe(n)}: component {manifold.components[d]} of {factor.keys[slot][[n]]}: the central "
-                f"difference {doubt} do not show; check at other values, or with the variable in another unit",
+                f"difference {doubt} cannot be seen; check at other values, or with the variable in another unit",
                 GraphWarning,
                 stacklevel=3,
             )

@@ -33,7 +33,7 @@ def check_parts(model: Model, X: tuple[Array, ...], b: Array, terms: Array) -> N
         return
     refuse_undeclared(factor)
     half, every = (n + 1) // 2, np.arange(n + 1)
-    cure = "something that each measurement has does not follow; hold it in an array, and name that in per_measurement"
+    cure = "an attribute of each measurement is not sliced with the batch; make it an array named in per_measurement"
     for batch, index in (
         ("reversed", every[-2::-1]),
         (f"of the first {half}", every[:half]),

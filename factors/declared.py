@@ -1,4 +1,4 @@
-"""What a factor holds beside keys, z and noise: for each measurement, or for all, as its class declares."""
+"""Attributes of a factor beside keys, z and noise: for each measurement, or for all, as its class declares."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def refuse_undeclared(factor: Any) -> None:
         for place, rows in _with_rows(held[name], n, name):
             if own and isinstance(rows, np.ndarray | Keys):
                 continue
-            cure = "only arrays can be cut; make it one with np.asarray"
+            cure = "only arrays can be sliced; make it one with np.asarray"
             if not own:
                 cure = f'its class does not say whether each measurement has one; write per_measurement = ("{name}",) '
                 cure += f'for that, or shared = ("{name}",) where all measurements use all of it'

@@ -1,4 +1,4 @@
-r"""Two poses that saw the same contact: what range and azimuth of both say when the point between them is eliminated.
+r"""Two poses that observed the same contact: their ranges and azimuths, with the point between them eliminated.
 
     S_k = X_k o O,   G = S_i^-1 S_j,   f(G, p) = (r, az) in view i and in view j of p = (r, az, el) of view i
     p* = argmin |W (z - f(G, p))|^2,   |el| <= limit,         h(X_i, X_j) = f(G, p*)

@@ -91,7 +91,7 @@ class Gravity(Factor):
         assert isinstance(group, LieGroup)
         h, H = gravity(group, X[0], self.down / np.linalg.norm(self.down))
         opposite = (z * h).sum(axis=1) < -(1 - 1e-12) * np.linalg.norm(z, axis=1)
-        cure = "an accelerometer at rest feels the opposite, so give -z; else start the attitude elsewhere"
+        cure = "an accelerometer at rest measures the opposite direction: give -z; else change the initial attitude"
         with named_singularity(self):
             refuse(opposite, f"its direction is opposite to gravity as predicted; {cure}")
         return h, (H,)

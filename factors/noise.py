@@ -1,4 +1,4 @@
-r"""Noise models: from what the user knows (sigmas, covariance, information) to the whitener W, W'W = Sigma^-1.
+r"""Noise models: from sigmas, covariance or information to the whitener W, W'W = Sigma^-1.
 
     A_i = W J H,   b_i = W e
 

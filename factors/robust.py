@@ -1,4 +1,4 @@
-r"""Robust kernels: what a measurement far from its prediction may cost, as a weight on its whitened residual.
+r"""Robust kernels: the limited cost of a measurement far from its prediction, as a weight on its whitened residual.
 
 With s = |b_i|^2, the squared whitened residual of measurement i, least squares minimizes sum s. A kernel minimizes
 

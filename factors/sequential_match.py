@@ -1,4 +1,4 @@
-"""A match of what a sensor saw at two poses of one stretch of the way: no loop closure."""
+"""A match of two scans from nearby poses of the track: no loop closure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["SequentialMatch"]
 
 
 class SequentialMatch(Between):
-    r"""A pose as seen from one shortly before it, by what a sensor saw at both: a part of the way, no loop closure.
+    r"""A pose relative to one shortly before it, by scans from both: a part of the track, no loop closure.
 
     .. math:: h(x_i, x_j) = x_i^{-1} x_j, \quad H_i = -\mathrm{Ad}_{h^{-1}}, \quad H_j = I
 
@@ -22,7 +22,7 @@ class SequentialMatch(Between):
     Notes
     -----
     The prediction is that of `Between`. Numbers of poses do not tell one from the other. A small loop may close after
-    three poses, and a scan may be matched with the third before it. So the factor says it, and is not doubted as a
+    three poses, and a scan may be matched with the third before it. So the factor says it, and is not tested as a
     closure.
 
     Examples

@@ -1,4 +1,4 @@
-"""All the factors of the contacts of an imaging sonar: what it measures, and what is done about the lost elevation."""
+"""All the factors of the contacts of an imaging sonar: its measurements, and the treatment of the lost elevation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth, pitch and roll of a vehicle: what pressure cell and tilt sensor measure without drift."""
+"""Depth, pitch and roll of a vehicle, which pressure cell and tilt sensor measure without drift."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class LeadlineError(Exception):
         super().__init__("\n".join(self.lines()))
 
     def lines(self, shell: bool = False) -> list[str]:
-        """The message, and what helps as Python or as the command line writes it."""
+        """The message and its cures, as Python or as the command line writes them."""
         return [visible(self.message), *(f"  -> {visible(words)}" for words in listed(self.advice, shell))]
 
     @property
@@ -53,12 +53,12 @@ class LeadlineError(Exception):
         return False
 
     def advise(self, *advice: Advice) -> None:
-        """Add what helps."""
+        """Add cures."""
         self.advice += advice
         self.args = ("\n".join(self.lines()),)
 
     def leave_out(self, in_use: Collection[str]) -> None:
-        """Drop the cures that ask for what is in use, as Python or the command line writes it."""
+        """Drop the cures that are in use already, as Python or the command line writes them."""
         self.advice = tuple(piece for piece in self.advice if not piece.repeats(in_use))
         self.args = ("\n".join(self.lines()),)
 

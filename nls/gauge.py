@@ -1,14 +1,14 @@
-"""The gauge: what relative measurements leave free, and what is done about it, by name.
+"""The gauge: the directions that relative measurements leave free, and their treatment, by name.
 
-- ``first``: hold one variable in every component that has only relative measurements and nothing fixed. It is the
+- ``first``: fix one variable in every component that has only relative measurements and nothing fixed. It is the
   lowest numbered of the kind with the most degrees of freedom (a pose, where there are poses). It is a point where
   measurements between points know the axes of the world: these determine headings, and a shift alone is free
-- ``prior``: give that variable a prior of unit information at its start value instead
-- ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse: |dx| in meters and radians
+- ``prior``: give that variable a prior of unit information at its initial value instead
+- ``free``: fix nothing and take the shortest step, the one of the pseudo-inverse: |dx| in meters and radians
 - ``none``: do nothing; a graph with a free gauge is then refused as under-constrained, but for `Pinv` and the damped
   methods, whose result names what is free
 
-Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``.
+Variables that no factor touches are fixed where they are, with a warning, unless the gauge is ``none``.
 """
 
 import sys
@@ -34,7 +34,7 @@ GAUGES = ("first", "prior", "free", "none")
 
 
 class Gauge(NamedTuple):
-    """The decision: variables held, and the sentence for the report.
+    """The decision: variables to fix, and the sentence for the report.
 
     `pattern` is the graph with the priors that were added, nothing held. `fixed` are the held variables that are not
     the gauge: those the user fixed and those no factor touches.
@@ -98,7 +98,7 @@ def touched_variables(pattern: Pattern) -> Mask:
 
 
 def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Gauge:
-    """Decide what holds each component that nothing else holds.
+    """Decide how to fix each component that nothing else fixes.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
     if not isinstance(name, str) or name not in GAUGES:
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
-        return Gauge(pattern, fixed, fixed, description="nothing is held")
+        return Gauge(pattern, fixed, fixed, description="nothing is fixed")
     label = component_labels(pattern)
     touched, (anchored, oriented) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
@@ -126,8 +126,8 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
         isolated = np.flatnonzero(~touched & ~fixed)
         pronoun = "it" if len(isolated) == 1 else "them"
         warnings.warn(
-            f"{_named(pattern, isolated)}: no measurement touches {pronoun}; held at the start value. Add the factors "
-            f"that are missing, or leave {pronoun} out of the values",
+            f"{_named(pattern, isolated)}: no measurement touches {pronoun}; fixed at the initial value. Add the "
+            f"factors that are missing, or leave {pronoun} out of the values",
             GraphWarning,
             stacklevel=_outside(),
         )
@@ -148,8 +148,8 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
     held = fixed.copy()
     held[chosen] = True
     if name == "free":
-        return Gauge(pattern, held, fixed, description=f"free, shortest step; computed with {named} held", free=True)
-    return Gauge(pattern, held, fixed, description=f"{named} held")
+        return Gauge(pattern, held, fixed, description=f"free, shortest step; computed with {named} fixed", free=True)
+    return Gauge(pattern, held, fixed, description=f"{named} fixed")
 
 
 def _outside() -> int:

@@ -1,4 +1,4 @@
-"""The factor graph: factors and what is held fixed. A graph owns no values."""
+"""The factor graph: factors and fixed variables. A graph owns no values."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FactorGraph:
         for factor in factors:
             self.add(factor)
         if not isinstance(fixed, Iterable) or isinstance(fixed, Keys | str):
-            raise GraphError(f"FactorGraph: expected a list of variables to hold such as [x[0]], got {fixed!r:.80}")
+            raise GraphError(f"FactorGraph: expected a list of variables to fix such as [x[0]], got {fixed!r:.80}")
         for keys in fixed:
             self.fix(keys)
 
@@ -121,11 +121,11 @@ class FactorGraph:
         self.fixed = [k[~np.isin(k.numbers, keys.numbers)] if k.kind == keys.kind else k for k in self.fixed]
 
     def copy(self) -> FactorGraph:
-        """A graph of the same factors, which never change and are shared; what is added to one graph is in it alone."""
+        """A graph of the same factors, which are shared and never change; adding to one does not change the other."""
         return self + FactorGraph()
 
     def __add__(self, other: FactorGraph) -> FactorGraph:
-        """A new graph of the factors of both, shared as in `copy`, and of what either fixes; both stay as they are.
+        """A new graph of the factors and fixed variables of both, shared as in `copy`; both stay unchanged.
 
         A factor that is in both counts twice.
 
@@ -146,7 +146,7 @@ class FactorGraph:
         return graph
 
     def robust(self, kernel: Kernel) -> FactorGraph:
-        """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
+        """A graph of the same measurements, each under a robust kernel; this one does not change."""
         return FactorGraph([factor.robust(kernel) for factor in self.factors], self.fixed)
 
     def only(self, masks: Sequence[Mask | Sequence[bool]]) -> FactorGraph:
@@ -183,7 +183,7 @@ class FactorGraph:
         return pattern
 
     def linearize(self, values: Values) -> LinearSystem:
-        """A and b at the values, with labels; no gauge is held, only what was fixed."""
+        """A and b at the values, with labels; only fixed variables are left out, and no gauge."""
         return LinearSystem.at(self.pattern(values).holding(fixed_variables(self.fixed, values)), values)
 
     @single_thread()  # a BLAS thread that waits for the next product burns the second core meanwhile

@@ -68,8 +68,8 @@ class Stack:
             missing = keys[~present]
             raise GraphError(
                 f"{missing[[0]]} has no value ({len(missing)} such of kind {self.kind}); Values hold {len(self)} "
-                f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}. Add a start value, or "
-                "leave out the factors that need it",
+                f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}. Add an initial value, "
+                "or leave out the factors that need it",
                 [missing],
             )
         return index
@@ -200,7 +200,7 @@ class Values:
         name = kind.name if isinstance(kind, Kind) else kind
         if not isinstance(name, str) or name not in self.stacks:
             raise GraphError(
-                f"no variable of kind {name!r:.60} has a value; Values hold kinds {list(self.stacks)}. Add start "
+                f"no variable of kind {name!r:.60} has a value; Values hold kinds {list(self.stacks)}. Add initial "
                 "values with `Values.add`, or leave out the factors that need them"
             )
         return self.stacks[name]
@@ -305,7 +305,7 @@ class Values:
 
 
 def refuse_other(function: str, graph: object, values: object) -> None:
-    """Refuse what is no graph and its values.
+    """Refuse arguments other than a graph and its values.
 
     Raises
     ------

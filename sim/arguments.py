@@ -1,4 +1,4 @@
-"""Options of the command line, read off the functions that make a world: names, types, defaults, what they are."""
+"""Options of the command line, read off the functions that make a world: names, types, defaults, meanings."""
 
 from __future__ import annotations
 

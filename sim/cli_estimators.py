@@ -22,9 +22,9 @@ from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
 SCENE_FILES = "graph.npz, truth.npz, estimate.png and offsets.png (four pictures each), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
-    "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
+    "particles": (("fastslam1", "fastslam2"), "particles of fastslam1 and fastslam2 (default 100)"),
     "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
-    "iterations": (("ekf",), "how often at most ekf linearizes an update (default 1)"),
+    "iterations": (("ekf",), "largest number of linearizations of one ekf update (default 1)"),
 }
 LIMIT = 20.0  # s
 LISTED = 20  # failed seeds in the table
@@ -37,7 +37,7 @@ Estimated = tuple[Rows, Files, str, FailedRunsError | None]
 
 def add_estimators(sub: argparse.ArgumentParser) -> None:
     """Options of a scene that choose the estimator, and how often it runs."""
-    sub.add_argument("--estimator", choices=ESTIMATORS, default="ekf", help="who solves it (default ekf)")
+    sub.add_argument("--estimator", choices=ESTIMATORS, default="ekf", help="the estimator (default ekf)")
     _add_settings(sub)
 
 
@@ -46,8 +46,8 @@ def add_compare(worlds: Any) -> None:
     sub = worlds.add_parser(
         "compare",
         help="Estimators side by side on one scene: one table and one picture.",
-        description="Run estimators on the same measurements of one scene, or of many seeds, and compare errors, what "
-        "they say of themselves, time and memory.",
+        description="Run estimators on the same measurements of one scene, or of many seeds, and compare errors, "
+        "covariances, time and memory.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -61,7 +61,7 @@ def add_compare(worlds: Any) -> None:
         choices=ESTIMATORS,
         default=unset,
         metavar="NAME",
-        help=f"which ones: {', '.join(ESTIMATORS)} (default all; with --scaling {', '.join(SCALED)})",
+        help=f"estimators to run: {', '.join(ESTIMATORS)} (default all; with --scaling {', '.join(SCALED)})",
     )
     sub.add_argument(
         "--scaling",
@@ -72,7 +72,7 @@ def add_compare(worlds: Any) -> None:
         help="what a step costs against the number of landmarks, on rings of 100 to 12,800; an estimator stops before "
         f"a ring that would take longer than this (default {LIMIT:g})",
     )
-    sub.add_argument("--memory", action="store_true", help="run each again and count what it holds, three times slower")
+    sub.add_argument("--memory", action="store_true", help="measure memory in a second run, three times slower")
     add_parameters(sub, SCENES["subsea"], unset=True)  # those of the other scenes are among them
     _add_settings(sub)
 
@@ -142,7 +142,7 @@ def _single(
     rows = [
         ("estimator", track.method),
         ("ATE", f"{statistics['ate']:.4g} m, {statistics['aligned']:.4g} m after the best rigid motion"),
-        ("smoothed", f"{statistics['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
+        ("smoothed", f"{statistics['smoothed']:.4g} m (ATE of the final estimate of all poses)"),
         ("map", f"{statistics['landmarks']:.4g} m{walls} (rmse of {len(track.landmarks)} landmarks in the end)"),
         ("final", f"{statistics['final']:.4g} m off; 3 sigma {3 * statistics['sigma']:.4g} m per axis"),
         ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
@@ -269,8 +269,8 @@ def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dic
 def _add_settings(sub: argparse.ArgumentParser) -> None:
     for setting, (_, meaning) in SETTINGS.items():
         sub.add_argument(flag(setting), type=whole_number, default=argparse.SUPPRESS, metavar="N", help=meaning)
-    sub.add_argument("--runs", type=run_number, metavar="N", help="so many seeds, from --seed on, on all cores")
-    sub.add_argument("--resume", metavar="FILE", help="keep the records of --runs here, and go on where they end")
+    sub.add_argument("--runs", type=run_number, metavar="N", help="number of seeds, from --seed on, on all cores")
+    sub.add_argument("--resume", metavar="FILE", help="file for the records of --runs; a later run continues it")
 
 
 def run_number(text: str) -> int:

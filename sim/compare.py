@@ -1,4 +1,4 @@
-r"""One data set, every estimator: errors, what they say of themselves, time and memory side by side.
+r"""One data set, every estimator: errors, covariances, time and memory side by side.
 
 NEES is that of the last pose, e' P^-1 e. Of a consistent estimator its mean over independent runs is within bounds
 with 95 %; the poses of one run are not independent. A covariance that is singular gives errors no size. Few particles,
@@ -35,7 +35,7 @@ class Compared:
     Attributes
     ----------
     name : of the estimator.
-    track : what it believed.
+    track : its estimates.
     errors : `sim.estimators.errors`.
     seconds : of the processor, for the run.
     megabytes : held at once at most; None where it was not measured.
@@ -58,7 +58,7 @@ def compare(
     world : the data set.
     estimators : some of `sim.estimators.ESTIMATORS`.
     settings : of the estimators, see `sim.estimators.tracked`.
-    memory : run each a second time, about three times as slow, and count what it holds.
+    memory : measure memory in a second run, about three times as slow.
 
     Examples
     --------
@@ -123,12 +123,12 @@ def quality(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """The columns of these rows."""
     lines = [
         ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
-        ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),
+        ("smoothed", "m, rmse of the positions in the final estimate, nothing aligned"),
         ("landmarks", "m, rmse of the landmarks in the end, nothing aligned; of walls that of their distance r"),
-        ("final, 3 sigma", "m, error of the last position, and what is said of it, per axis"),
+        ("final, 3 sigma", "m, error of the last position, and its stated 3 sigma per axis"),
     ]
     if any(SINGULAR in text for _, text in rows):
-        lines.append((SINGULAR, "no NEES: a covariance of the last pose, in one run at least, gives errors no size"))
+        lines.append((SINGULAR, "no NEES: the covariance of the last pose is singular in at least one run"))
     return lines
 
 

@@ -39,7 +39,7 @@ def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20
 
     Parameters
     ----------
-    world : its `landmarks_as` is what an EKF believes of new landmarks, its seed also that of the particles.
+    world : its `landmarks_as` is the EKF's prior of new landmarks, its seed also that of the particles.
     name : one of `ESTIMATORS`. Landmarks stay in the window of fixed-lag.
     particles : of fastslam1 and fastslam2.
     lag : poses in the window of fixed-lag.
@@ -126,7 +126,7 @@ def errors(world: LandmarkWorld, track: Track) -> dict[str, float]:
     -------
     dict
         ``ate``, ``aligned``: rmse of the positions when they were the latest, nothing and rigidly aligned, m;
-        ``smoothed``: of the positions as they are believed in the end, m; ``final``: error of the last position, m;
+        ``smoothed``: of the positions in the final estimate, m; ``final``: error of the last position, m;
         ``landmarks``: rmse of the landmarks in the end, m, nothing aligned; of walls that of r, and ``walls``: that of
         alpha, deg; ``sigma``: of the last position as it is reported, per axis, m; ``nees``: of the last pose, left out
         where its covariance is singular, as that of particles is which are one or two in the end.

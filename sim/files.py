@@ -41,14 +41,14 @@ Contents = tuple[dict[str, bytes], str]  # by name, folders with a slash, and wh
 Files = Callable[[], Contents]
 Rows = list[tuple[str, str]]  # label and text
 
-HOLD = "graph.npz: the measurements and the start, as nls solve reads them.\ntruth.npz: the same, and what is true.\n"
+HOLD = "graph.npz: measurements and initial guess, for nls solve.\ntruth.npz: measurements and true values.\n"
 FOLDER = "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
 SURVEY = FOLDER + (
     "truth/: the true track, beacons and calibrations; nls solve does not read it.\n"
     "raw/: the same log in the words and units of loggers, and mapping.toml for nls import.\n"
 )
-HARBOR = "keyframes.csv, scans.csv: dead reckoning and what the sonar detected.\ntruth.csv: the true keyframes.\n"
-RIG = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n" + HOLD
+HARBOR = "keyframes.csv, scans.csv: dead reckoning and detections of the sonar.\ntruth.csv: the true keyframes.\n"
+RIG = "rig.png: the initial guess and the optimum.\nrig.json: errors before and after, m and rad.\n" + HOLD
 WEST = np.array([1.0, -1.0, -1.0])  # from y east, yaw clockwise
 ALIGNED = "rigid, of cameras and points together; the sonar is not aligned"
 (s,) = kinds("s")

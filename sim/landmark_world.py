@@ -1,11 +1,11 @@
 r"""A simulated world of a vehicle in the plane and its landmarks: one data set for filters and graphs.
 
-    start       z = x_0 Exp(v)               what is believed of the first pose
+    start       z = x_0 Exp(v)               the estimate of the first pose
     odometry    z = h(x_k, x_k+1) [+] v      pose to pose
     sightings   z = h(x_i, l_k) [+] v        wherever a landmark is in sight; which one it is, is known
 
-v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start values are those of a vehicle that
-never looked back. The odometry is chained from the believed first pose, and each landmark is where it was seen first.
+v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The initial guess uses no loop
+closure: odometry is chained from the estimated first pose, and each landmark is where it was observed first.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LandmarkWorld(Simulated):
         measured.
     start : dead reckoning, and landmarks where they were seen first.
     rows : numbers drawn at random, the expected chi2 at the truth.
-    landmarks_as : what is believed of a landmark before it is seen: ``correlated``, ``first-sight`` or ``independent``.
+    landmarks_as : the prior of a landmark before it is observed: ``correlated``, ``first-sight`` or ``independent``.
     seed : the whole number the generator was made from; None where it was made in another way.
     description : what the world is, in sentences with the numbers.
     """

@@ -1,4 +1,4 @@
-"""A camera and a sonar that moved past points: what was known before the optimization, and what after, from above.
+"""A camera and a sonar that moved past points, before and after the optimization, from above.
 
 Errors of centimeters in a scene of meters cannot be seen. Every point and camera is drawn where it is, and its error as
 a line many times as long. The line has the direction of the error, its color says the size.

@@ -85,8 +85,8 @@ def climbed(graph: FactorGraph, values: Values) -> str:
     (better, lowest), seconds = timed(staircase, problem, found, spectrum(problem, found))
     assert better is not None
     return (
-        f"torus3D from that local minimum, {found.cost:.6g}, without another start: rows added along the direction "
-        f"of descent lead to {better.cost:.6g} in {seconds:.0f} s. No cost is below {lowest:.6g}."
+        f"torus3D from that local minimum, {found.cost:.6g}, without another initial guess: rows added along the "
+        f"direction of descent lead to {better.cost:.6g} in {seconds:.0f} s. No cost is below {lowest:.6g}."
     )
 
 

@@ -112,7 +112,7 @@ def judged(solution: Solution, truth: Values, kind: str) -> Judged:
     X, true = solution.values[keys], truth[keys]
     marginals = Marginals(solution.graph, solution.values)
     P = marginals.all(nls.kinds(kind)[0], view="position")
-    if marginals.gauge == f"{keys[0]!r} held":
+    if marginals.gauge == f"{keys[0]!r} fixed":
         motion = SE2.compose(true[:1], SE2.inverse(X[:1]))
         turn = np.array([[np.cos(motion[0, 2]), -np.sin(motion[0, 2])], [np.sin(motion[0, 2]), np.cos(motion[0, 2])]])
         X, P = SE2.compose(np.broadcast_to(motion, X.shape), X), turn @ P @ turn.T

@@ -146,7 +146,7 @@ class Manifold(Abstract):
 
 
 class LieGroup(Manifold):
-    """A manifold with a product. Subclasses give the closed forms; this class what follows from them.
+    """A manifold with a product. Subclasses give the closed forms; this class derives the rest.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ def project(camera: Array, intrinsics: Array, X: Array) -> tuple[Array, tuple[Ar
     Px, Py, Pz = components(RX + t)
     refuse(
         np.abs(Pz) <= GRAZING * np.sqrt(Px * Px + Py * Py + Pz * Pz),
-        "the point is in the plane of the camera (P_z = 0) and has no image; check its start value",
+        "the point is in the plane of the camera (P_z = 0) and has no image; check its initial value",
     )
     u, v = -Px / Pz, -Py / Pz
     f, k1, k2 = components(intrinsics)

@@ -131,7 +131,7 @@ class Camera:
         X, Y, Z = components(p)
         refuse(
             _behind(X, Y, Z),
-            "the point is behind the camera (Z <= 0) and has no image; check the start values of pose and point",
+            "the point is behind the camera (Z <= 0) and has no image; check the initial values of pose and point",
         )
         x, y = X / Z, Y / Z
         f, m, m_p = np.array(self.focal), pack([x, y]), matrix([[1 / Z, 0.0, -x / Z], [0.0, 1 / Z, -y / Z]])

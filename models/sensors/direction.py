@@ -46,7 +46,7 @@ def direction(p: Array) -> tuple[Array, Array]:
     x, y, *z = components(p)
     rho = np.sqrt(x * x + y * y)
     where = "on the z axis of the sensor, where its azimuth" if z else "at the sensor itself, where its bearing"
-    refuse(rho < CLOSE, f"the target is {where} is not defined; start it elsewhere")
+    refuse(rho < CLOSE, f"the target is {where} is not defined; change its initial value")
     ux, uy = x / rho, y / rho
     azimuth = wrap(np.arctan2(y, x))
     if not z:

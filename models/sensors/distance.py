@@ -41,6 +41,6 @@ def distance(p: Array) -> tuple[Array, Array]:
     r = np.sqrt(np.sum(p * p, axis=-1, keepdims=True))
     refuse(
         r[:, 0] < CLOSE,
-        "the target is at the sensor itself (zero range), where the direction to it is not defined; start it elsewhere",
+        "the target is at the sensor itself (zero range), where its direction is not defined; change its initial value",
     )
     return r, (p / r)[:, None, :]

@@ -1,4 +1,4 @@
-r"""Imaging sonars: how many beams and range bins, how wide and how high, and what that makes of a measurement.
+r"""Imaging sonars: their beams, range bins, fan and aperture, and the measurements that follow.
 
 A beam is fan / beams wide, a bin (far - near) / bins long. A contact is known to one of each. An error spread evenly
 over a cell of width w has the standard deviation w / sqrt(12). Finding a contact in a real image is worse than that;

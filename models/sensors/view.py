@@ -1,4 +1,4 @@
-r"""Poses, points and lines of the world as a pose sees them: what a common motion of everything leaves as it is.
+r"""Poses, points and lines of the world relative to a pose: a common motion of everything does not change them.
 
     Y = S^-1 X                 X Exp(d):  Y Exp(H_X d),   S Exp(d):  Y Exp(H_S d)
     (G S)^-1 (G X) = S^-1 X    for every motion G of the group

@@ -1,4 +1,4 @@
-"""Numbers about a graph: what is free, which measurements are doubtful, what is known of one variable. No sentences.
+"""Numbers about a graph: free directions, suspected measurements, the information about one variable. No sentences.
 
 `observability` tells what a data set determines of one variable, such as a mounting, and `helpful_motions` which motion
 would help. `landmark_information` has the information of every landmark. `unverified_groups` has loop closures that

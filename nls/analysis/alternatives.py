@@ -28,7 +28,7 @@ from nls.starts import initialize
 from nls.values import Values
 
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
-EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less cannot be told apart
+EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less are not distinguished
 HALF_CHI2 = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
 FIRST = 10  # of these, after which an alternative that is worse than others is given up
 REFUSED = (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError, SingularGeometryError)
@@ -161,7 +161,7 @@ def expected(fit: Judged) -> bool:
 
 
 def nearest(fits: Sequence[J]) -> tuple[J, ...]:
-    """The optima of the lowest chi2, which nothing tells apart, the lowest first."""
+    """The optima of the lowest chi2, which the data do not distinguish, the lowest first."""
     ordered = sorted(fits, key=lambda fit: fit.chi2)
     limit = ordered[0].chi2 + EQUAL * scale(ordered[0]) if ordered else 0.0
     return tuple(fit for fit in ordered if fit.chi2 <= limit)

@@ -12,7 +12,7 @@ the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948)
 so that H = A'A is factorized once, without c. A variable with a free direction says nothing about c and is left out,
 with its measurements. The J of odometry is that of the estimated steps. The measured ones share their noise with b:
 scaled down they always fit better. Where the fall is no chance the graph is solved with c. Calibrations whose chi2
-differ by no more than chance cannot be told apart.
+differ by no more than chance cannot be distinguished.
 
 The step of odometry z is h o Exp(G c) with c its scale error and the turn of its axes,
 
@@ -108,7 +108,7 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
     Returns
     -------
     tuple of Calibration
-        The lowest chi2 first. Where there are several, nothing tells them apart. None where a free direction moves
+        The lowest chi2 first. The data do not distinguish several ones. None where a free direction moves
         several variables.
 
     Raises

@@ -158,7 +158,7 @@ def _test(
 
 
 def _fall(score: Array, M: Array, chosen: list[int]) -> float:
-    """Fall of chi2 with some offsets as unknowns; 0 where the motion does not tell them apart."""
+    """Fall of chi2 with some offsets as unknowns; 0 where the motion does not distinguish them."""
     block = M[np.ix_(chosen, chosen)]
     unit = np.sqrt(np.outer(np.diagonal(block), np.diagonal(block)))
     if np.linalg.eigvalsh(block / unit)[0] < KNOWN:

@@ -29,7 +29,7 @@ MOTION_NAMES = {"x": "surge", "y": "sway", "z": "heave", "roll": "roll", "pitch"
 
 @dataclass(frozen=True)
 class Motion:
-    """One motion, and what is known of the variable after a view from there.
+    """One motion, and the covariance of the variable after a view from there.
 
     Attributes
     ----------

@@ -280,7 +280,7 @@ def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]
 
 
 def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
-    """By what the variances of a kind are too small, judged by the middle one of its t, which outliers do not move.
+    """The factor by which variances of a kind are too small, from the median of its t, which outliers do not move.
 
     nan where there are too few to say.
     """
@@ -292,7 +292,7 @@ def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
 
 
 def middle_variance(t: Array, m: Index) -> float:
-    """The middle one of some squared distances t (n,), each over the median of chi2 of its m (n,) numbers, m > 0."""
+    """The median of some squared distances t (n,), each over the median of chi2 of its m (n,) numbers, m > 0."""
     medians = np.ones(int(m.max()) + 1)
     medians[1:] = [chi2_gate(d, 0.5) for d in range(1, len(medians))]
     return float(np.median(t / medians[m]))

@@ -169,7 +169,7 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
     Returns
     -------
     tuple of MisreadKind
-        The lowest chi2 first. Where there are several, nothing tells them apart: mirrored bearings against odometry,
+        The lowest chi2 first. The data do not distinguish several ones: mirrored bearings against odometry,
         or mirrored odometry against bearings.
 
     Raises
@@ -257,7 +257,7 @@ def _reread(
 
 
 def _middle(factors: list[Factor], values: Values) -> float:
-    """Variance of the middle one of some measurements, relative to its noise; outliers do not move it."""
+    """Variance of the median of some measurements, relative to its noise; outliers do not move it."""
     chi2 = np.concatenate([factor.chi2(values) for factor in factors])
     m = np.concatenate([measuring(values.gather(factor)[0]) for factor in factors])
     return middle_variance(chi2[m > 0], m[m > 0]) if (m > 0).any() else math.inf
@@ -295,7 +295,7 @@ def misread_measurements(
     Returns
     -------
     tuple of MisreadMeasurement
-        In the order of the places, then of t; several of one place where nothing tells its readings apart.
+        In the order of the places, then of t; several of one place where the data do not distinguish its readings.
 
     Raises
     ------

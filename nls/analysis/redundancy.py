@@ -151,7 +151,7 @@ def unverified_groups(graph: FactorGraph, values: Values) -> tuple[Unverified, .
     Parameters
     ----------
     graph : relative poses along trajectories, in kinds with steps from pose to pose, and closures between these. Other
-        factors take part and are not judged; poses without a position (rotations alone) are not judged either.
+        factors take part and are not tested; neither are poses without a position (rotations alone).
     values : its optimum.
 
     Returns

@@ -1,4 +1,4 @@
-r"""Groups of residuals that share one scale of their sigmas, and what the residuals say of the scales.
+r"""Groups of residuals that share one scale of their sigmas, and estimates of the scales.
 
 The symbols are those of `nls.analysis.variance_components`.
 """
@@ -67,7 +67,7 @@ def _split(pattern: Pattern, name: str, kind: list[tuple[int, Index]], groups: s
 
 
 class Residuals:
-    """The residuals of every group, and what they say of its scale.
+    """The residuals of every group, and the estimate of its scale.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Wrong measurements: the worst is taken out, all others are judged anew, until none stands out.
+"""Wrong measurements: the worst is removed and all others are tested again, until none stands out.
 
 One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. A group of
 wrong closures that support each other is taken out as one. The linear problem decides
@@ -13,7 +13,7 @@ with the stacked residuals e_g of the group and the joint covariance C_g of what
 falls by without the group, exactly where the problem is linear. Groups and single measurements differ in m. So they
 compete by the probability of chi2(m) above t: a right closure in a group adds 3 to m, and about 3 to t.
 
-C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are judged. A
+C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are tested. A
 group without which something is free stays.
 """
 
@@ -81,7 +81,7 @@ class GroupTests:
     ----------
     checked : every measurement against all others; the tests follow when measurements are taken out of it.
     scale : (k,) by batch, by what the squared residuals of every measurement are divided.
-    most : closures of a group; larger groups are what the others are judged by.
+    most : closures of a group; larger groups are a reference for the others.
     """
 
     def __init__(self, checked: Checked, scale: list[Array], most: int) -> None:
@@ -130,7 +130,7 @@ class NoOptimumError(Exception):
 
 @dataclass(frozen=True)
 class Suspects:
-    """Removed measurements, and how the rest is judged without them.
+    """Removed measurements, and the test of the rest without them.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class Suspects:
 
 
 def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Checked) -> Suspects:
-    """Take out what does not fit, the worst first.
+    """Remove measurements that do not fit, the worst first.
 
     Parameters
     ----------

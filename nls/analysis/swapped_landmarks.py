@@ -116,7 +116,7 @@ def _misfit(factor: Sighting, values: Values, a: Index, b: Index) -> Array:
 
 @dataclass(frozen=True)
 class SwappedLandmarks(Exchanged):
-    """Two landmarks that are one another in some of their sightings; chi2 is that of the whole graph.
+    """Two landmarks that are exchanged in some of their sightings; chi2 is of the whole graph.
 
     Attributes
     ----------

@@ -133,13 +133,13 @@ def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pa
     pattern = graph.pattern(values)
     place = _place(pattern, key)
     if not touched_variables(pattern)[place]:
-        message = "no factor touches it, so these measurements say nothing about it; add those that do"
+        message = "no factor touches it, so no measurement determines it; add one that does"
         raise UnderconstrainedError(f"{key}: {message}", [key])
     if fixed[place]:
         raise GraphError(f"observability: {key} is fixed, so there is nothing to determine; release it", [key])
     decided = choose_gauge(gauge, pattern, values, fixed)
     if decided.held[place]:
-        message = f"{key} is what gauge {gauge!r} holds, so it is known by choice; fix another variable"
+        message = f"gauge {gauge!r} fixes {key}, so its value is a choice; fix another variable"
         raise GraphError(f"observability: {message}", [key])
     return decided.pattern, decided.held, decided.description
 

@@ -88,7 +88,7 @@ class VarianceComponent:
         share = f"redundancy {redundancy} of {self.numbers} numbers"
         if not self.known:
             unchecked = self.redundancy < LEAST_REDUNDANCY
-            reason = "no other measurement checks them" if unchecked else "their errors do not show"
+            reason = "no other measurement checks them" if unchecked else "their errors cannot be detected"
             return f"{self.name}: stated sigmas kept, {reason} ({share})"
         return f"{self.name}: stated sigmas times {self.scale:.3g} +- {self.sigma:.2g} ({share})"
 

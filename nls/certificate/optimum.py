@@ -191,7 +191,7 @@ def negligible(cost: float) -> float:
 
 
 def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
-    """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove.
+    """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and the bound they prove.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def _largest_of_inverse(state: Factorization, turns: Mask, count: int) -> tuple[
 
 
 def staircase(problem: Problem, optimum: Optimum, known: Spectrum) -> tuple[Optimum | None, float]:
-    """The lowest minimum next to an optimum with more rows, None without one; what no pose graph is below.
+    """The lowest minimum next to an optimum with more rows, None without one; and a lower bound for all pose graphs.
 
     All optima on the way are rounded. Where the last one needs all its rows, an earlier one can be nearer to poses.
     """

@@ -128,8 +128,8 @@ def certifiable(graph: FactorGraph, values: Values) -> Problem:
     if len(held) > 1:
         names = sorted(repr(poses.pattern.key(int(variable))) for variable in held)
         raise GraphError(
-            f"certify: {names[0]} and {names[1]} are both held in the world, by a Prior or fixed; expected one pose at "
-            "most: what else says where poses are is not in the cost that can be certified"
+            f"certify: {names[0]} and {names[1]} are both anchored, by a Prior or fixed; expected one pose at most: "
+            "the certified cost has relative measurements alone"
         )
     if len(held) and held[0] not in poses.variables:
         raise GraphError(f"certify: Prior({poses.pattern.key(int(held[0]))!r}) is on no pose of the graph; remove it")

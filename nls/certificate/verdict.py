@@ -17,7 +17,7 @@ from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values, refuse_other
 
-WORST = "the measurements with the largest errors: without those that contradict the others a proof is possible"
+WORST = "the measurements with the largest errors: remove wrong ones, then a proof may be possible"
 LEFT_BY_STOP = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
 
 
@@ -83,7 +83,7 @@ class Certificate:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """The way on where a lower chi2 was found; what to look at where only the proof is missing."""
+        """A cure where a lower chi2 was found; measurements to inspect where only the proof is missing."""
         if self.better is not None:
             return (Advice("start at better"),)
         return () if self.proved else (Advice("inspect", (WORST,)),)

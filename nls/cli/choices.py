@@ -15,7 +15,5 @@ STARTS = ("file", "odometry", "spanning-tree", "chordal", "incremental")
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation of a sonar contact
 
 PROBABILITIES = " or ".join(f"{name}[:PROBABILITY]" for name in GNC)
-ROBUST = (
-    f"[TYPE=]KERNEL:SIGMAS, the kernel one of {', '.join(KERNELS)}; or none, of a mission: all contacts are believed"
-)
+ROBUST = f"[TYPE=]KERNEL:SIGMAS, the kernel one of {', '.join(KERNELS)}; or none, of a mission: all contacts are kept"
 ROBUST_OF_SOLVE = f"{ROBUST}; or {PROBABILITIES}"  # all that --robust takes

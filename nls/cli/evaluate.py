@@ -17,10 +17,10 @@ from nls.missions.folder.poses import FILES, TRUE_FILES, Poses, read_poses
 SCHEMA = "evaluate 1"
 LEVEL_RAD = 1e-9  # rad, below which a pose is one of the plane
 TURNED_OVER = (
-    "the alignment {} turned the track over, up became down: the track is mirrored, or of the two files one has z up "
-    "and the other z down, or it is so straight that its errors alone say how it is turned about itself. A level track "
-    "fits its mirror image so, and the ATE does not show it. Compare with --align yaw, which turns nothing over; where "
-    "that fits worse, change the signs of y and yaw, or the frame, of one of the files"
+    "the alignment {} turned the track upside down. Causes: (1) one track is mirrored, (2) one file has z up and the "
+    "other z down, (3) the track is nearly straight, so its roll is not determined. The ATE of a level track does not "
+    "show it. Compare with --align yaw, which keeps z. If that fits worse, change the signs of y and yaw of one file, "
+    "or its frame"
 )
 ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, and of angles that are spread
 

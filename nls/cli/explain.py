@@ -54,7 +54,7 @@ def _without_wrong_contacts(
     explanation = kind.explanation(kept, choice.result.values, kept_report)
     wrong = replace(explanation, findings=wrong_contacts(graph, choice)).placed(report.place)
     first, *exchanged = wrong.findings
-    how = f"at its optimum without {outliers.sentence(choice)}"
+    how = f"at its optimum: {outliers.sentence(choice)}"
     return replace(explanation, findings=(first, *explanation.findings, *exchanged)), how
 
 
@@ -64,7 +64,7 @@ def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Expl
     That of a mission whose contacts do not fit is of its optimum without the wrong ones, but with ``--robust``.
     """
     graph, values, report = read
-    best, how, why = start, "at the start", ""
+    best, how, why = start, "at the initial guess", ""
     first = default_optimizer(graph.factors)
     damped = nls.LevenbergMarquardt()
     tries = (("file", first), ("file", damped), ("odometry", damped))
@@ -84,7 +84,7 @@ def _explained(kind: GraphFile, read: Read, start: nls.Values) -> tuple[nls.Expl
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             return kind.explanation(graph, result.values, report), how, report
         best, why = result.values, f"{result.status.value}: {result.reason}"
-        how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
+        how = f"at the lowest chi2 found ({result.method}, {several(result.iterations, 'iteration')})"
     explanation = kind.explanation(graph, best, report)
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, best))
     finding = nls.Finding(nls.FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)

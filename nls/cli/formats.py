@@ -1,4 +1,4 @@
-"""Graphs in the formats of files: what a file does not hold, the names it has for variables, and lines in errors."""
+"""Graphs in the formats of files: losses, names of variables, and lines in errors."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,7 +26,7 @@ def name_lines(error: nls.LeadlineError, graph: nls.FactorGraph, report: nls.Loa
 def rendered(
     path: str, form: str, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport, renumber: bool = False
 ) -> tuple[bytes, list[str]]:
-    """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
+    """The bytes of a file in a format, and remarks about what it leaves out; ``renumber`` as for `nls.save`."""
     if FORMATS[report.format].folder:
         refuse_lines(path, form)
     if not FORMATS[form].tagged:

@@ -1,4 +1,4 @@
-"""A graph file as the input of a command: how it is read, solved, drawn and written, and what is said of it."""
+"""A graph file as the input of a command: how it is read, solved, drawn, written and reported."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class GraphFile:
     Attributes
     ----------
     files : all that is read.
-    robust : the kernel of ``--robust``, or the way to reject measurements; None where all are believed.
+    robust : the kernel of ``--robust``, or the way to reject measurements; None where all are kept.
     init : the name of the start.
     output_file : of the output; None where there is none, or a folder.
     room : the place of the output, where it is to be made.
@@ -154,7 +154,7 @@ class GraphFile:
             refuse_loss(option, self.options, f"{form} files do not hold all that {report.format} files do")
 
     def prepared(self, as_read: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.FactorGraph:
-        """The graph under the robust kernel, with the kinds held that were asked for; the one read stays as it is.
+        """The graph under the robust kernel, with the kinds fixed that were asked for; the one read does not change.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class GraphFile:
         return Solved(**{**vars(problem), "result": result})
 
     def solved(self, problem: Problem) -> Solved:
-        """The optimum, and what is found about the input there."""
+        """The optimum, and the findings about the input there."""
         solved = self.optimum(problem)
         problem.clock.lap("optimize")
         return solved
@@ -223,11 +223,11 @@ class GraphFile:
         return solved
 
     def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
-        """The measurements to believe where nothing was asked for and some do not fit; None: all."""
+        """The measurements to keep where nothing was asked for and some do not fit; None: all."""
         return None
 
     def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
-        """The report with what an optimum says of the tables that were read."""
+        """The report with the findings of an optimum about the tables."""
         return read[2]
 
     def explanation(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> nls.Explanation:
@@ -237,7 +237,7 @@ class GraphFile:
         return explanation.placed(report.place) if report.has_lines else explanation
 
     def with_tables(self, explanation: nls.Explanation, report: nls.LoadReport) -> nls.Explanation:
-        """The explanation with what is said of the tables of a mission."""
+        """The explanation with the findings about the tables of a mission."""
         return explanation
 
     def asking(self, written: Sequence[str] = ()) -> str:
@@ -264,7 +264,7 @@ class GraphFile:
     # --- what is said, drawn and written
 
     def doubts(self, solved: Solved) -> list[str]:
-        """Reasons to doubt the result, in words; none where it is as it should be.
+        """Reasons not to trust the result, in words; none where there are none.
 
         A calibration far from its belief is no reason: the measurements determined it, and the table prints it.
         """
@@ -273,13 +273,13 @@ class GraphFile:
         out += [] if choice is None else map(str, choice.doubts)
         if sigmas is not None and not sigmas.settled:
             out.append(
-                f"the scales of the sigmas did not settle in {sigmas.rounds} rounds; start from a better point with "
+                f"the scales of the sigmas did not converge in {sigmas.rounds} rounds; take a better initial guess, "
                 "--init, or estimate fewer scales with --sigmas estimate"
             )
         return out
 
     def marks(self, solved: Solved) -> list[str]:
-        """Words on pictures and charts: the reasons to doubt, and that this is no optimum."""
+        """Words on pictures and charts: reasons not to trust the result, and that this is no optimum."""
         return [f"not converged: {solved.result.status.value}"] * (not solved.result.converged) + self.doubts(solved)
 
     def record(self, solved: Solved) -> dict[str, Any]:
@@ -291,7 +291,7 @@ class GraphFile:
         return {}
 
     def lines(self, record: dict[str, Any]) -> list[str]:
-        """The lines of the table that say what the solution is worth, from the report for programs."""
+        """The lines of the table about the quality of the solution, from the report for programs."""
         return []
 
     def unmeasured(self, report: nls.LoadReport) -> Sequence[str]:

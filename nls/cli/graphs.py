@@ -23,8 +23,8 @@ LABELS = {  # where the identifier of a program says too little
     "factorization_mb": "memory of R, MB",
     "sigma_smallest": "smallest sigma, m or rad",
     "sigma_largest": "largest sigma, m or rad",
-    "semi_definite_measurements": "measured in part only",
-    "chi2": "chi2 of the start",
+    "semi_definite_measurements": "partly measured",
+    "chi2": "chi2 of the initial guess",
 }
 
 

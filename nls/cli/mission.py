@@ -102,7 +102,7 @@ class Mission(Folder):
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
-        if self.robust == "none":  # all contacts are believed
+        if self.robust == "none":  # all contacts are kept
             self.robust = None
 
     def graph_format(self) -> str:
@@ -148,7 +148,7 @@ class Mission(Folder):
         return report
 
     def optimum(self, problem: Problem) -> Solved:
-        """The optimum; under a kernel it says what is ignored by the file of every table."""
+        """The optimum; under a kernel with the ignored measurements of every table."""
         solved = super().optimum(problem)
         if solved.result.shares:
             factors, tables = solved.graph.factors, self.mission(solved.report).tables
@@ -157,7 +157,7 @@ class Mission(Folder):
         return solved
 
     def solved(self, problem: Problem) -> Solved:
-        """The optimum, without contacts that are wrong where that of all says so, and what explains its chi2."""
+        """The optimum, without wrong contacts where the plain optimum shows some, and causes of its chi2."""
         solved = self.optimum(problem)
         if (choice := self.choice((solved.graph, solved.values, solved.report), solved.result)) is not None:
             solved = self.optimum(problem.without(choice, "gnc-tls"))
@@ -174,14 +174,14 @@ class Mission(Folder):
         return replace(solved, solution=SolvedMission(*solved.optimized))
 
     def choice(self, read: Read, result: nls.Result) -> nls.Robustified | None:
-        """The contacts to believe where some do not fit; None where all are believed, or the user says which."""
+        """The contacts to keep where some do not fit; None where all are kept, or the user says which."""
         if self.options.robust is not None or getattr(self.options, "sigmas", "stated") != "stated":
             return None
         graph, values, report = read
         return choice_of(graph, values, result, report)
 
     def with_findings(self, read: Read, result: nls.Result, as_read: bool = True) -> nls.LoadReport:
-        """The report with errors of whole tables, and what explains an implausible chi2.
+        """The report with errors of whole tables, and causes of an implausible chi2.
 
         Nothing is tried of a graph that is not as read. Special values and wrong units of its tables come first: beside
         them nothing is tried.
@@ -244,7 +244,7 @@ class Mission(Folder):
         return {"mission": solved.solution.record()}
 
     def lines(self, record: dict[str, Any]) -> list[str]:
-        """The lines of the table that say what the solution is worth, from the report for programs."""
+        """The lines of the table about the quality of the solution, from the report for programs."""
         return lines(record["mission"])
 
     def unmeasured(self, report: nls.LoadReport) -> Sequence[str]:

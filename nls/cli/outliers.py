@@ -1,4 +1,4 @@
-"""Wrong loop closures and contacts: which are left out of a graph, and what ``nls solve`` says of them."""
+"""Wrong loop closures and contacts: which are rejected, and how ``nls solve`` reports them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OF_GROUP = ("redundancy", "meters", "rms", "sigmas")  # numbers of closures that
 
 
 def chosen(robust: str, init: str, graph: nls.FactorGraph, values: nls.Values) -> nls.Robustified:
-    """The measurements to believe, by ``gnc-LOSS[:PROBABILITY]``: loop closures, and contacts where there are some.
+    """The measurements to keep, by ``gnc-LOSS[:PROBABILITY]``: loop closures, and contacts where there are some.
 
     Raises
     ------
@@ -58,10 +58,10 @@ def contacts_of(graph: nls.FactorGraph) -> list[Factor]:
 def choice_of(
     graph: nls.FactorGraph, values: nls.Values, result: nls.Result, report: nls.LoadReport
 ) -> nls.Robustified | None:
-    """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
+    """The choice among the contacts of a mission that was solved with all of them; None where all are kept.
 
-    All are believed where `nls.robust.contacts.misfit` is False. They are believed with a note where a calibration
-    explains most of the misfit. The same holds where the choice is doubtful or cannot be made.
+    All are kept where `nls.robust.contacts.misfit` is False. They are kept with a note where a calibration
+    explains most of the misfit. The same holds where the choice cannot be trusted or made.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ def choice_of(
     try:
         choice = nls.gnc(graph, values, doubted=contacts)
     except nls.UnderconstrainedError as error:
-        report.notes.append(f"{kept}: without contacts, which are judged along dead reckoning, {error.message}")
+        report.notes.append(f"{kept}: they are tested against dead reckoning, which is incomplete: {error.message}")
         return None
     if choice.doubts:
-        report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")
+        report.notes.append(f"{kept}: no selection among them can be trusted; {'; '.join(map(str, choice.doubts))}")
         return None
     return choice
 

@@ -14,7 +14,7 @@ FILE = (
     "graph file, or folder of a mission, of a scan mission, or with graph.npz or graph.g2o; files may be gzipped; "
     "'-' is standard input"
 )
-DIVES, START = "folders of further missions there", "start values (default: auto)"
+DIVES, START = "folders of further missions there", "initial guess (default: auto)"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
 COORDINATES = "coordinates in a solved mission: local (default), utm or EPSG:n, which need origin.csv and pyproj"
 VIEW = "write one HTML page to turn, zoom and ask, with layers and a slider of time; needs the package plotly"
@@ -27,8 +27,8 @@ SCALES = (
     "estimate: one scale on the sigmas of every kind of measurement (default: stated); :units: one for its lengths and "
     "one for its angles; :components: one for every component"
 )
-TOLERANCE = "accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3)"
-ALONE = "turns off thresholds that are not given"
+TOLERANCE = "accepted excess of chi2 over its minimum, relative to max(chi2, 1) (default 1e-3)"
+ALONE = "turns off the threshold that is not given"
 FIRST = """begin with:
   nls solve survey.g2o                                 the optimum, and whether to trust it
   nls explain survey.g2o                               what is free, what does not fit, and what helps
@@ -44,13 +44,13 @@ EXAMPLES = """examples:
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls explain survey.g2o                               what is free, what does not fit, and what helps
-  nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
+  nls info survey.g2o                                  its contents, its gauge, the cost of a solve
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls evaluate solved dive                             how far a trajectory is from the true one
   nls plot survey.g2o survey.png                       the graph as it was read
   nls view survey.g2o -o survey.html                   the graph as it was read, as a page to turn, zoom and ask
-  nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
-  nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
+  nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; a killed run continues
+  nls import dive.csv > mapping.toml                   a draft: what its columns may mean
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
   nls new mission                                      templates of mapping.toml and of every table
 
@@ -163,15 +163,15 @@ def parser() -> Parser:
     add("--linear-solver", default="auto", choices=solvers, help="linear solver (default: the best one installed)")
     _hold(more)
     add("--sigmas", default="stated", choices=choices.SIGMAS, help=SCALES)
-    add("--gauge", default="first", choices=choices.GAUGES, help="how the free directions are held")
-    better = "--certify before anything is written; while a better optimum is found, go on from there and say so"
+    add("--gauge", default="first", choices=choices.GAUGES, help="how the gauge is fixed")
+    better = "--certify first, and continue from each better optimum it finds"
     _flag(more, "--improve", better)
     add("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
     add("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     decrease = f"converged when the relative decrease of chi2 is below X; {ALONE}"
     add("--chi2-rtol", type=float, metavar="X", help=decrease)
-    _flag(more, "--allow-unconverged", "exit with 0 at an iteration limit, too")
-    _flag(more, "--allow-doubtful", "exit with 0 for a doubtful result, too")
+    _flag(more, "--allow-unconverged", "exit with 0 at an iteration limit too")
+    _flag(more, "--allow-doubtful", "exit with 0 for a doubtful result too")
 
     written = _writing(solve)
     written.add_argument("--write-graph", metavar="OUT.npz", help=SOLVED_GRAPH)
@@ -198,11 +198,11 @@ def parser() -> Parser:
     add = stream.add_argument
     add("--tol", type=float, default=1e-3, metavar="X", help=TOLERANCE)
     add("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
-    landmarks = "with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)"
+    landmarks = "with --lag: landmarks leave with the last pose that observed them, or stay (default: leave)"
     add("--landmarks", choices=("leave", "stay"), default="leave", help=landmarks)
     kernel = f"robust kernel on every factor: {', '.join(choices.KERNELS)}"
     add("--robust", action=Once, metavar="KERNEL:SIGMAS", help=kernel)
-    state = "file of the state, written every 100 steps; the next run goes on from it, equal to the bit"
+    state = "file of the state, written every 100 steps; the next run continues from it, with identical results"
     add("--checkpoint", metavar="STATE", help=state)
     _reading(stream, drops=False)  # a variable is made where the first edge names it
 
@@ -210,7 +210,7 @@ def parser() -> Parser:
     add = evaluate.add_argument
     estimate = "a trajectory: tum, kitti, csv as trajectory.csv, a graph, or the folder of a solution"
     add("file", metavar="ESTIMATE", help=estimate)
-    add("truth", metavar="TRUTH", help="the true one: as ESTIMATE, or the folder of a mission")
+    add("truth", metavar="TRUTH", help="the true trajectory: as ESTIMATE, or the folder of a mission")
     move = "move the estimate onto the truth first (default: none); similarity also scales"
     add("--align", default="none", choices=choices.ALIGNMENTS, help=move)
     distances = "distances of the relative errors, m (default: 10,50,100)"
@@ -251,7 +251,7 @@ def _reading(command: argparse.ArgumentParser, drops: bool = True) -> argparse._
     add("--dialect", default="auto", choices=dialects(), help="format of FILE (default: auto, by its content)")
     residual = "residual of pose measurements (default: g2o)"
     add("--convention", default="g2o", choices=choices.CONVENTIONS, help=residual)
-    ignored = "unknown tags of edges that are left out; others are refused"
+    ignored = "leave out edges with these unknown tags; other unknown tags are errors"
     add("--ignore-tags", default="", metavar="TAG,TAG", help=ignored)
     if drops:
         _flag(group, "--drop-absent", "leave out edges to vertices without a line")
@@ -276,15 +276,15 @@ def _writing(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
 def _robust(command: argparse.ArgumentParser, rejecting: str = "") -> None:
     """Kernels, and ways of rejecting measurements."""
     kernels = (
-        f"what is done about outliers: {rejecting}a kernel on every factor, such as huber:1.0, or on those of a type, "
-        f"such as RangeAzimuth=cauchy:1; one of {', '.join(choices.KERNELS)}; of a mission none: believe all contacts "
-        "(default: without wrong ones where chi2 and residuals say that there are some)"
+        f"treatment of outliers: {rejecting}a kernel on every factor, such as huber:1.0, or on those of a type, "
+        f"such as RangeAzimuth=cauchy:1; one of {', '.join(choices.KERNELS)}; of a mission none: keep all contacts "
+        "(default: reject wrong ones if chi2 and residuals show some)"
     )
     command.add_argument("--robust", action=Once, metavar="[TYPE=]KERNEL:SIGMAS", help=kernels)
 
 
 def _hold(command: argparse._ActionsContainer) -> None:
-    command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
+    command.add_argument("--hold", action="append", default=[], metavar="KIND", help="fix all variables of a kind")
 
 
 def _json(command: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ MEANINGS = {
     "startup": "interpreter, up to the command line; processor time",
     "imports": "NumPy, SciPy, the library, the linear solver",
     "read": "file, numbers, graph",
-    "init": "start values, and chi2 of each",
+    "init": "initial guesses, and chi2 of each",
     "check": "whether the output can hold the graph",
     "build": "gauge and pattern",
     "analyze": "elimination order, symbolic factorization",
@@ -113,7 +113,7 @@ class Problem(Run):
     stages : seconds that the library counts inside reading and starting.
     projection : of the coordinates in the files of a mission; None for local ones.
     sources : of the factors as they were read, those that were rejected, too.
-    choice : of `nls.gnc`; None where all measurements are believed.
+    choice : of `nls.gnc`; None where all measurements are kept.
     sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     """
 
@@ -133,7 +133,7 @@ class Problem(Run):
 
     @property
     def rejected(self) -> Sequence[Rejected]:
-        """The measurements that `choice` does not believe."""
+        """The measurements that `choice` rejects."""
         return () if self.choice is None else self.choice.rejected
 
     @property

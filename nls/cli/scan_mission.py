@@ -40,11 +40,11 @@ class ScanMission(Folder):
         ("a scan mission is of the plane", ("elevation",)),
         ("a scan mission has coordinates of its own", ("crs",)),
         ("a scan mission starts from dead reckoning", ("init",)),
-        ("the rounds of a scan mission choose their own", ("method", "linear_solver")),
+        ("a scan mission chooses its own in each round", ("method", "linear_solver")),
         ("the rounds of a scan mission stop by themselves", ("max_iterations", "update_tol", "chi2_rtol")),
         ("a scan mission has only its keyframes and their drift", ("hold",)),
         ("the sigmas of a scan mission are those of [drift] in mission.toml and of its matches", ("sigmas",)),
-        ("the first keyframe of a scan mission is held", ("gauge",)),
+        ("the first keyframe of a scan mission is fixed", ("gauge",)),
         ("the drifts of a scan mission are no poses", ("certify", "improve")),
         ("a scan mission has its own residuals", ("convention",)),
         *Folder.MEANINGLESS,
@@ -111,7 +111,7 @@ class ScanMission(Folder):
         return {"scans": solved.solution.record()}
 
     def lines(self, record: dict[str, Any]) -> list[str]:
-        """The lines of the table that say what the map is worth, from the report for programs."""
+        """The lines of the table about the quality of the map, from the report for programs."""
         return scan_lines(record["scans"])
 
     def plan(self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport) -> Any:

@@ -80,7 +80,7 @@ def _refuse_sigmas(kind: GraphFile) -> None:
     options = kind.options
     if options.sigmas != "stated" and (kind.rejects or options.improve):
         rejects = f"--robust {kind.robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
-        improves = "--improve: scales hold for the optimum they were estimated at; --certify goes with it"
+        improves = "--improve: estimated scales belong to one optimum; --certify goes with it"
         raise nls.OptionError("--sigmas", options.sigmas, f"stated with {rejects if kind.rejects else improves}")
 
 
@@ -98,7 +98,7 @@ def _read(kind: GraphFile, run: Run) -> Problem:
 
 
 def _begun(kind: GraphFile, problem: Problem) -> Problem:
-    """The start values; with graduated non-convexity also the measurements to believe."""
+    """The initial guess; with graduated non-convexity also the measurements to keep."""
     if kind.rejects:
         from nls.cli.outliers import chosen
 

@@ -1,4 +1,4 @@
-"""Reports of ``nls solve``: for programs, the table, and what its page is told."""
+"""Reports of ``nls solve``: for programs, the table, and the data of its page."""
 
 import shlex
 import warnings
@@ -110,7 +110,7 @@ def _gnc_applies(kind: GraphFile, solved: Solved) -> list[str]:
 
 
 def doubtful(kind: GraphFile, result: nls.Result, written: Sequence[str] = (), cures: Sequence[str] = ()) -> list[str]:
-    """The note on a chi2 that is above what noise explains, by the rule of `nls.optimizers.result`.
+    """The note on a chi2 that noise does not explain, by the rule of `nls.optimizers.result`.
 
     Parameters
     ----------
@@ -121,17 +121,17 @@ def doubtful(kind: GraphFile, result: nls.Result, written: Sequence[str] = (), c
     if not (result.misfit or cures):
         return []
     none = kind.robust is None and kind.options.robust == "none"
-    cure = ["without --robust none, wrong contacts are found and left out"] * none
+    cure = ["leave --robust none out: wrong contacts are then found and rejected"] * none
     cure += cures or listed((piece for piece in result.advice if piece.action != "explain"), shell=True)
     problem = [f"implausible: {result.doubt}" if result.doubt else result.misfit] * bool(result.misfit)
     return ["; ".join([*problem, *cure, f"see: {kind.asking(written)}"])]
 
 
 def _doubt(report: dict[str, Any]) -> str:
-    """The end of the line of the result: doubts, and calibrations far from their belief."""
+    """The end of the line of the result: reasons not to trust it, and calibrations far from their stated values."""
     doubts = list(report["doubtful"])
     doubts += [
-        f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
+        f"{c['name']} is {c['sigmas_away']:.3g} sigmas from its value in calibration.csv"
         for c in report.get("mission", {}).get("calibrations", ())
         if c["sigmas_away"] > 5
     ]
@@ -153,7 +153,7 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     seconds = report["timings"]
     convention = f", convention {options.convention}" * (options.convention != options.default_of("convention"))
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
-    of = " of what the kernel believes" if result.shares else ""
+    of = " of the measurements the kernel keeps" if result.shares else ""
     ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
     lines += [
         f"start       {report['init'].replace('file', file)} (chi2: {start})",
@@ -188,7 +188,7 @@ def _rows(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> list[str]:
     if solved.sigmas is not None:
         out += [f"sigmas      {component}" for component in solved.sigmas.components]
     if solved.certificate is not None:
-        out += [f"improved    left at chi2 {chi2:.9g}: went on from its better poses" for chi2 in solved.refuted]
+        out += [f"improved    from chi2 {chi2:.9g}: continued from better poses" for chi2 in solved.refuted]
         text = solved.certificate.report(shell=True).replace("\n", f"\n{'':12}")
         out += f"certificate {text}".splitlines()
     return out + kind.lines(report)

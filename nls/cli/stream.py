@@ -209,7 +209,7 @@ class _Reader:
         self._plain |= set(values.stacks) - set(report.gtsam_kinds)
         if both := self._keyed & self._plain:
             raise nls.GraphFileError(
-                f"has {min(both)} as ids and as keys of GTSAM: two things of one name; give the file, not a pipe",
+                f"uses {min(both)} as an id and as a key of GTSAM; give the file, not a pipe",
                 self.name,
             )
         self._refuse_two_things(graph, report)
@@ -226,7 +226,7 @@ class _Reader:
             for kind in plain - {keys.kind}:
                 if both := numbers & self._numbers[kind]:
                     two = f"{kind}{min(both)} in one part of the stream and {keys.kind}{min(both)} in another"
-                    raise nls.GraphFileError(f"has {two}, by one number; give the file, not a pipe", self.name)
+                    raise nls.GraphFileError(f"has one number for {two}; give the file, not a pipe", self.name)
             self._numbers[keys.kind] |= numbers
 
     def _whole(self, block: bytes, row: Format) -> Iterator[tuple[Arrived, nls.Values]]:
@@ -240,7 +240,7 @@ class _Reader:
         """Refuse a file that holds several variables."""
         if count > 1:
             raise nls.GraphFileError(
-                f"holds {count} variables; a stream holds the pose it begins with, so give the others priors", self.name
+                f"fixes {count} variables; a stream fixes its first pose alone, so give the others priors", self.name
             )
 
     def _arriving(
@@ -312,7 +312,7 @@ def _begun(options: argparse.Namespace) -> Session:
         return Session(nls.Incremental(options.tol, options.lag, options.landmarks))
     smoother, about = read_smoother(path, nls.Incremental)
     if about.keys() != {"settings", "step", "line", "printed", "digest"}:
-        raise nls.GraphFileError("is a smoother that no stream wrote; give --checkpoint another name", path)
+        raise nls.GraphFileError("is a smoother that nls stream did not write; give --checkpoint another name", path)
     for name, value in about.pop("settings").items():
         if (given := getattr(options, name)) != value:
             was, now = (_option(name, v) for v in (value, given))
@@ -347,7 +347,7 @@ def _refuse_other(options: argparse.Namespace, session: Session, reader: _Reader
     """Refuse an input that does not begin with the lines a checkpoint was made of."""
     if session.printed and reader.digest(session.printed) != session.digest:
         raise nls.GraphFileError(
-            f"its first {session.printed} lines are not those that {options.checkpoint} was made of; give the same "
-            "input from its begin, or remove the checkpoint",
+            f"its first {session.printed} lines differ from the input that {options.checkpoint} was made of; give that "
+            "input from its beginning, or remove the checkpoint",
             input_name(options.file),
         )

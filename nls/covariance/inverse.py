@@ -1,4 +1,4 @@
-r"""The inverse of H: all blocks that have one in H, from one pass over its factor; and what stands in its place.
+r"""The inverse of H: all blocks that have one in H, from one pass over its factor; a substitute where H is singular.
 
 Pairs of variables that nothing measures together get a block in H by a factor that measures nothing.
 
@@ -329,8 +329,8 @@ def free_part(
         directions = free_directions(A, gauge, complement, unheld)
     except SingularSystemError as error:
         raise GraphError(
-            "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
-            "relative=True and is not"
+            "gauge 'free': fixing a variable removes no free direction: a factor declares relative=True, but is not "
+            "relative"
         ) from error
     if others is not None:
         directions = np.pad(directions, ((0, 0), (0, others.shape[1])))

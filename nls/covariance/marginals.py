@@ -100,7 +100,7 @@ class Marginals:
     >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
     >>> marginals = Marginals(world.graph, world.truth)
     >>> marginals.gauge
-    'x0 held'
+    'x0 fixed'
     >>> marginals.covariance(x[10], frame="world").shape, marginals.covariance(x[10], view="position").shape
     ((3, 3), (2, 2))
     >>> marginals.all(x, frame="body").shape

@@ -1,4 +1,4 @@
-"""Contents of a graph, free directions, doubted measurements and cures, in plain words."""
+"""Contents of a graph, free directions, suspected measurements and cures, in plain words."""
 
 from typing import TYPE_CHECKING
 

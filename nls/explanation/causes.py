@@ -50,7 +50,7 @@ def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
 
 
 def misread(graph: FactorGraph, values: Values) -> list[Finding]:
-    """One finding for all readings of kinds of measurements that explain chi2; nothing tells several apart."""
+    """One finding for all readings of kinds of measurements that explain chi2 equally well."""
     kinds = misread_kinds(graph, values)
     if not kinds:
         return []
@@ -84,7 +84,7 @@ def readings(checked: Checked, suspects: Suspects) -> dict[tuple[int, int], tupl
     by_place: dict[tuple[int, int], tuple[str, ...]] = {}
     try:
         misreadings = misread_measurements(checked.linear.pattern, suspects.values, suspects.places)
-    except SingularSystemError:  # without the suspects something is free: nothing tells their readings apart
+    except SingularSystemError:  # without the suspects something is free: the data do not distinguish their readings
         return {}
     for misreading in misreadings:
         by_place[misreading.place] = (*by_place.get(misreading.place, ()), misreading.reading)
@@ -99,7 +99,7 @@ def clocks_by_residuals(checked: Checked, values: Values, count: int) -> list[Fi
 
 
 def calibrated(wrong: Sequence[Calibration]) -> list[Finding]:
-    """One finding for all calibrations that explain chi2; nothing tells several apart."""
+    """One finding for all calibrations that explain chi2 equally well."""
     if not wrong:
         return []
     ways = tuple(
@@ -132,7 +132,7 @@ def wrong_contacts(graph: FactorGraph, choice: Robustified) -> tuple[Finding, ..
 
 
 def duplicate_points(checked: Checked, pattern: Pattern, values: Values) -> list[Finding]:
-    """Pairs of points that the data cannot tell apart, by kind: nearer than their uncertainty, never seen together.
+    """Pairs of points that the data do not distinguish, by kind: nearer than their uncertainty, never seen together.
 
     For d = l_a - l_b of one point t = d' (P_aa + P_bb - P_ab - P_ba)^-1 d is chi2 distributed.
 

@@ -1,4 +1,4 @@
-"""Findings about measurements: what does not fit, kinds with wrong sigmas, what nothing checks, what is repeated."""
+"""Findings about measurements: outliers, kinds with wrong sigmas, measurements without checks, and copies."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def certifies(graph: FactorGraph, values: Values) -> bool:
 
 
 def graduates(graph: FactorGraph, values: Values) -> bool:
-    """Whether `nls.gnc` finds loop closures to doubt in this graph, and odometry to judge them by."""
+    """Whether this graph has loop closures that `nls.gnc` tests, and odometry to test them against."""
     from nls.robust.loop_graph import loop_graph
 
     try:
@@ -137,8 +137,8 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
         above, typical = float(chi2_tail(np.array(part.chi2), np.array(part.expected))), part.typical**0.5
         if 1e-3 < above < 1 - 1e-3:
             continue
-        ratio, many = part.chi2 / part.expected, part.measurements >= 6  # the middle one speaks for the kind
-        if typical > 5.0 and ratio > 1 and many:  # no outlier does that to the middle one
+        ratio, many = part.chi2 / part.expected, part.measurements >= 6  # the median speaks for the kind
+        if typical > 5.0 and ratio > 1 and many:  # no outlier does that to the median
             alike.append((part.name, typical))
             continue
         if suspects.many:

@@ -1,4 +1,4 @@
-"""`explain`: what a graph is made of, what it leaves free, whether its measurements agree, and what would help."""
+"""`explain`: the contents of a graph, its free directions, whether its measurements agree, and cures."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -181,7 +181,7 @@ def _disagreement(
 
     Parameters
     ----------
-    graph : with what no measurement touches held.
+    graph : with unmeasured variables fixed.
     whole, pattern, values, free, tests, parts : of the explanation.
     """
     assert free.checked is not None
@@ -236,7 +236,7 @@ def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
     Parameters
     ----------
     pattern : the graph.
-    gauge : what is held; a part that the gauge holds has no place of its own.
+    gauge : the fixed variables; a part that the gauge fixes has no place of its own.
     """
     moved = moving_variables(pattern)
     names, first, sizes = np.unique(component_labels(pattern)[moved], return_index=True, return_counts=True)

@@ -82,7 +82,7 @@ class Finding(Stated):
 
     @property
     def says(self) -> str:
-        """The finding in a sentence, without what helps."""
+        """The finding in a sentence, without cures."""
         return super().says + (f" [{some(list(dict.fromkeys(self.places)), 3)}]" if self.places else "")
 
     def record(self) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def named_directions(free: Freedom, pattern: Pattern, values: Values) -> list[Fi
     Parameters
     ----------
     free : the directions, over the free columns of the pattern.
-    pattern : the graph with the gauge held.
+    pattern : the graph with the gauge fixed.
     """
     groups: dict[tuple[int, tuple[str, ...]], list[tuple[Keys, Sight | None]]] = {}
     for variable, names, sight in _singles(free, pattern, values):
@@ -150,7 +150,7 @@ def _by_part(directions: Array, part: Index) -> dict[int, Array]:
 def _motions_of(members: Index, pattern: Pattern, values: Values) -> tuple[Array, Array, list[str]]:
     """Motions of the world over all unknowns of some variables; positions and names of those that have one.
 
-    What is held does not move in a direction, and must not in a motion; what no measurement reacts to may.
+    Fixed variables do not move in a direction, and must not in a motion; variables without a measurement may.
     """
     sizes = pattern.dims[members]
     begin = np.cumsum(sizes) - sizes

@@ -1,4 +1,4 @@
-"""Findings in words: one sentence a kind; then a report with the verdict first, what helps, and the numbers behind."""
+"""Findings in words: one sentence a kind; then a report with the verdict first, the cures, and the numbers behind."""
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, groupby
@@ -44,12 +44,12 @@ def _together(f: Finding) -> str:
     moved, several = f.numbers["components"], len(f.keys) > 1
     names = [f"{(', ' if several else ' and ').join(own)} of {key!r}" for key, own in zip(f.keys, moved, strict=True)]
     alone = sum(map(len, moved)) == 1
-    return f"{some(names)} {'can move' if alone else 'can move together' if several else 'cannot be told apart'}"
+    return f"{some(names)} {'can move' if alone else 'can move together' if several else 'cannot be distinguished'}"
 
 
 def _scope(f: Finding) -> str:
     count = f.numbers["variables"]
-    return f"of {f'all {count} variables joined to ' if count > 1 else ''}{f.keys[0]!r}"
+    return f"of {f'all {count} variables connected to ' if count > 1 else ''}{f.keys[0]!r}"
 
 
 def _free(f: Finding) -> str:
@@ -60,10 +60,10 @@ def _free(f: Finding) -> str:
     if n["moved"] == "as one":
         return f"{names} {_scope(f)}, moved as one"
     if not n["seen_from"]:
-        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {_pronoun(len(f.keys))}"
+        return f"{names} of {some(f.keys)}: no measurement depends on {_pronoun(len(f.keys))}"
     points = some([f"{key!r} (from {pose})" for key, pose in zip(f.keys, n["seen_from"], strict=True)])
     count = "this point is" if len(f.keys) == 1 else f"these {len(f.keys)} points are"
-    how = "seen once" if n["seen_once"] else "seen more than once, but only from where that does not show"
+    how = "observed " + ("once" if n["seen_once"] else "only along directions that do not determine it")
     return f"{names} of {points}, as seen by the sensor: {count} {how}"
 
 
@@ -74,8 +74,8 @@ def _pronoun(count: int) -> str:
 def _separate_parts(f: Finding) -> str:
     sizes = f.numbers["variables"]
     parts = some([f"{size} with {key!r}" for size, key in zip(sizes, f.keys, strict=True)])
-    joined = f"the graph has {len(sizes)} parts that no measurement joins ({parts})"
-    return f"{joined}; their relative position is the initial guess"
+    parted = f"the graph has {len(sizes)} parts that no measurement connects ({parts})"
+    return f"{parted}; their relative position is the initial guess"
 
 
 def _fall(n: Mapping[str, Any]) -> str:
@@ -84,26 +84,26 @@ def _fall(n: Mapping[str, Any]) -> str:
 
 def _misread(f: Finding) -> str:
     ways = " or ".join(f"{kind} {READINGS[reading]}" for kind, reading in f.numbers["readings"])
-    return f"{_fall(f.numbers)}, when measurements are read otherwise: {ways}"
+    return f"{_fall(f.numbers)}, if measurements are read differently: {ways}"
 
 
 def _swapped(f: Finding) -> str:
     count = f.numbers["sightings"]
-    return f"{f.keys[0]!r} and {f.keys[1]!r} are one another in {count} sightings: exchanged, {_fall(f.numbers)}"
+    return f"{f.keys[0]!r} and {f.keys[1]!r} are exchanged in {count} sightings: corrected, {_fall(f.numbers)}"
 
 
 def _clock(f: Finding) -> str:
     n = f.numbers
     when = "after" if n["dt"] > 0 else "before"
     return (
-        f"{n['kind']} was measured {abs(n['dt']):.3g} +- {n['sigma']:.2g} steps {when} its poses: chi2 falls by "
-        f"{number(n['fall'])} with that offset, the chance of which is {n['chance']:.1g}"
+        f"{n['kind']} was measured {abs(n['dt']):.3g} +- {n['sigma']:.2g} steps {when} its poses: that offset lowers "
+        f"chi2 by {number(n['fall'])} (probability by chance {n['chance']:.1g})"
     )
 
 
 def _calibration(f: Finding) -> str:
     ways = [_calibrated(**calibration) for calibration in f.numbers["calibrations"]]
-    several = " (nothing tells these apart)" if len(ways) > 1 else ""
+    several = " (the data do not distinguish them)" if len(ways) > 1 else ""
     return f"{', or '.join(ways)}{several}; with that {_fall(f.numbers)}"
 
 
@@ -121,7 +121,7 @@ def _outsized(f: Finding) -> str:
 
 
 def _systematic(f: Finding) -> str:
-    kinds = some([f"{name} (the middle one {typical:.2g} times too far)" for name, typical in f.numbers["kinds"]])
+    kinds = some([f"{name} (median residual {typical:.2g} times too large)" for name, typical in f.numbers["kinds"]])
     return (
         f"most measurements are off alike: {kinds}. Causes: a wrong sign, unit or frame; sigmas much too small; a "
         "local minimum; or most are outliers"
@@ -134,7 +134,7 @@ def _doubtful(f: Finding) -> str:
     text += f"{n['sigmas']:.3g} sigmas from the prediction of all others"
     if n["rival"]:
         rival = f"one of {n['rivals']} others, such as {n['rival']}" if n["rivals"] > 1 else n["rival"]
-        text += f"; or {rival}, as nothing tells them apart"
+        text += f"; or {rival}: the data do not distinguish them"
     if "removed" in n:
         without = "it" if n["removed"] == 1 else f"these {n['removed']}"
         text += f"; without {without} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
@@ -152,8 +152,8 @@ def _sigmas(f: Finding) -> str:
     n = f.numbers
     ratio, without = n["chi2"] / n["expected"], ("", ", without the suspect", ", without the suspects")
     cause = {
-        "small": f"the middle one is {n['typical']:.2g} times too far off: sigmas about that much too small",
-        "few": "the middle one is as expected: a few are far off",
+        "small": f"the median residual is {n['typical']:.2g} times too large: sigmas about that much too small",
+        "few": "the median residual is as expected: a few are outliers",
         "unknown": "wrong sigmas, an outlier, or a local minimum",
         "large": f"sigmas about {ratio**-0.5:.2g} times too large",
     }[n["cause"]]
@@ -183,11 +183,11 @@ def _repeated(f: Finding) -> str:
 def _unchecked(f: Finding) -> str:
     n = f.numbers
     if n["count"] == n["of"]:
-        return "no measurement is checked by another: each fits whatever its number, and chi2 shows no error"
+        return "no measurement checks another: each fits whatever its value, so chi2 cannot show an error"
     few = n["count"] <= len(n["factors"])
     names = some(n["factors"]) if few else f"{n['count']} measurements, such as {', '.join(n['factors'][:FEW])}"
     if n["believed"]:
-        return f"{names}: believed as stated, no other measurement checks {_pronoun(n['count'])}"
+        return f"{names}: taken as stated, no other measurement checks {_pronoun(n['count'])}"
     return f"no other measurement checks {names}: an error there cannot be seen"
 
 
@@ -198,22 +198,22 @@ def _rejected(f: Finding) -> str:
     far = f", {which} far off, by up to {n['most']:.3g} sigmas" if n["far"] else ""
     right = "less than one is" if n["by_chance"] < 1 else f"about {n['by_chance']:.0f} are"
     expected = f"; {right} expected by chance at {100 * n['probability']:.6g} %" if n["far"] < n["count"] else ""
-    return f"{n['count']:,} of {n['doubted']:,} judged measurements rejected{scaled}{far}{expected}"
+    return f"{n['count']:,} of {n['doubted']:,} tested measurements rejected{scaled}{far}{expected}"
 
 
 def _left(f: Finding) -> str:
     n = f.numbers
-    return f"{some(n['landmarks'], FEW)} left with them: too few of {n['count']} judged measurements of theirs agree"
+    return f"{some(n['landmarks'], FEW)} removed with them: too few of their {n['count']} tested measurements agree"
 
 
 SENTENCES: Sentences = {
     FindingKind.INTERRUPTED: (
         "interrupted: the search for outliers and their causes has not ended; the tables below are complete"
     ),
-    FindingKind.NOT_CONVERGED: "no optimum was found ({reason}); the other findings are about the values {values}",
+    FindingKind.NOT_CONVERGED: "no optimum was found ({reason}); the other findings describe the values {values}",
     FindingKind.NO_OPTIMUM: (
-        "these values are no optimum: one Gauss-Newton step lowers chi2 by {fall!n}, from {chi2!n}; measurements are "
-        "judged as after that step"
+        "these values are no optimum: one Gauss-Newton step lowers chi2 by {fall!n}, from {chi2!n}; residuals are "
+        "those after that step"
     ),
     FindingKind.LOCAL_MINIMUM: (
         "these values are a local minimum: chi2 is {chi2!n} here and {lower!n} at another minimum, found without the "
@@ -257,7 +257,7 @@ SENTENCES: Sentences = {
 
 
 def summary(e: Explanation) -> str:
-    """One to three sentences: what is determined, whether chi2 is as expected, whether something is suspicious."""
+    """One to three sentences: undetermined unknowns, chi2 against its expectation, suspicious findings."""
     kinds = [finding.kind for finding in e.findings]
     determined = "Tables of the mission are implausible. " if FindingKind.IMPLAUSIBLE in kinds else ""
     if e.nullity:
@@ -270,9 +270,9 @@ def summary(e: Explanation) -> str:
     if FindingKind.NO_OPTIMUM in kinds:
         return f"{determined} The values are no optimum."
     if not e.dof > 0:
-        fits = "As many measured numbers as unknowns: nothing checks them, chi2 says nothing."
+        fits = "There are as many measured numbers as unknowns: without redundancy, chi2 says nothing."
     elif e.chi2 < 1e-6 * e.dof:
-        fits = "chi2 is 0: these are numbers without noise."
+        fits = "chi2 is 0: the data have no noise."
     elif e.low <= e.chi2 <= e.high:
         fits = f"chi2, {number(e.chi2)}, is as expected."
     else:

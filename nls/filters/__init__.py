@@ -1,4 +1,4 @@
-"""Recursive estimators fed with the factors of a graph: a step a pose, what was measured up to it and nothing later.
+"""Recursive estimators fed with the factors of a graph: a step per pose, with the measurements up to it and none later.
 
 Every filter takes h, its Jacobians, the noise and the differences of angles from the factors. So one `FactorGraph`
 serves a filter and a batch solution alike.

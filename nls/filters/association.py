@@ -1,4 +1,4 @@
-r"""Which landmark a sighting is of, where nothing but the geometry says so.
+r"""Data association: the landmark of each sighting, by geometry alone.
 
 A pairing of sighting i with landmark j has the innovation nu and its covariance S = H P H' + R, and
 

@@ -4,9 +4,9 @@ A step is a pose, the factors from the pose before it (`motion`), and all others
 (`observations`). They are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
 
     steps(graph, values)            -> [Step, Step, ...]        by rising number of the pose
-    filter.start(step, values)      first step: what is believed of the first pose, and what is seen from there
+    filter.start(step, values)      first step: the prior of the first pose, and the sightings from there
     filter.step(step)               every other one
-    filter.pose, filter.landmarks   what is believed now
+    filter.pose, filter.landmarks   the present estimate
     filter.run(graph, values)       -> Track                    all of it
 """
 
@@ -61,14 +61,14 @@ def landmark_kind(graph: FactorGraph) -> str | None:
     if len(kinds) > 1:
         raise GraphError(
             f"filters know poses, kind {POSE}, and one kind of landmarks; this graph has kinds {', '.join(kinds)}. "
-            "Use one number range for all landmarks; what is fixed, such as the offset of a sensor, give as numbers",
+            "Use one number range for all landmarks; give fixed quantities, such as the offset of a sensor, as numbers",
             [keys[[0]] for keys in kinds.values()],
         )
     return next(iter(kinds), None)
 
 
 def steps(graph: FactorGraph, values: Values) -> list[Step]:
-    """A graph cut into what was measured at each pose, poses in the order of their numbers.
+    """A graph cut into the measurements at each pose, poses in the order of their numbers.
 
     Parameters
     ----------
@@ -104,8 +104,8 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     x6 [Between(x5, x6)] [Landmark(x[6, 6], l[8, 9])]
     """
     if (held := next((keys for keys in graph.fixed if len(keys)), None)) is not None:
-        cure = "`graph.release` it and add a Prior with the sigmas it is known to"
-        raise GraphError(f"{held[[0]]} is held fixed, which a filter does not know: {cure}", [held])
+        cure = "release it with `graph.release` and add a Prior with its sigmas"
+        raise GraphError(f"{held[[0]]} is fixed, which a filter does not support: {cure}", [held])
     landmark_kind(graph)
     numbers = np.sort(values.stack(POSE).numbers)
     if not len(numbers):
@@ -170,7 +170,7 @@ class Track:
     manifold : their space.
     X, P : (n, size) and (n, d, d), every pose and its covariance at the time it was the latest. P is in the tangent
         space at X: axes of the body, position in m before angles in rad.
-    values : the poses as they are believed in the end (those of X where nothing is smoothed), and the landmarks that
+    values : the poses in the final estimate (those of X where nothing is smoothed), and the landmarks that
         were found.
     landmarks, P_landmarks : the landmarks in `values` and (m, d, d) their covariances in the end.
     seconds : (n,) of every step.
@@ -191,11 +191,11 @@ class Track:
         return nees(self.x, self.manifold, self.X, self.P, truth[self.x])
 
     def ate(self, truth: Values, align: str = "none", smoothed: bool = False) -> TrajectoryError:
-        """Absolute trajectory error of the poses when they were the latest; smoothed: as believed in the end."""
+        """Absolute trajectory error of the poses when they were the latest; smoothed: by the final estimate."""
         return ate(self.values[self.x] if smoothed else self.X, truth[self.x], align)
 
     def landmark_errors(self, truth: Values) -> Array:
-        """Steps (m, d) of the landmarks from the truth to where they are believed in the end: dX and dY of points."""
+        """Steps (m, d) of the landmarks from the truth to the final estimate: dX and dY of points."""
         return self.values.stack(self.landmarks.kind).manifold.local(truth[self.landmarks], self.values[self.landmarks])
 
 
@@ -226,7 +226,7 @@ class Filter(Abstract):
         """The landmarks found so far, L (m, size) and their covariances P (m, d, d)."""
 
     def smoothed(self) -> Array | None:
-        """All poses (n, size) as they are believed now, in the order of time; None where nothing is smoothed."""
+        """All poses (n, size) of the present estimate, in the order of time; None where nothing is smoothed."""
         return None
 
     @single_thread()

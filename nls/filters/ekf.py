@@ -59,7 +59,7 @@ class EKF(Filter):
     iterations : how often at most an update is linearized, again where the last linearization led, until that moves
         by less than 1e-6 (m, rad). More than one is needed where landmarks are known worse than they are measured.
     gate : probability with which a sighting of a known landmark is within its gate; what is outside is of something
-        else and is left out. None: every sighting is believed, and one that is wrong is never undone.
+        else and is left out. None: every sighting is used, and a wrong one is never undone.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ class EKF(Filter):
         F = -np.asarray(np.linalg.lstsq(A_j, A_i)[0], dtype=float)
         if np.abs(A_i + A_j @ F).max() > 1e-9 * np.abs(A_i).max():  # more than rounding
             factors = ", ".join(map(repr, step.motion))
-            message = f"{factors} together say something of {before} as well, which is past"
+            message = f"{factors} together also constrain {before}, which is past"
             raise GraphError(f"EKF: {message}; fuse them to one, or use a graph", [before, step.pose])
         self._pose = step.pose
         state.predict(X_j[0], F, _inverse(Lambda)[0])
@@ -246,7 +246,7 @@ class EKF(Filter):
         """A robust kernel is refused at once, also of a sighting that waits."""
         factor = next((factor for factor in (*step.motion, *step.observations) if factor.kernel is not None), None)
         if factor is not None:
-            message = "has a robust kernel, which a filter cannot weigh again later; use its noise alone, or a graph"
+            message = "has a robust kernel, which a filter cannot reweight later; use its noise alone, or a graph"
             raise GraphError(f"EKF: {factor!r} {message}", factor.keys, factor.name)
 
     def _copies(self, factor: Factor) -> Copies:
@@ -278,7 +278,7 @@ class EKF(Filter):
                 cure = "a filter of the latest pose closes no loops between poses: use a Smoother or a graph"
                 raise GraphError(f"EKF at {self._pose}: {message}; {cure}", [past], factor.name)
         if len(slots) > 1:
-            raise GraphError(f"EKF: {factor!r} joins landmarks to each other; use a graph", factor.keys, factor.name)
+            raise GraphError(f"EKF: {factor!r} connects landmarks; use a graph", factor.keys, factor.name)
         if not slots:
             return factor, None
         if self.associate is None or not isinstance(factor, Sighting):
@@ -327,7 +327,7 @@ class EKF(Filter):
         pose, landmark = state.spaces
         if self.initial == "independent":
             keys, cure = Keys(self._kind, numbers), "add one, or choose 'correlated'"
-            message = f"{keys[[0]]} is seen and has no Prior, which landmarks='independent' needs; {cure}"
+            message = f"{keys[[0]]} is observed and has no Prior, which landmarks='independent' needs; {cure}"
             raise GraphError(f"EKF: {message}", [keys])
         copied = self._copies(factor)
         assert isinstance(pose, LieGroup)
@@ -356,7 +356,7 @@ class EKF(Filter):
                 waits = named and self.initial != "delayed" and can_wait(factor, state.spaces)
                 cure = ", or EKF(landmarks='delayed'), where sightings wait for each other" if waits else ""
                 needs = f"a filter needs a sighting with direction and distance first, or a Prior of {key}{cure}"
-                message = f"{factor.describe(k)} is the first of {key} and does not say where it is; {needs}"
+                message = f"{factor.describe(k)} is the first of {key} and does not determine its position; {needs}"
                 raise GraphError(message, [self._pose, key], factor.name)
             known.append((self._copies(factor).model, rows))
         if not known:

@@ -91,7 +91,7 @@ class FastSLAM(Filter):
         return f"FastSLAM {self.version}.0, {self.particles} particles"
 
     def start(self, step: Step, values: Values) -> None:
-        """Draw the first pose from what is measured of it alone, and see what is seen from there."""
+        """Draw the first pose from its own measurements, and use the sightings from there."""
         self.start_values, self.manifold = values, values.stack(step.pose.kind).manifold
         self.map: ParticleMap | None = None
         self.log_w, self.parents = np.zeros(self.particles), np.arange(self.particles)
@@ -101,7 +101,7 @@ class FastSLAM(Filter):
         self._move(step.pose, X, [(self._copies(f), 0, ()) for f in alone], others)
 
     def step(self, step: Step) -> None:
-        """Move every particle to the next pose and weigh it by what is seen there."""
+        """Move every particle to the next pose and weigh it by the sightings there."""
         self.parents = np.arange(self.particles)
         if effective(self.weights) < self.particles / 2:
             self._resample()
@@ -217,5 +217,5 @@ class FastSLAM(Filter):
             case [True, False]:
                 return "sighting"
         message = f"{factor!r} is about more than {pose} and a landmark seen from it"
-        cure = "what joins several poses is for a graph or a Smoother"
+        cure = "use a graph or a Smoother for factors that connect several poses"
         raise GraphError(f"FastSLAM: {message}; {cure}", factor.keys, factor.name)

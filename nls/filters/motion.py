@@ -107,7 +107,7 @@ def most_likely(factors: Factors, manifold: Manifold, X: Array, key: Keys) -> tu
         There are none; the steps do not settle.
     """
     if not factors:
-        raise GraphError(f"{key}: nothing is measured of it alone; a filter has to begin with a Prior of it", [key])
+        raise GraphError(f"{key}: no measurement of its own; a filter must begin with a Prior of it", [key])
     for _ in range(NEWTON_STEPS):
         parts = []
         for copied, slot, states in factors:
@@ -119,8 +119,8 @@ def most_likely(factors: Factors, manifold: Manifold, X: Array, key: Keys) -> tu
         scaled = D[:, :, None] * Lambda * D[:, None, :]
         if not np.linalg.det(scaled).min() > 1e-14:  # rounding of 0
             names = ", ".join(sorted({copied.factor.name for copied, _, _ in factors}))
-            message = f"what is measured of it ({names}) leaves a direction free; a filter has to begin with all of it"
-            cure = f"Add a Prior of {key} with the sigmas it is known to, however large"
+            message = f"its measurements ({names}) leave a direction free; a filter must begin with a complete estimate"
+            cure = f"Add a Prior of {key}; its sigmas may be large"
             raise UnderconstrainedError(f"{key}: {message}. {cure}", [key])
         dX = np.asarray(np.linalg.solve(Lambda, g[..., None])[..., 0], dtype=float)
         X = manifold.retract(X, dX)

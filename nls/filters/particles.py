@@ -146,11 +146,9 @@ class ParticleMap:
             One such measurement does not say where its landmark is.
         """
         if not isinstance(factor, Sighting) or not factor.locates:
-            message = (
-                f"{factor.describe(0)} is the first to see {factor.keys[1][[0]]}, and one such measurement does not"
-            )
+            message = f"{factor.describe(0)} is the first to observe {factor.keys[1][[0]]}, and does not"
             cure = "give a Prior of the landmark, or measure bearing and range together"
-            raise GraphError(f"{message} say where it is: {cure}", factor.keys, factor.name)
+            raise GraphError(f"{message} determine its position: {cure}", factor.keys, factor.name)
         many = copies(factor, [group, self.manifold], self.particles)
         assert isinstance(group, LieGroup)
         assert isinstance(many.factor, Sighting)

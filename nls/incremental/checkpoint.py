@@ -1,4 +1,4 @@
-"""A smoother as a file of named arrays, and back: equal to the bit, so that what goes on is as if it had never stopped.
+"""A smoother as a file of named arrays, and back: equal to the bit, so that it continues as if it had never stopped.
 
 Every object is an entry of a list that names its class, one of `STATE`; its attributes are numbers, texts, arrays or
 places of entries before it. So nothing is made but what is listed here, and nothing is run. Factors of one sort stand
@@ -144,7 +144,7 @@ class _Writer:
         if isinstance(thing, list | tuple | set):
             return {"is": type(thing).__name__, "of": self._sequence([*thing])}
         if type(thing) not in self._classes:
-            raise GraphError(f"{thing!r:.60} is nothing that a checkpoint holds")
+            raise GraphError(f"{thing!r:.60} cannot be stored in a checkpoint")
         state = thing.__getstate__()
         self._kept.append(state)
         return {"is": type(thing).__name__, "of": {name: self.of(value) for name, value in state.items()}}

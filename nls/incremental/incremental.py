@@ -61,7 +61,7 @@ class Incremental:
         stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
         same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
-    decide_every : `decide` which loop closures to believe whenever so many have come; a pose graph's alone.
+    decide_every : `decide` which loop closures to keep whenever so many have come; a pose graph's alone.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Incremental:
         Raises
         ------
         GraphError
-            No pose graph, or one without closures; nothing that is doubted has come.
+            No pose graph, or one without closures; no tested measurement has come.
         """
         system, old = self._system, self._system.given
         pairs = [*old, *self._decision.rejected]
@@ -278,7 +278,7 @@ class Incremental:
                 error.advise(Advice("remove all", (some([repr(key) for key in error.keys]),)))
                 raise
             if len(apart := self._system.held) > max(len(held), all(b.factor.relative for b in self._system.batches)):
-                cut = f"Incremental.remove: nothing else joins {apart[-1]} to the rest of the map; join it first"
+                cut = f"Incremental.remove: nothing else connects {apart[-1]} to the rest of the map; connect it first"
                 raise UnderconstrainedError(cut, apart[-1:])
             if self.batch_solutions > batches or self._system.fit is not Fit.PLAUSIBLE:  # the map was bent far
                 if (lower := lower_start(self.graph, self.values, self.chi2)) is not None:

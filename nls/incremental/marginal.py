@@ -1,4 +1,4 @@
-r"""Variables taken out of a graph exactly: what is left of their measurements is one prior on their neighbors.
+r"""Exact marginalization: variables leave a graph, and their measurements become one prior on their neighbors.
 
 The factors that touch the variables e that leave, linearized, are rows A_e d_e + A_r d_r = b over them and over the
 variables r they are joined to. With [A_e A_r b] = Q R::
@@ -168,7 +168,7 @@ def _view(group: Manifold | None, S: Array, space: Manifold, X: Array) -> tuple[
 
 
 def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:
-    """Factors and values without some variables; what was known of the rest stays known.
+    """Factors and values without some variables; the information about the rest is kept.
 
     Parameters
     ----------

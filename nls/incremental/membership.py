@@ -1,6 +1,6 @@
-"""What leaves a growing estimate and what arrives.
+"""Variables and measurements that leave a growing estimate, and those that arrive.
 
-Loop closures and variables leave that are not believed any more, or older than the lag. Of the measurements that arrive
+Rejected loop closures leave, and variables older than the lag. Of the measurements that arrive
 some can be used, some wait for a variable, and some make variables join.
 """
 
@@ -33,7 +33,7 @@ from nls.values import Stack, Values
 
 
 class Decision:
-    """When closures are judged, and which were rejected the last time.
+    """When closures are tested, and which were rejected the last time.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ class Decision:
 
     Attributes
     ----------
-    rejected : factors as they were given, and the part of each that is not believed.
+    rejected : factors as they were given, and the part of each that is rejected.
     """
 
     def __init__(self, every: int | None, lag: int | None) -> None:
         if every is not None:
             check_whole("Incremental: decide_every", every, 1, "a whole number of closures of at least 1, or None")
             if lag is not None:
-                expected = "None with a lag: closures are judged along the whole path"
+                expected = "None with a lag: closures are tested along the whole path"
                 raise OptionError("Incremental: decide_every", every, expected)
         self.every = every
         self.rejected: list[tuple[Factor, Factor]] = []
@@ -75,7 +75,7 @@ class Decision:
     def judge(
         self, models: Sequence[Model], values: Values, doubted: Mask | None = None
     ) -> tuple[Robustified, list[Mask]]:
-        """The choice among all that have come, and which measurements (n,) of each factor are believed.
+        """The choice among all that have come, and which measurements (n,) of each factor are kept.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class Arrivals:
         for kind, stack in values.stacks.items():
             space = self._known.space(kind) or stack.manifold
             if space is not stack.manifold:
-                raise GraphError(f"{kind} is in {space}, its start values are in {stack.manifold}")
+                raise GraphError(f"{kind} is in {space}, its initial values are in {stack.manifold}")
             new = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
             spaces, starts = self._known.spaces | {kind: space}, self._known.starts | new
             self._known = replace(self._known, spaces=spaces, starts=starts)
@@ -332,7 +332,7 @@ def blame(error: LeadlineError, came: list[Factor], given: list[Factor]) -> None
 
 
 def factors_of(given: Factor | Sequence[Factor], expected: str) -> list[Factor]:
-    """A factor or several as a list; what is none is refused, in words of what was expected."""
+    """A factor or several as a list; anything else is refused."""
     factors = [given] if isinstance(given, Factor) else list(given)
     for factor in factors:
         if not isinstance(factor, Factor):
@@ -346,7 +346,7 @@ def refuse_others(factors: Sequence[Factor], given: Sequence[Factor]) -> None:
     for factor in factors:
         if id(factor) not in known:
             like = any(type(other) is type(factor) and other.keys == factor.keys for other in given)
-            cure = ". Another object of its type and variables is, in `given`: pass that one" if like else ""
+            cure = ". `given` has another object of its type and variables: pass that one" if like else ""
             raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
 
 

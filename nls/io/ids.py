@@ -176,7 +176,7 @@ class Roles:
                 self._refuse_unknown(int(ids[k]), int(block.at[k]), tag)
                 raise self.text.error(
                     f"the edge needs vertex {id_text(ids[k])}, which no {tag} line has (others are there); add it, or "
-                    "take out all vertices to have poses chained along the edges",
+                    "remove all vertices: poses are then chained along the edges",
                     int(block.at[k]),
                     [Advice("drop absent")],
                 )

@@ -199,7 +199,7 @@ def _factor(text: Text, kinds: tuple[str, ...], block: Lines, values: Values, co
             at = int(np.argmax(missing))
             raise text.error(f"{k[[at]]!r} is measured, but no vertex line gives it", int(lines[at]))
     if len(keys) == 2 and kinds[0] == kinds[1]:
-        text.refuse(keys[0].numbers == keys[1].numbers, lines, lambda k: f"joins {keys[0][[k]]!r} to itself")
+        text.refuse(keys[0].numbers == keys[1].numbers, lines, lambda k: f"connects {keys[0][[k]]!r} to itself")
     if record.factor is Range:
         text.refuse(z[:, 0] < 0, lines, lambda _: "a range is at least 0 m")
     with text.at_lines(lines):

@@ -277,7 +277,7 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
     if (invalid := record.element.space.invalid(X)) is not None:
         raise text.error(invalid[1], int(at[invalid[0]]))
     if len(ids) > 1 and record.slots[0] == record.slots[1]:
-        text.refuse(ids[0] == ids[1], at, lambda k: f"the edge joins vertex {ids[0][k]} to itself")
+        text.refuse(ids[0] == ids[1], at, lambda k: f"the edge connects vertex {ids[0][k]} to itself")
     return Lines(record, at, ids, parameters, X, numbers)
 
 

@@ -215,7 +215,7 @@ def trajectory_text(
         data, notes = kitti_text(path, X), ["a kitti file holds no times"] * timed
     else:
         if not timed and (np.diff(times[order]) == 0).any():
-            message = f"{path}: the numbers of the poses stand for times, and are too large to tell them apart as such"
+            message = f"{path}: the numbers of the poses stand for times, and are too large to remain distinct"
             raise GraphError(message, advice=[Advice("table"), Advice("native")])
         data = tum_text(path, times[order], X)
         notes = ["the file has no times: the numbers of the poses stand for them"] * (not timed)

@@ -123,7 +123,7 @@ def set_aside(
         counts = some([f"{tag[:SHORT]} ({len(lines)})" for tag, lines in edges.items()], NAMED, noun=" tags")
         option = (shlex.quote(",".join(edges)), repr(list(edges)))
         raise text.error(
-            f"tags that are not known and may join variables: {counts}; the rest may be another graph",
+            f"unknown tags that may connect variables: {counts}; the rest may be another graph",
             min(int(lines[0]) for lines in edges.values()),
             [Advice("ignore tags", option)] * (len(option[0]) <= 500),
         )

@@ -42,7 +42,7 @@ PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 def graph_text(
     path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
 ) -> tuple[bytes, list[str]]:
-    """The bytes of a graph text file, and what they leave out, in words.
+    """The bytes of a graph text file, and its losses in words.
 
     A graph made in Python is read back with its information as a full matrix: its chi2 may differ by rounding.
 
@@ -316,7 +316,7 @@ def refuse_held(path: str, graph: FactorGraph, file: str) -> None:
     GraphError
     """
     if held := [keys for keys in graph.fixed if len(keys)]:
-        message = f"{path}: {held[0]!r} is held fixed, which {file} has no line for"
+        message = f"{path}: {held[0]!r} is fixed, and {file} has no line for that"
         raise GraphError(message, held, advice=[NATIVE])
 
 

@@ -84,7 +84,7 @@ def refuse_above(limit: float, per_number: float, hessian: Hessian, solver: str)
         raise ResourceLimitError(
             f"linear solver {solver!r}: R of {hessian.n:,} unknowns has {fill.nnz:,} numbers, its factorization needs "
             f"{gigabytes(needed)}, the limit is {gigabytes(limit)}; {alternative}leave out variables or "
-            "the measurements that join far parts, fix variables, or allow more with memory_limit",
+            "the measurements that connect distant parts, fix variables, or allow more with memory_limit",
             needed,
             limit,
             "sparse factorization",

@@ -322,7 +322,7 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     lengths = np.sqrt(A.copy().power(2).sum(axis=0))  # of A itself it would sort indices that all linearizations share
     U = N / np.linalg.norm(lengths[:, None] * N, axis=0)  # of length 1 in sigmas, whatever the units
     if np.abs(A @ U).max(initial=0.0) > 1e-6:  # sigmas; public pose graphs have at most 1e-10
-        raise SingularSystemError("the held variable is not a free direction of the measurements")
+        raise SingularSystemError("the fixed variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 
 

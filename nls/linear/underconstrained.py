@@ -167,7 +167,7 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
         index = int(np.argmax(values[batch]))
         row = int(np.argmax(sizes[batch][index]))
         size = f"its measurement is {system.pattern.batches[batch].model.z[index].tolist()}"
-        return batch, index, row, np.inf, size, [Advice("inspect", ("that measurement and the start values",))]
+        return batch, index, row, np.inf, size, [Advice("inspect", ("that measurement and the initial values",))]
     heavy = measured.max() / middle >= middle / measured.min()
     extreme = measured.max() if heavy else measured.min()
     batch = next(k for k, size in enumerate(sizes) if (size == extreme).any())
@@ -274,7 +274,7 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
         if not np.isin(members, moving).all() or (label[pattern.held] == k).any():
             return _listed(named), [Advice("view", ("a landmark",)), Advice("prior", ("the variables",))]
         _, names = texts[int(members[0])].split(": ", 1)
-        size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
+        size = f"all {len(members)} variables connected to" if len(members) > 1 else "the variable"
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
     listed = some(parts, 6, "; ", " components")
     components = np.unique(label[moving])

@@ -1,4 +1,4 @@
-"""From a vehicle's log to a chart: mission folders, their checks, contacts and scans, and what a solution is worth."""
+"""From a vehicle's log to a chart: mission folders, their checks, contacts and scans, and the quality of a solution."""
 
 from nls.lazy import importer
 

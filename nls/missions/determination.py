@@ -1,11 +1,11 @@
-"""What the data of a mission determine: its calibrations, and how many measured numbers check its dead reckoning.
+"""Determination by the data of a mission: its calibrations, and how many measured numbers check its dead reckoning.
 
 Of a calibration it is told how much of what was not known before is left,
 
     share = sigma after all measurements / sigma of the row in calibration.csv
 
 1 where no measurement says anything, near 0 where they say everything. A calibration that keeps `LEFT` of its sigma is
-not determined: its value is the one it was believed to be.
+not determined: its value is the stated one.
 
 A raw log measures depth and attitude at each pose and a step to the next. These are as many numbers as unknowns, so
 whatever the DVL says fits. The degrees of freedom left for the position are those of the graph without those of the
@@ -48,7 +48,7 @@ def determinations(values: Values, report: MissionReport, marginals: Marginals |
     name : in calibration.csv; ``gyro_bias`` is that of the first minute.
     value, sigma : after the measurements; sigma is None where it is not known.
     sigma_before : before them.
-    sigmas_away : how far the estimate is from what was believed, in sigmas before the measurements.
+    sigmas_away : how far the estimate is from the stated value, in sigmas before the measurements.
     share : the part of the sigma before the measurements that is left.
     determined : whether the measurements say more of it than was known before.
     """

@@ -1,4 +1,4 @@
-"""The solution of a mission, or of several dives solved as one: its drift, what checks it, and how well it is known.
+"""The solution of a mission, or of several dives solved as one: its drift, its checks, and its accuracy.
 
     drift = |t_n - t_n,true| / distance,    distance = sum |t_k+1 - t_k|
 
@@ -45,7 +45,7 @@ class Solution:
 
     Parameters
     ----------
-    graph : the measurements that are believed.
+    graph : the measurements that are kept.
     dead : values as read: dead reckoning.
     result : of the optimization.
     report : of the mission.
@@ -139,8 +139,8 @@ class SolvedMission(Solution):
         seen_once = determination.undetermined(marginals, l) if mapped else l[[]]
         if len(seen_once):
             self.report.notes.append(
-                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
-                "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given. "
+                "Add a contact from another place, or use the aperture of the sonar: --elevation prior"
             )
         kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
         if free := [key for kind in kinds_of for key in determination.undetermined(marginals, kind)]:
@@ -266,13 +266,13 @@ def _own(values: Values, dive: Dive) -> Values:
 
 @dataclass(frozen=True)
 class TrackErrors:
-    """A track beside the one it is judged by: the truth, or the solution where there is none.
+    """A track beside its reference: the truth, or the solution where there is none.
 
     Attributes
     ----------
     against : ``truth`` or ``solution``.
     numbers : (n,) poses that both have, in the order of time.
-    along : (n,) distance travelled up to every pose, along the path it is judged by, m.
+    along : (n,) distance travelled up to every pose, along the path of the reference, m.
     error : (n,) distance between the two at every pose, m.
     ate : absolute trajectory error, nothing aligned.
     """
@@ -300,13 +300,13 @@ class TrackErrors:
 
 
 def track_of(estimate: Values, judge: Values, report: MissionReport, against: str) -> TrackErrors:
-    """The poses of an estimate beside those of a judge.
+    """The poses of an estimate beside those of a reference.
 
     Parameters
     ----------
     estimate, judge : poses ``x``; those that both have are compared, in the order of their times or numbers.
     report : of the mission: the times.
-    against : what the judge is, for the reader.
+    against : the name of the reference, for the reader.
 
     Raises
     ------

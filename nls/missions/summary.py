@@ -1,4 +1,4 @@
-"""The lines of a table that say what the solution of a mission is worth, from its record in the report for programs."""
+"""The lines of a table about the quality of the solution of a mission, from its record in the report for programs."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
     if mission["judge"] is not None:
         drift, ate = _drift(mission)
         anchor = mission["anchor"]  # poses, or files
-        held = f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
+        held = f"anchored by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
         out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {held})"]
     for dive in mission.get("dives", []):
         out.append(
@@ -37,7 +37,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
     if mission.get("mirrored"):
         out.append(
             f"mirrored    {mission['mirrored']} of {mission['landmarks']} landmarks fit as well on the other side of "
-            "the plane of the sonar, see mirrored in map.csv; a view after heave or roll of the sonar tells the side"
+            "the plane of the sonar, see mirrored in map.csv; a view after heave or roll of the sonar decides"
         )
     out += [f"calibration {_calibrated(c)}" for c in mission.get("calibrations", [])]
     return out

@@ -6,7 +6,7 @@ something is wrong, if little: sigmas a few percent too small do it in a large g
 are wrong by more than 40 %, or measurements contradict each other. Such a result is implausible.
 
 A robust kernel hides what does not fit: its sum of costs is small whatever was measured. So a robust optimum is judged
-by plain chi2 of the measurements that the kernel believes, and by how many it ignores. A measurement is ignored where
+by plain chi2 of the measurements that the kernel keeps, and by how many it ignores. A measurement is ignored where
 
     w(s) <= w(q) / 2,   q the 99 % quantile of chi2 of its numbers
 
@@ -38,7 +38,7 @@ SILENCED = 0.25  # part of a table that may be ignored
 class Fit(Enum):
     """How well an optimum fits its measurements; the value says what that means."""
 
-    PLAUSIBLE = "nothing speaks against the noise that was stated"
+    PLAUSIBLE = "the residuals agree with the stated noise"
     HIGH = "more than noise explains"
     IMPLAUSIBLE = "wrong sigmas, outliers, or a point that is stationary but no minimum"
 
@@ -48,7 +48,7 @@ def fit(chi2: float, dof: int, robust: bool = False) -> Fit:
 
     Parameters
     ----------
-    chi2 : at an optimum; with robust kernels of the measurements that they believe.
+    chi2 : at an optimum; with robust kernels of the measurements that they keep.
     dof : degrees of freedom; 0 or below counts as 1: chi2 is rounding then, or the point is no minimum.
     robust : whether a factor has a robust kernel: a robust optimum is none of chi2, so it may be somewhat higher.
 
@@ -216,7 +216,7 @@ class Result:
     rule : name of the rule that stopped it, a function of `nls.optimizers.stop`.
     last_update : max |dx| of the last step with its unit, variable and component; empty where there was no step.
     attempts : methods that failed before the last one.
-    robust : whether a factor has a robust kernel: chi2 of what it believes is then compared with its expectation.
+    robust : whether a factor has a robust kernel: chi2 of the kept measurements is then compared with its expectation.
     underconstrained : directions that stayed free under a damped method, in words: they are where the start had them.
     shares : of every table at a robust optimum how much the kernel ignored; empty without one.
     """
@@ -267,7 +267,7 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on how the methods went: which one failed and which continued, what was reused."""
+        """Sentences on how the methods went: which failed, which continued, how many steps reused a factorization."""
         remarks = []
         for attempt in self.attempts:
             parts = [f"after {attempt.iterations} iterations", attempt.reason]
@@ -280,7 +280,7 @@ class Result:
 
     @property
     def believed(self) -> tuple[float, int]:
-        """chi2 and its degrees of freedom; with robust kernels those of the measurements that they believe."""
+        """chi2 and its degrees of freedom; with robust kernels those of the measurements that they keep."""
         if not self.shares:
             return self.chi2_final, self.dof
         return sum(share.chi2 for share in self.shares), self.dof - sum(share.numbers for share in self.shares)
@@ -302,7 +302,7 @@ class Result:
         reasons = self._silenced
         if (verdict := fit(*self.believed, self.robust)) is not Fit.PLAUSIBLE:
             chi2, dof = self.believed
-            of = " of the believed measurements" if self.shares else ""
+            of = " of the measurements the kernel keeps" if self.shares else ""
             reasons.append(f"chi2{of} is {chi2 / max(dof, 1):.3g} times its expectation: {verdict.value}")
         return "; ".join(reasons)
 
@@ -310,9 +310,9 @@ class Result:
     def _silenced(self) -> list[str]:
         """Measurements that a kernel may hide, in words."""
         many = [share for share in self.shares if share.ignored > SILENCED * share.total]
-        out = [f"the kernel ignored {share}, not a few wrong ones" for share in many]
+        out = [f"the kernel ignored {share}: too many to be outliers" for share in many]
         if any(share.ignored for share in self.shares) and self.believed[1] <= 0:
-            out.append("nothing checks the measurements that the kernel believes")
+            out.append("nothing checks the measurements the kernel keeps")
         return out
 
     @property
@@ -326,7 +326,7 @@ class Result:
         if not self.doubt:
             return ()
         explain = Advice("explain", ("nls explain",))
-        # sigmas ten times too small are rare, wrong measurements or starts are not
+        # sigmas ten times too small are rare, wrong measurements or initial guesses are not
         return (explain, Advice("start")) if self.chi2_final > 100.0 * max(self.dof, 1) else (explain,)
 
     def __repr__(self) -> str:
@@ -352,16 +352,16 @@ class Result:
         return "\n".join([*self.steps, *self.remarks, f"{self.status.name}: {self.ending}", *self._facts()])
 
     def _facts(self) -> list[str]:
-        """Lines: chi2 and how it was reached, what is free, what is doubtful."""
+        """Lines: chi2 and how it was reached, free directions, reasons not to trust it."""
         lines = [
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
             + (f" (ratio {self.ratio:.3g}, 1 expected)" if self.believed[1] > 0 else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         ]
         if (rises := self.rises) and not self.attempts:
-            lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
+            lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() accepts no such step")
         if self.underconstrained:
-            lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
+            lines.append(f"free, kept at the initial guess: {'; '.join(self.underconstrained)}")
         if self.shares:
             lines.append(f"ignored by the kernel: {', '.join(map(str, self.shares))}")
         if self.doubt:

@@ -52,8 +52,8 @@ def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
     key, name = step.system.column(int(np.argmax(lost)))
     return Verdict(
         Status.DIVERGED,
-        f"nothing reacts any more to {name} of {key}, which was measured at the start: the estimate went to a "
-        "plateau, where there is no minimum",
+        f"no measurement depends on {name} of {key} any more, as one did at the initial guess: the estimate is on a "
+        "plateau without a minimum",
         "unknown_lost",
     )
 
@@ -138,7 +138,7 @@ def levels_off(step: Step) -> Verdict:
     return Verdict(
         Status.DIVERGED,
         f"chi2 levels off at {last.chi2:.6g} while the steps do not get shorter, {last.update:.3g} the last: a plateau "
-        "that falls for ever, no minimum",
+        "that keeps falling, without a minimum",
     )
 
 
@@ -259,7 +259,7 @@ def pulled(step: Step) -> Verdict | None:
     return Verdict(
         Status.STALLED,
         f"{step.watch.reason}, but the measurements still pull one unknown by {pull:.3g} sigmas: chi2 can fall "
-        f"where the steps of the linear solver do not lead ({step.words})",
+        f"in a direction that the linear solver does not step ({step.words})",
     )
 
 

@@ -99,7 +99,7 @@ def factor_graph(graph: FactorGraph, values: Values | None = None, axes: Axes | 
         axes.scatter(right, up, s=25**2, linewidth=1.8, zorder=2, facecolor=face, edgecolor=edge)
         axes.text(right, up, text, ha="center", va="center_baseline", fontsize=max(6, 13 - len(text)), zorder=4)
     if held:
-        axes.scatter([], [], s=60, facecolor=HELD, edgecolor=TRUE, label="held fixed")
+        axes.scatter([], [], s=60, facecolor=HELD, edgecolor=TRUE, label="fixed")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal")
     if values is None:

@@ -1,4 +1,4 @@
-r"""What an estimator believed while a vehicle moved, against the truth: four pictures, the same for any estimator.
+r"""Estimates and covariances while a vehicle moved, against the truth: four pictures, the same for any estimator.
 
     map         the track beside the true one, and where vehicle and landmarks are with 95 %
     vehicle     sigma of the pose against the step

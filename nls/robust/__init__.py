@@ -1,4 +1,4 @@
-"""Wrong measurements: which loop closures to believe, and the estimate without the others."""
+"""Wrong measurements: which loop closures to accept, and the estimate without the others."""
 
 from nls.robust.accepted_closures import Growth, grow
 from nls.robust.graduated import Rejected, Robustified, gnc

@@ -1,4 +1,4 @@
-r"""Which loop closures to believe: begin with odometry, and accept first what is most certain.
+r"""Which loop closures to accept: begin with odometry, and accept first what is most certain.
 
 A closure (i, j, z) is tested against the prediction of what has been accepted so far,
 
@@ -23,7 +23,7 @@ covariance of the relative pose from above; in the axes of the world its links a
 
     P_ij = Ad(T_j)^-1 (sum of Ad(T_k) C_k Ad(T_k)') Ad(T_j)^-T.
 
-**Groups** of closures are judged by all the others: what would the rest of the graph say of them? A group of wrong
+**Groups** of closures are tested against all the others: what would the rest of the graph say of them? A group of wrong
 closures that agree can bend the odometry around it until each fits. Left out as a whole, with b_g and A_g its rows at
 the optimum and P the covariance there, it has the statistic
 
@@ -89,7 +89,7 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
     Parameters
     ----------
     graph : relative poses of one kind: steps from each pose to the next, taken to be right, and loop
-        closures. Other factors stay in the graph and are not doubted.
+        closures. Other factors stay in the graph and are trusted.
     values : where the poses begin; only the first one matters.
 
     Raises
@@ -218,14 +218,14 @@ def path_covariances(edges: Edges, T: Array, i: Index, j: Index, meters: float) 
     return turned(group.adjoint(group.inverse(T[j])), sums.reshape(-1, d, d))
 
 
-LARGEST_GROUP = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
+LARGEST_GROUP = 60  # closures; larger groups are a reference for the others, and for their own loose parts
 # A group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4.
 WIDER_GATE, FITS = 1.6, 0.999
 
 
 @dataclass(frozen=True)
 class Witness:
-    """A group of closures, judged by the rest.
+    """A group of closures, tested against the rest.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
     groups = _judgeable(loops.neighbors, accepted)
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
-    del groups[300:]  # those of the largest residuals are judged
+    del groups[300:]  # those of the largest residuals are tested
     touched = [np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True) for members in groups]
     joint = _joint(graph, values, loops, [nodes for nodes, _ in touched])
     for members, (nodes, place), P in zip(groups, touched, joint, strict=True):

@@ -1,4 +1,4 @@
-r"""Whether contacts of a sonar are wrong, and which to begin with then: those that agree, judged by dead reckoning.
+r"""Whether contacts of a sonar are wrong, and which to begin with then: those that agree along dead reckoning.
 
 Of every landmark the largest set that agrees is taken.
 
@@ -146,7 +146,7 @@ def along(graph: FactorGraph, values: Values, kind: str) -> OdometryTrack:
 
 
 def doubted_contacts(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> list[int]:
-    """Numbers of the factors whose doubted measurements are contacts of landmarks."""
+    """Numbers of the factors whose tested measurements are contacts of landmarks."""
     return [
         number
         for number, (factor, mask) in enumerate(zip(graph.factors, doubted, strict=True))
@@ -160,12 +160,12 @@ def selected(graph: FactorGraph, values: Values, landmarks: Landmarks) -> tuple[
     Parameters
     ----------
     graph, values : all measurements, and a start of the trusted ones.
-    landmarks : of the graph, with what is doubted in it.
+    landmarks : of the graph, with the measurements under test.
 
     Returns
     -------
     values : the start.
-    inliers : per factor the trusted measurements and doubted ones that are no contacts (n,), and the contacts that
+    inliers : per factor the trusted measurements and tested ones that are no contacts (n,), and the contacts that
         agree; none of landmarks that this leaves undetermined.
 
     Raises

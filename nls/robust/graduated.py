@@ -22,7 +22,7 @@ is 1, the stated sigmas, unless they are too small, or more than three times too
 hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
 exactly, noise is 1.
 
-Contacts of a sonar that are doubted begin with those that agree, `nls.robust.contacts`, under a kernel of their own.
+Tests of contacts of a sonar begin with those that agree, `nls.robust.contacts`, under a kernel of their own.
 Landmarks that are no longer determined leave with what is rejected, `nls.robust.landmarks`.
 
 Whether the choice can be trusted is a question of its own: `Preselection.doubts`, of any choice `verdict.doubts`.
@@ -67,7 +67,7 @@ class Rejected:
     """A measurement that was rejected: its name, and how many sigmas (stated ones) it is off.
 
     `number` is that of its factor in the given graph, `measurement` its own in the factor, counted from 0. `keys` are
-    its variables. `chance` bounds the probability that noise takes one of all doubted measurements so far off, loop
+    its variables. `chance` bounds the probability that noise takes one of all tested measurements so far off, loop
     closures from what the kept ones predict.
     """
 
@@ -81,7 +81,7 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Left:
-    """A landmark that left with what was rejected: its name, and how many doubted measurements of it left, too."""
+    """A landmark that was removed with its rejected measurements: its name, and how many tested ones it had."""
 
     variable: str
     measurements: int
@@ -138,7 +138,7 @@ class Robustified:
     def unverified(self) -> tuple[Unverified, ...]:
         """Accepted groups of closures that carry the map and that nothing verifies; computed at the first access.
 
-        The others that were kept are the judges, so a group whose contradictions were rejected is listed. Factors and
+        The other kept ones are the reference, so a group whose contradictions were rejected is listed. Factors and
         measurements are numbered as in the given graph. None where something is free: nothing has a redundancy there.
         """
         factors = [number for number, w in enumerate(self.weights) if w.any()]
@@ -195,8 +195,8 @@ def gnc(
     probability : with which a right measurement is kept, if its sigmas are right.
     doubted : factors of the graph whose measurements may be wrong, all others are trusted. When omitted the loop
         closures: relative poses of two that are no neighbors in number.
-    preselect : begin with what `nls.robust.grow` accepts, and of doubted contacts of a sonar with those that agree,
-        judged along all that is trusted. False, or with other `doubted` measurements: begin with all of them, at the
+    preselect : begin with what `nls.robust.grow` accepts, and of tested contacts of a sonar with those that agree
+        along all that is trusted. False, or with other `doubted` measurements: begin with all of them, at the
         values given; odometry for example, ``nls.initialize(graph, values, "odometry")``.
 
     Returns
@@ -208,7 +208,7 @@ def gnc(
     OptionError
         No such loss; a probability that is none.
     GraphError
-        A factor that is not in the graph, nothing that may be doubted, or no pose graph to preselect in.
+        A factor that is not in the graph, nothing to test, or no pose graph to preselect in.
     SingularGeometryError
         A start that is none, such as zeros where targets are seen: the advice names `nls.initialize`.
     UnderconstrainedError
@@ -235,7 +235,7 @@ def gnc(
     masks = _loop_closures(graph, values) if doubted is None else _named(graph, doubted)
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
-        message = "this graph has no loop closures, and sightings of landmarks and other measurements are not judged"
+        message = "this graph has no loop closures, and other measurements are tested only if `doubted` names them"
         raise GraphError(message, advice=[Advice.robust("Cauchy", 1), Advice("doubt")])
     landmarks = landmarks_of(graph, values, masks)
     dims = [values.gather(factor)[0].dim for factor in graph.factors]
@@ -285,5 +285,5 @@ def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:
     """All measurements of some factors."""
     for factor in doubted:
         if not any(factor is f for f in graph.factors):
-            raise GraphError(f"gnc: {factor!r:.80} is doubted, and not in this graph")
+            raise GraphError(f"gnc: `doubted` names {factor!r:.80}, which is not in this graph")
     return [np.full(len(f), any(f is d for d in doubted)) for f in graph.factors]

@@ -127,7 +127,7 @@ class Landmarks:
 
 
 def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> Landmarks:
-    """The landmarks of those kinds that doubted measurements see; none where these see no landmark.
+    """The landmarks of those kinds that tested measurements observe; none where these see no landmark.
 
     Examples
     --------

@@ -189,7 +189,7 @@ class LoopGraph:
 
     @cached_property
     def neighbors(self) -> Neighbors:
-        """Which closures agree with which, judged by the odometry between them."""
+        """Which closures agree with which, by the odometry between them."""
         return neighbors(self.closures, self.odometry, self.track(self.values))
 
     def track(self, values: Values) -> Array:
@@ -233,7 +233,7 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
     """
     graphs = list(pose_graphs(graph, values))
     if len(graphs) != 1:
-        message = "loop closures are chosen among relative poses (Between) of one space, this graph has"
+        message = "loop closures are tested among relative poses (Between) of one space, this graph has"
         raise GraphError(f"{message} {len(graphs) or 'none'}", advice=[Advice("judge all")])
     poses = graphs[0]
     edges = poses.edges()
@@ -242,9 +242,9 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
     if not joined[1:].all():
         late = int(np.flatnonzero(~joined[1:])[0]) + 1
         a, b = (poses.pattern.key(int(poses.variables[node])) for node in poses.order[[late - 1, late]])
-        sessions = f"the graph has {int((~joined[1:]).sum()) + 1} sessions, and loop closures are judged along one"
+        sessions = f"the graph has {int((~joined[1:]).sum()) + 1} sessions, and loop closures are tested along one"
         advice = [Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")]
-        raise GraphError(f"no odometry joins {a!r} to {b!r}: {sessions}", advice=advice)
+        raise GraphError(f"no odometry connects {a!r} to {b!r}: {sessions}", advice=advice)
     steps = _surest(edges, poses.odometry)
     poses.refuse_infinite(np.concatenate([steps, np.flatnonzero(poses.closures)]))
     X = poses.along(poses.tree(steps), poses.stack(values))

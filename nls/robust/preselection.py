@@ -52,7 +52,7 @@ class Preselection:
             self.choice = other
 
     def doubts(self) -> list[Doubt]:
-        """Reasons to doubt the choice, see `nls.robust.verdict`."""
+        """Reasons not to trust the choice, see `nls.robust.verdict`."""
         of_choice = self.problem, self.loops, self.choice, self.rivals, self.tried, self.variance
         evidence = Evidence(*of_choice, self._witnesses(self.choice), self.moved)
         return verdict.preselected(evidence, self.probability)
@@ -114,7 +114,7 @@ class Preselection:
         return other, verdict.difference(self.loops, choice.result.values, other.result.values).fraction
 
     def _witnesses(self, choice: Choice) -> list[Witness]:
-        """The groups of a choice, judged by its other closures; kept for the last choice, as they cost a covariance."""
+        """The groups of a choice, tested against its other closures; stored, as they cost a covariance."""
         if self._judged[0] is not choice:
             inliers = self.loops.accepted(choice.inliers)
             groups = list(witnesses(self.loops, choice.result.values, inliers)) if inliers.any() else []

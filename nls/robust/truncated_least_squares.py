@@ -1,4 +1,4 @@
-"""Choosing which of the doubted measurements to keep, and solving for the others: in turns, until neither changes."""
+"""Selection of the tested measurements to keep, and solving for the others: in turns, until neither changes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Choice:
     graph : the inliers.
     inliers : per factor which of its measurements are kept.
     s : per factor (n,) squared residuals at the optimum, of all.
-    cost : the sum of min(s, c^2) where doubted, of s elsewhere.
+    cost : the sum of min(s, c^2) over tested measurements, of s over others.
     values : the optimum, and the landmarks that left at their last values.
     """
 
@@ -57,8 +57,8 @@ class Truncated:
 
     Attributes
     ----------
-    masks : per factor which of its measurements are doubted, all others are trusted.
-    c2 : per factor the squared residual beyond which a doubted one is rejected.
+    masks : per factor which of its measurements are tested, all others are trusted.
+    c2 : per factor the squared residual beyond which a tested one is rejected.
     landmarks : that leave with their measurements; none where it is not given.
     """
 
@@ -72,7 +72,7 @@ class Truncated:
         return replace(self, c2=[variance * c2 for c2 in self.c2])
 
     def rejected(self, inliers: list[Mask]) -> int:
-        """How many doubted measurements are not kept."""
+        """How many tested measurements are not kept."""
         return sum(int((m & ~k).sum()) for m, k in zip(self.masks, inliers, strict=True))
 
     def affordable(self, values: Values, reaches: tuple[float, ...]) -> list[float]:
@@ -94,7 +94,7 @@ class Truncated:
         return self.settled(put_back(values, best.values))
 
     def softened(self, values: Values, inliers: list[Mask]) -> Choice:
-        """The choice that follows from some inliers, the doubted ones first under Geman and McClure's kernel.
+        """The choice that follows from some inliers, the tested ones first under Geman and McClure's kernel.
 
         Its c^2 is the threshold, so that wrong ones among them bend the estimate little, and right ones come back.
         """
@@ -167,7 +167,7 @@ class Truncated:
         return self.landmarks.kept(self._within(s, 1.0), values)
 
     def _within(self, s: list[Array], far: float) -> list[Mask]:
-        """Trusted measurements, and doubted ones within so many thresholds."""
+        """Trusted measurements, and tested ones within so many thresholds."""
         return [~m | (k <= far * c2) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)]
 
     def _bent(self, values: Values, loss: str, far: float) -> Values:
@@ -202,7 +202,7 @@ class Truncated:
 
 @dataclass(frozen=True)
 class Bending(Optimizer):
-    """One Gauss-Newton step for every mu of some kernels, until the last or until few of the doubted factors pull.
+    """One Gauss-Newton step for every mu of some kernels, until the last or until few tested factors have weight.
 
     Wrong closures couple what is far apart: what no longer pulls costs as much as before while it is in the graph.
 
@@ -228,7 +228,7 @@ class Bending(Optimizer):
             if pulling < least or all(kernel.done for kernel in self.kernels):
                 break
         watch.best, watch.lowest = X, system.chi2
-        watch.end(Status.STOPPED, "the kernels are as bent as they get, or fewer measurements pull")
+        watch.end(Status.STOPPED, "the kernels have reached their final shape, or too few measurements have weight")
 
 
 def lowest(graph: FactorGraph, values: Values) -> Result:

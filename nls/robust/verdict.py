@@ -1,4 +1,4 @@
-"""When an estimate from chosen closures is doubtful: too little was kept, or what was kept does not fit together.
+"""When not to trust an estimate from selected closures: too little was kept, or what was kept does not fit together.
 
 Every kind of doubt, its sentence, its bound and what decides it.
 """
@@ -21,7 +21,7 @@ from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
 
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
-HALF_DOUBTED = 0.5  # of the doubted measurements: to reject more is too much
+HALF_DOUBTED = 0.5  # of the tested measurements: to reject more is too much
 SAME_MAP = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
@@ -32,20 +32,20 @@ APART = "{meters:.3g} m ({fraction!p:.2g} % of its extent) and {radians:.2g} rad
 
 
 class DoubtKind(Enum):
-    """Why an estimate is doubtful; the value is the sentence."""
+    """Why not to trust an estimate; the value is the sentence."""
 
-    FEW_KEPT = "{count} of {total} judged measurements were kept, less than half"
-    NO_START = "all {total} poses began at one place: give them a start, nls.initialize(graph, values)"
+    FEW_KEPT = "{count} of {total} tested measurements were kept, less than half"
+    NO_START = "all {total} poses begin at one place: get an initial guess, nls.initialize(graph, values)"
     DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
     CONTRADICTED = (
         "{count} of {total} kept closures contradict the others: without them the map moves {fraction!p:.2g} %"
     )
-    UNCHECKED = "a wrong closure would pass with a probability of {fraction!p:.2g} %: too little checks the closures"
+    UNCHECKED = "a wrong closure would pass with a probability of {fraction!p:.2g} %: the redundancy is too low"
     ALONE = (
-        "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
+        "{count} of {total} kept closures agree with no neighbor: their noise is {number:.3g} times that of the others,"
         " and without them the map moves {fraction!p:.2g} %"
     )
-    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is " + APART + " away"
+    RIVAL = "another selection fits about as well (cost {number:+.2g} rejections); its map is " + APART + " away"
     WEAK = (
         "{count} of {total} kept closures are wrong with odds of {number:.2g} to 1: without them the map is "
         + APART
@@ -62,7 +62,7 @@ register(__name__, *DoubtKind)
 
 @dataclass(frozen=True)
 class Doubt(Numbered):
-    """One reason for doubt, and its numbers.
+    """One reason not to trust an estimate, and its numbers.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Doubt(Numbered):
 
 
 def doubts(result: Result, inlier_count: int, doubted: int, probability: float, tried: bool = False) -> list[Doubt]:
-    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is plausible.
+    """Reasons not to trust any choice: how much was kept, and whether chi2 of it is plausible.
 
     Of a right half n, a third where groups were `tried`, chance rejects n (1 - p) on average. More than three
     standard deviations above that are too many.
@@ -145,7 +145,7 @@ class Evidence:
     rivals : the choice and others.
     tried : whether each group of closures more or less is among the others.
     variance : factor on the squares of the stated sigmas for the threshold.
-    judged : the groups of the choice, judged by its other closures.
+    judged : the groups of the choice, tested against its other closures.
     moved : part of its extent by which the map moves without the contradicted groups.
     """
 
@@ -160,7 +160,7 @@ class Evidence:
 
 
 def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
-    """Reasons to doubt a choice among loop closures."""
+    """Reasons not to trust a choice among loop closures."""
     loops, result, moved = evidence.loops, evidence.choice.result, evidence.moved
     inliers = loops.accepted(evidence.choice.inliers)
     m, n = len(inliers), int(inliers.sum())
@@ -186,7 +186,7 @@ def strain(loops: LoopGraph, result: Result) -> float:
 
 
 def _unchecked(evidence: Evidence, inliers: Mask) -> list[Doubt]:
-    """Whether a wrong closure would pass; groups that agree are believed where only single ones were rejected.
+    """Whether a wrong closure would pass; groups that agree are accepted where only single ones were rejected.
 
     Where all closures make one group, there is nothing to choose.
     """
@@ -283,7 +283,7 @@ def _odds(evidence: Evidence, inliers: Mask, given_up: Mask, distance: float, do
         chance[witness.members] = witness.chance
     least = [float(chance[given_up & (cluster == group)].min()) for group in set(cluster[given_up].tolist())]
     if not all(least):
-        return 0.0  # a group that is too large to be judged checks itself
+        return 0.0  # a group that is too large to be tested checks itself
     prior, peak = (len(out - kept) + 1) / (len(kept) + 1), gamma(d / 2 + 1) * (2 / chi2_gate(d, FITS)) ** (d / 2)
     repeated = (int(given_up.sum()) - len(least)) * d
     explained = chi2_gate(repeated, 0.99) if repeated else 0.0

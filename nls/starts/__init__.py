@@ -150,7 +150,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
             candidates.add("incremental", values, incremental)
             candidates.compare(robust)
     for candidate in [c for c in candidates.refused if c != "file"]:
-        message = f"start {candidate!r} was left out: {candidates.refused[candidate]}"
+        message = f"initial guess {candidate!r} was left out: {candidates.refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
     return candidates.best, candidates.name, candidates.chi2
 
@@ -216,7 +216,7 @@ class Candidates:
     def compare(self, robust: bool = False) -> None:
         """Take steps from the starts that have not been compared, the lowest first, until noise explains the best.
 
-        With `robust` kernels until they believe every measurement there.
+        With `robust` kernels until they ignore no measurement there.
         """
         for name in sorted(self._starts, key=self.chi2.__getitem__):
             if self.believes_all if robust else self.explained():

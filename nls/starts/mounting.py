@@ -128,8 +128,8 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
     for name, factors in (("Projection", pixels), ("RangeAzimuth", contacts)):
         if not factors:
             raise GraphError(
-                f"rig: the graph has no {name} of points in R3; this start needs `Projection` and `RangeAzimuth` of "
-                "the same points from the same poses"
+                f"rig: the graph has no {name} of points in R3; this initial guess needs `Projection` and "
+                "`RangeAzimuth` of the same points from the same poses"
             )
     poses, points = (values.stack(_only(w, both, k)) for k, w in enumerate(("poses", "points")))
     mounted = [f for f in contacts if len(f.keys) == 3]
@@ -154,7 +154,7 @@ def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
     """The one kind in a slot of factors."""
     kinds = sorted({f.keys[slot].kind for f in factors})
     if len(kinds) > 1:
-        raise GraphError(f"rig: {role} of several kinds, {', '.join(kinds)}; this start takes one: give them one kind")
+        raise GraphError(f"rig: {role} of several kinds, {', '.join(kinds)}, expected one: give them one kind")
     return kinds[0]
 
 
@@ -237,7 +237,7 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
     subgraph, within = Parts(distances, values).take([*masks, np.ones(len(axes), dtype=bool)], held, values)
-    message, advice = f"rig: pixels and ranges do not tell where {unknown} is", (Advice("move rig"), Advice("guess"))
+    message, advice = f"rig: pixels and ranges do not determine {unknown}", (Advice("move rig"), Advice("guess"))
     try:
         stop = Stop(1e-6, 1e-3, 1e-10)  # more digits are the business of the solve from this start
         result = subgraph.optimize(within, LevenbergMarquardt(stop))

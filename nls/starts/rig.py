@@ -30,7 +30,7 @@ from nls.values import Values
 
 
 def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_points: bool = False) -> Values:
-    """Poses and points from what a camera and a sonar saw together; without a guess also where the sonar sits.
+    """Poses and points observed by a camera and a sonar together; without a guess also the pose of the sonar.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ LOOP = 40  # keyframes of a lap at least: pairs of submaps are 20 apart
 
 @dataclass(frozen=True)
 class Harbor:
-    """A harbor, and what a vehicle measured in it.
+    """A harbor, and the measurements of a vehicle in it.
 
     All is in one frame: x north, y east, yaw positive clockwise from above; scans have x ahead, y to starboard. So
     azimuths, positive to starboard, are positive in the sense of yaw.
@@ -90,7 +90,7 @@ def harbor(
     false_alarms: float = 1e-5,
     images: bool = False,
 ) -> Harbor:
-    r"""A vehicle goes around in a harbor; its speeds drift, its compass errs, and its sonar detects what is there.
+    r"""A vehicle goes around in a harbor; its speeds drift, its compass errs, and its sonar detects walls and piles.
 
     .. math:: \hat{p}_{k+1} = \hat{p}_k + R(\hat{\psi}_k) z_k, \quad
               z_k = \Delta_k + |z_k| d_{s(k)} + v_k, \quad

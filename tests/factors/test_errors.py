@@ -52,8 +52,8 @@ class Measured(Factor):
         (lambda: Prior(x[0], ["a", 0, 0], UNIT), r"Prior: z is not an array of numbers"),
         (lambda: Prior(x[0], [0, 0, 0], 0.1), r"Prior: .*got 0.1"),
         (lambda: Between(x[0:3], x[3:5], [0, 0, 0], UNIT), r"Between: .*\[3, 2\]; expected 1 or 3"),
-        (lambda: Between(x[1], x[1], [0, 0, 0], UNIT), r"Between: measurement 0 joins x1"),
-        (lambda: Between(x[2], x[0:5], [0, 0, 0], UNIT), r"measurement 2 joins x2"),
+        (lambda: Between(x[1], x[1], [0, 0, 0], UNIT), r"Between: measurement 0 connects x1"),
+        (lambda: Between(x[2], x[0:5], [0, 0, 0], UNIT), r"measurement 2 connects x2"),
         (lambda: Factor.from_function(np.add, [x[0], 5], 3), r"got 5"),
     ]
 )

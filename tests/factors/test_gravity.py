@@ -42,7 +42,7 @@ def test_what_is_no_direction_of_gravity() -> None:
     attitude = Values({x: (SO3, SO3.identity())})
     accelerations = np.array([0.0, 0.0, -9.81])
     wrong = Gravity(x[0], accelerations, UNIT)
-    named = r"Gravity\(x0\): its direction is opposite .* so give -z"
+    named = r"Gravity\(x0\): its direction is opposite .* give -z"
     refused(lambda: FactorGraph([wrong]).chi2(attitude), SingularGeometryError, named)
     assert FactorGraph([Gravity(x[0], -accelerations, UNIT)]).chi2(attitude) == 0.0
     for z, down, named in (

@@ -115,7 +115,7 @@ def test_mounted_keeps_what_else_a_factor_holds() -> None:
     assert (hinge.limit, hinge.noise.sigma, hinge.slots[0]) == (0.1, 0.02, SE3)
     robust = Range(x[0], l[0], 1.0, UNIT).robust(Huber(2.0)).mounted([1.0, 0.0, 0.0])
     assert robust.kernel == Huber(2.0)
-    with pytest.raises(GraphError, match="joins l0 to itself"):
+    with pytest.raises(GraphError, match="connects l0 to itself"):
         Range(x[0], l[0], 1.0, UNIT).mounted(l[0])
 
 

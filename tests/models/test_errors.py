@@ -57,11 +57,11 @@ def test_file_error_has_path_and_line_and_80_characters_of_it() -> None:
 
 def test_advice_is_python_unless_the_shell_asks() -> None:
     cures = [Advice("qr"), Advice("gauge")]
-    python = ["keep twice the digits: linear_solver=nls.QR()", "hold one pose of every part: gauge='first'"]
+    python = ["keep twice the digits: linear_solver=nls.QR()", "fix one pose of every part: gauge='first'"]
     assert listed(cures) == [cure.words() for cure in cures] == python
     assert listed(cures, shell=True) == [
         "keep twice the digits: --linear-solver qr",
-        "hold one pose of every part: --gauge first",
+        "fix one pose of every part: --gauge first",
     ]
 
 

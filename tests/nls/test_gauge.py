@@ -49,11 +49,11 @@ def test_first_holds_the_lowest_number_and_says_so(group: LieGroup) -> None:
     sample = pose_graph(group, anchored=False, numbers=(40, 7, 8, -3, 1000, 12, 9, 11))
     result = sample.graph.optimize(sample.values)
     assert result.converged
-    assert result.gauge == "x-3 held"
+    assert result.gauge == "x-3 fixed"
     assert np.array_equal(result.values[x[-3]], sample.values[x[-3]])
     assert distance(group, result.values[x[40]][None], sample.values[x[40]][None]) > 1e-6
     assert result.dof == sample.graph.linearize(sample.values).A.shape[0] - 7 * group.dim
-    assert "gauge: x-3 held" in str(result)
+    assert "gauge: x-3 fixed" in str(result)
 
 
 def test_every_gauge_has_the_same_chi2(group: LieGroup) -> None:
@@ -61,7 +61,7 @@ def test_every_gauge_has_the_same_chi2(group: LieGroup) -> None:
     graph, values = two_components(group)
     first, prior, free = (graph.optimize(values, TIGHT, gauge=gauge) for gauge in ("first", "prior", "free"))
     assert first.chi2_final > 0.01
-    assert first.gauge == "x4, x21 held"
+    assert first.gauge == "x4, x21 fixed"
     assert np.array_equal(first.values[x[[4, 21]]], values[x[[4, 21]]])
     assert prior.gauge == "a prior of unit information on x4, x21"
     assert distance(group, prior.values[x[[4, 21]]], values[x[[4, 21]]]) < 1e-8
@@ -108,7 +108,7 @@ def test_with_a_prior_or_a_fixed_variable_nothing_else_is_held(group: LieGroup) 
     assert distance(group, sample.values[x], reference.values[x]) > 1e-3
     for gauge, result in results.items():
         fixed = held.graph.optimize(held.values, gauge=gauge)
-        said = "nothing is held" if gauge == "none" else "fixed by the graph itself"
+        said = "nothing is fixed" if gauge == "none" else "fixed by the graph itself"
         assert (result.gauge, fixed.gauge, result.dof) == (said, said, reference.dof)
         assert distance(group, reference.values[x], result.values[x]) < 1e-9
         assert np.array_equal(fixed.values[x[5]], held.values[x[5]])
@@ -118,13 +118,13 @@ def test_with_a_prior_or_a_fixed_variable_nothing_else_is_held(group: LieGroup) 
 def test_components_are_held_one_by_one() -> None:
     graph, values = two_components(SE2)
     graph.add(Prior(x[7], values[x[7]], Isotropic(1)))
-    assert graph.optimize(values).gauge == "x21 held"
+    assert graph.optimize(values).gauge == "x21 fixed"
     graph.fix(x[30])
     assert graph.optimize(values).gauge == "fixed by the graph itself"
     even = np.arange(0, 16, 2)
     many = FactorGraph([Between(x[even], x[even + 1], [1.0], Isotropic(1))])
     result = many.optimize(Values({x: (R(1), np.zeros((16, 1)))}))
-    assert (result.gauge, result.converged) == ("x0, x2, x4, x6, x8 and 3 more held", True)
+    assert (result.gauge, result.converged) == ("x0, x2, x4, x6, x8 and 3 more fixed", True)
 
 
 def landmarks() -> tuple[FactorGraph, Values]:
@@ -150,7 +150,7 @@ def test_drifts_and_all_that_is_joined_to_them_move_with_nothing() -> None:
 def test_a_pose_is_held_rather_than_a_landmark() -> None:
     graph, values = landmarks()
     result = graph.optimize(values)
-    assert result.gauge == "x5 held"  # points come first in the values, but cannot hold a heading
+    assert result.gauge == "x5 fixed"  # points come first in the values, but cannot hold a heading
     assert result.converged
     assert result.chi2_final < 3 * result.dof
     assert graph.optimize(values, TIGHT, gauge="free").chi2_final == pytest.approx(result.chi2_final, rel=1e-6)
@@ -177,7 +177,7 @@ def test_variables_without_measurement_are_held_with_a_warning() -> None:
     sample = pose_graph(SE2)
     stack = sample.values.stacks["x"]
     values = Values({x: (SE2, stack.X, stack.numbers), l: (R(2), np.arange(14.0).reshape(7, 2))})
-    with pytest.warns(GraphWarning, match="l0, l1, l2, l3, l4 and 2 more: no measurement touches them; held"):
+    with pytest.warns(GraphWarning, match="l0, l1, l2, l3, l4 and 2 more: no measurement touches them; fixed"):
         result = sample.graph.optimize(values)
     assert result.converged
     assert np.array_equal(result.values[l], values[l])

@@ -77,7 +77,7 @@ def test_what_cannot_be_in_a_graph_is_refused() -> None:
         with pytest.raises(GraphError, match=r"FactorGraph\.add: expected a factor"):
             FactorGraph().add(wrong)  # type: ignore[arg-type]
     for hold in (3, x[0], "x0"):
-        with pytest.raises(GraphError, match=r"a list of variables to hold such as \[x\[0\]\], got"):
+        with pytest.raises(GraphError, match=r"a list of variables to fix such as \[x\[0\]\], got"):
             FactorGraph(fixed=hold)  # type: ignore[arg-type]
     with pytest.raises(GraphError, match="expected variables such as x"):
         FactorGraph(fixed=["x0"])  # type: ignore[list-item]
@@ -103,7 +103,7 @@ def test_what_cannot_be_optimized_is_refused() -> None:
     with pytest.raises(GraphError, match="no variable of kind 'l'"):
         graph.chi2(values)
     graph = FactorGraph([Between(x[0], l[0], [1.0, 0.0, 0.0], Isotropic(1))])
-    with pytest.raises(GraphError, match=r"Between\(x0, l0\) joins SE2 and R\(2\)"):
+    with pytest.raises(GraphError, match=r"Between\(x0, l0\) connects SE2 and R\(2\)"):
         graph.optimize(Values({x: (SE2, SE2.identity()), l: (R(2), [[0.0, 0.0]])}))
     for factors in ([], [Between(x[[]], x[[]], np.zeros((0, 1)), Isotropic(1))]):
         with pytest.raises(GraphError, match="no factors: nothing to optimize"):

@@ -132,7 +132,7 @@ def test_a_kind_is_added_to_values_that_are_there() -> None:
         with pytest.raises(GraphError, match=message):
             values.add(*arguments)  # type: ignore[arg-type]
     assert list(values.stacks) == ["x", "l", "o", "q"]
-    with pytest.raises(GraphError, match=r"Add start values with `Values\.add`"):
+    with pytest.raises(GraphError, match=r"Add initial values with `Values\.add`"):
         values[kinds("p")[0][0]] = [1.0]
 
 

@@ -71,7 +71,7 @@ def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
         content = file.read(member.file_size + 1)
         if len(content) == member.file_size and not file.read(1):  # the end: the sum is checked
             return content
-    raise ValueError(f"{member.filename!r:.60} has not the size that it claims")
+    raise ValueError(f"{member.filename!r:.60} does not have the size that it claims")
 
 
 def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:

@@ -1,4 +1,4 @@
-r"""Roots X of the inverses of a stack of blocks, X'X = H^-1: exact, or of what is to be taken for the inverse.
+r"""Roots X of the inverses of a stack of blocks, X'X = H^-1: exact, or of a substitute for the inverse.
 
 `truncated_inverse` is for blocks of information that may be singular. It invents nothing where they say nothing:
 

@@ -167,7 +167,7 @@ class PCGDecomposition(SchurDecomposition):
 
         def judge(x_p: Array) -> None:
             if free(self._followed(x_p)):
-                raise SingularSystemError("conjugate gradients met a direction that no measurement sees")
+                raise SingularSystemError("conjugate gradients met a direction that no measurement determines")
 
         solution = self._conjugate(h, lambda _: SURE**2, look)
         for x_p in (solution.x, solution.flat):

@@ -344,7 +344,7 @@ class Schur(NormalEquations):
         incidence = sp.csr_array(ones, shape=(len(first), len(survivors)))
         degree = np.diff(incidence.indptr)
         pairs = float((degree * (degree + 1.0) / 2).sum())
-        eliminating = f"eliminating {len(first):,} variables joins {pairs:,.0f} pairs of others"
+        eliminating = f"eliminating {len(first):,} variables connects {pairs:,.0f} pairs of others"
         words = f"linear solver {self.name!r}: {eliminating}, which needs"
         cure = "take linear solver 'cholesky', or allow more with memory_limit"
         refuse_larger(PER_PAIR * pairs, self.memory_limit, "Schur complement", words, cure, ".3g")

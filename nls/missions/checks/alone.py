@@ -169,7 +169,7 @@ def outliers_of(
 
 
 def _deviation(y: Array, turns: bool) -> tuple[Array, float]:
-    """How far each number is from the middle one of itself and its neighbors, and the standard deviation of that."""
+    """How far each number is from the median of itself and its neighbors, and the standard deviation of that."""
     both = np.stack([y[1:-1] - y[:-2], y[1:-1] - y[2:]])
     both = wrap(both) if turns else both
     away = np.zeros(len(y))

@@ -68,7 +68,7 @@ class Implausible(Numbered):
     file, line, column : where the number stands; the first line that shows it, counted from 1.
     measured, limit : the number, and the limit it is beyond.
     unit : of both; empty for a ratio.
-    readings : what explains it, the most probable first; more than one where the log does not tell them apart.
+    readings : what explains it, the most probable first; several where the log does not distinguish them.
     lines : of all rows that show it, where these are to be left out.
     """
 
@@ -95,7 +95,7 @@ class Implausible(Numbered):
 
 @dataclass(frozen=True)
 class Trial:
-    """A reading that the solver has tried, with what it leaves of chi2.
+    """A reading that the solver has tried, with the chi2 that remains.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Explained(Numbered):
     Attributes
     ----------
     chi2, dof : of the mission as it is.
-    trials : what explains it, the least chi2 first; nothing tells them apart. Empty where none of those tried does.
+    trials : explanations, which the data do not distinguish, the least chi2 first. Empty where none was found.
     """
 
     chi2: float

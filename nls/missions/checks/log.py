@@ -1,4 +1,4 @@
-r"""A raw log as arrays, and what it says twice: the depth by the DVL, and the way from fix to fix.
+r"""A raw log as arrays, and its redundancy: the depth by the DVL, and the way from fix to fix.
 
     (d, D)(t) = sum of R(t) R_mount v_d(t) dt - (R(t) - R(0)) a
 
@@ -124,7 +124,7 @@ class Log:
 
 
 def middle(y: Array) -> Array:
-    """The middle one of each number and its two neighbors, along the first axis.
+    """The median of each number and its two neighbors, along the first axis.
 
     Examples
     --------
@@ -262,12 +262,12 @@ def _from_the_bow(tables: dict[str, Table]) -> dict[str, Table]:
 
 
 def alternatives() -> list[Alternative]:
-    """All that are tried for a log."""
+    """All readings that are tried for a log."""
     return [*_of_a_log(), *(_late(file, lag) for lag in _both(LAGS) for file in LOGGED)]
 
 
 def readings(tables: dict[str, Table]) -> list[Alternative]:
-    """All that are tried for tables: not the clocks and turns that are calibrations."""
+    """All readings that are tried for tables: not the clocks and turns that are calibrations."""
     file, of_tables = "fixes.csv", [a for name in OF_TABLES for a in _of_table(name)]
     return [
         *(a for name in ("ahrs", "dvl") if name in tables for a in _drifts(f"{name}.csv", tables[name])),

@@ -225,14 +225,14 @@ def check_setup(
     ----------
     graph, values : keyframes x (SE2) and their dead reckoning, see `nls.missions.scans.dead_reckoning`.
     scans : the points, as the assumed mounting places them.
-    closing : of them. Without it sigmas are not judged, and a sensor that is turned is seen with half the certainty.
-    times : (count,) of the keyframes, s. Without them the clock is not judged.
+    closing : of them. Without it sigmas are not tested, and a sensor that is turned is seen with half the certainty.
+    times : (count,) of the keyframes, s. Without them the clock is not tested.
 
     Returns
     -------
     list of `SetupFinding`
         Empty where nothing speaks against the setup. Mirrored azimuths, scans of clutter and a late clock bend all that
-        follows: nothing else is judged until they are right.
+        follows: nothing else is tested until they are right.
 
     Raises
     ------

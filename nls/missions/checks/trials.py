@@ -7,7 +7,7 @@ A calibration of calibration.csv is a variable c with a wide prior, which is sol
 Angles begin at quarter turns, clocks at several lags. Other readings of columns (`readings`) are ranked by chi2 of
 their dead reckoning, and the best are solved. So is each error of a whole table (`table_errors`) that explains chi2.
 The rows that the track covers may become more with a clock and never fewer. Constants explain chi2 by the rule of
-`nls.analysis.calibrations`. Those that nothing tells apart are all found.
+`nls.analysis.calibrations`. All that the data do not distinguish are found.
 
 Where no constant explains, a Cauchy kernel is tried on one type of measurement at a time. That is the cure where it
 ignores few of them and noise explains all others. Last, sigmas of one table may be too small: variance components scale
@@ -155,7 +155,7 @@ def _read(tables: Tables, elevation: str) -> tuple[FactorGraph, Values, MissionR
 
 
 def _best(mission: Mission, trials: list[Trial]) -> list[Trial]:
-    """Trials of least chi2, of as many rows, which nothing tells apart; a wrong place on the Earth is no accident."""
+    """Trials of least chi2 that the data do not distinguish; a wrong place on the Earth is no accident."""
     alike = {t.reading for t in nearest([replace(t, chi2=t.chi2 - t.dof + mission.dof) for t in trials])}
     place = {t.reading: t.reading.column.startswith(GEODETIC) for t in trials}
     ordered = sorted(trials, key=lambda t: (not place[t.reading], _is_drift(t), t.chi2 - t.dof))
@@ -247,7 +247,7 @@ def _kernels(mission: Mission) -> Iterator[Trial]:
 
 
 def _files(mission: Mission) -> dict[str, str]:
-    """The file of every type of measurement; not of contacts, which are judged one by one."""
+    """The file of every type of measurement; not of contacts, which are tested one by one."""
     files = {f"{name}.csv" for name in TIMED if name != "contacts"}
     files_of = [file.removesuffix(".gz") for file in mission.report.tables]
     pairs = zip(mission.graph.factors, files_of, strict=True)

@@ -1,4 +1,4 @@
-"""Findings about missions in words: implausible tables, what explains chi2, the setup of scans. All are here."""
+"""Findings about missions in words: implausible tables, causes of chi2, the setup of scans. All are here."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -27,28 +27,28 @@ UNITS = {  # of a column by the end of its name: what a number is that is so man
 }
 NO_LENGTHS = {"hm", "kPa", "Pa", "bar"}  # a mapping has no such unit for a depth
 CHECKS = {  # of a check: what was measured, and what its limit is
-    "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
+    "speed": "the median speed is {measured}; a vehicle stays below {limit}",
     "special value": "{rows} with {measured} are far from the rows around them",
     "bottom lock": "valid is 1 in {percent} of the rows, and the rows of 0 are smooth",
-    "heading": "the vehicle goes ahead by {percent}, of its way beside its heading; expected above {limit_percent}",
-    "stale": "{rows} repeat a fix while the vehicle goes {measured}",
-    "repeated": "{rows} repeat a number, {measured} long, while the vehicle moves",
-    "tilt": "a fifth of the log is beyond {measured}; a vehicle stays within {limit}",
-    "turn rate": "a tenth of the log turns faster than {measured}; a vehicle stays below {limit}",
+    "heading": "course and heading agree to {percent} only; expected above {limit_percent}",
+    "stale": "{rows} repeat a fix while the vehicle moves {measured}",
+    "repeated": "{rows} repeat a number for {measured} while the vehicle moves",
+    "tilt": "it is beyond {measured} in a fifth of the log; a vehicle stays within {limit}",
+    "turn rate": "the vehicle turns faster than {measured} in a tenth of the log; expected below {limit}",
     "depth": "a depth of {measured}; expected {side} {limit}",
     "stuck": "it is {measured} in all rows, and the vehicle moves",
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
-    "time step": "the middle time between two rows is {measured}; expected {side} {limit}",
+    "time step": "the median time between two rows is {measured}; expected {side} {limit}",
     "span": "its times span {measured} times those of the track; expected about 1, or less",
     "late": "it begins {measured} after the track; expected within the track",
-    "under water": "{measured} fixes are more than 2 m under water at their times; expected none of a receiver",
-    "surface": "the vehicle has fixes where it is {measured}, and none deeper; expected below {limit}",
+    "under water": "{measured} fixes are more than 2 m under water at their times; a receiver has none there",
+    "surface": "all fixes are at the smallest depth, {measured}; expected below {limit}",
     "outliers": "{percent} of the rows are far from the rows beside them; expected below {limit_percent}",
     "scatter": "its rows scatter by {measured}, {ratio} times the sigma stated in noise.csv; expected below {limit}",
     "sound speed": "it is {measured}; water has 1400 to 1600 m/s",
-    "far away": "the middle fix is {measured} from x = y = 0; expected below {limit}",
+    "far away": "the median fix is {measured} from x = y = 0; expected below {limit}",
     "jumps": "{percent} of the fixes jump away from those before and after; expected below {limit_percent}",
-    "way down": "depth and DVL disagree about the way down by {percent} of it; expected below {limit_percent}",
+    "way down": "changes of depth and vertical velocity of the DVL differ by {percent}; expected below {limit_percent}",
 }
 
 
@@ -130,10 +130,10 @@ def _axes(r: Reading) -> str:
 
 def _north(r: Reading) -> str:
     if r.column == "bearing_rad":
-        return "{column} of {file} looks counted from north: take the heading of the ship from it"
-    east = "{column} of {file} {looks} counted from east, counterclockwise"
+        return "{column} of {file} looks measured from north: subtract the heading of the ship"
+    east = "{column} of {file} {looks} measured from east, counterclockwise"
     if r.column != "yaw_rad":  # the pitch has its sign, too
-        return east + ', as of axes ENU and FLU: write `frame = "ENU"` {mapping}'
+        return east + ', as in axes ENU and FLU: write `frame = "ENU"` {mapping}'
     cure = "or write `sign = -1, offset = 1.5708` for yaw_rad {mapping}"
     return f"{east}: multiply yaw_rad by -1, then add 1.5708 to it, {cure}"
 
@@ -207,7 +207,7 @@ def _explained(n: Mapping[str, Any]) -> str:
     if not n["trials"]:
         return f"no single constant and no single table explains chi2 ({chi2}, {n['dof']:,} expected)"
     trials = [Trial(**{**trial, "reading": Reading(**trial["reading"])}) for trial in n["trials"]]
-    best, alike = trials[0], ", and nothing tells them apart" if len(trials) > 1 else ""
+    best, alike = trials[0], ", and the data do not distinguish them" if len(trials) > 1 else ""
     one = "each of these constants explains" if alike else "one constant explains"
     if best.reading.cause == Cause.KERNEL:
         rows = f"{100 * best.reading.factor:.2g} % of the rows of {best.reading.file}"
@@ -322,20 +322,20 @@ def _sigmas(f: Stated) -> str:
 
 SONAR = "in the section [sonar] of mission.toml"
 LABELS = {
-    "x": "place of the sonar ahead",
-    "y": "place of the sonar to the side",
+    "x": "forward offset of the sonar",
+    "y": "sideways offset of the sonar",
     "yaw": "yaw of the sonar",
-    "time": "time by which scans are late",
+    "time": "delay of the scans",
 }
 SENTENCES: Sentences = {
     FindingKind.IMPLAUSIBLE: _implausible,
     SetupKind.UNREPEATED: (
-        "scans do not show the same things from keyframe to keyframe: {fit} of {scans} fit those just before them. "
-        "Closures of such points are chance: detect fewer and stronger echoes, or check the units of ranges and "
+        "consecutive scans do not show the same features: {fit} of {scans} match the scan before. "
+        "Closures of such points are due to chance: detect fewer and stronger echoes, or check the units of ranges and "
         "azimuths"
     ),
     SetupKind.MIRRORED: (
-        "azimuths look mirrored: {mirrored} steps that turn fit the other sign better, {given} fit this one. Change "
+        "azimuths look mirrored: {mirrored} turning steps fit the other sign better, {given} fit this one. Change "
         'the positive side, azimuth = "left" or "right", ' + SONAR
     ),
     SetupKind.MOUNTING: _mounting,

@@ -1,4 +1,4 @@
-r"""What is decided at an optimum: which landmarks are two, and to which one the open sightings of a ping belong.
+r"""Decisions at an optimum: which landmarks are two, and to which one the open sightings of a ping belong.
 
 **Landmarks that are two**: how much better the graph fits where some pieces of a landmark are a landmark of their own.
 

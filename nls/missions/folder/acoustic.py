@@ -102,7 +102,7 @@ class Acoustics:
         if table.has("x_m") or table.has("lat_deg") or columns_together(table, *sigmas_xy):
             z = np.hstack([horizontal(table, self._report.plane), z])
             if not columns_together(table, *sigmas_xy):
-                raise table.at_names("has places and no sigma_x_m and sigma_y_m, how well they are known")
+                raise table.at_names("has positions without their sigma_x_m and sigma_y_m")
             components, sigmas = None, np.hstack([table.positive(*sigmas_xy), sigmas])
         used = np.isin(ids, self.numbers)
         if not used.all():
@@ -217,8 +217,8 @@ class Acoustics:
         if len(unknown):
             names = listed([str(number) for number in unknown])
             beacons = f"beacon {names} is" if len(unknown) == 1 else f"beacons {names} are"
-            level = "On a track of one depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
-            start = "estimated, with a start below the vehicle"
+            level = "On a track of one depth a beacon above fits as well; a row of beacon, z_m and sigma_z_m decides"
+            start = "estimated, with an initial guess below the vehicle"
             self._report.notes.append(f"{beacons} not in beacons.csv: {start}. {level}")
 
 

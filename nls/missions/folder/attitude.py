@@ -68,7 +68,7 @@ class Attitude:
     Attributes
     ----------
     ahrs : the table of roll and pitch.
-    t_a : (m,) its times, s, with the clock as believed.
+    t_a : (m,) its times, s, with the stated calibration of the clock.
     tilt : (m, 2) roll and pitch, rad.
     t : (k,) times of all three angles, s: those of the table, or of the gyro.
     rpy : (k, 3) angles at t, no turn missing, rad.
@@ -113,7 +113,7 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
         rpy, t_a = np.unwrap(np.hstack(angles), axis=0), t_a - calibrations.value(CLOCK)
         return Attitude(ahrs, t_a, rpy[:, :2], t_a, rpy)
     if gyro is None:
-        cure = "one of the two says how the yaw goes"
+        cure = "one of the two must give the yaw"
         raise GraphFileError(f"has no column 'yaw_rad', and there is no gyro.csv; {cure}", ahrs.path)
     tilt = np.unwrap(ahrs.attitude(*ANGLES[:2]), axis=0)
     t, w = gyro.rising("time_s"), gyro.measured("wx_rad_s", "wy_rad_s", "wz_rad_s")
@@ -225,7 +225,7 @@ def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, notes: lis
         rows = a[length == L]
         if not len(d):
             none = f"no row in the {t[rows[0] + 1] - t[rows[0]]:.6g} s before this one"
-            rest = "no time as long without such a hole to tell how far the vehicle turns or dives in it"
+            rest = "no equally long time without a hole shows how far the vehicle turns or dives"
             raise table.at(int(rows[0]) + 1, f"{none}, and {rest}; cut the log in two here")
         most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[rows + 1] - y[rows]) / 2)
         density[rows] = 2 * most / np.sqrt(t[rows + 1] - t[rows])[:, None]
@@ -311,7 +311,7 @@ def _depth(pressure: Table, p: Array, water: Table | None, report: MissionReport
         given = one_row(water)
         water.measured(*water.names)  # within what their units allow
         if given.keys() >= {"density_kg_m3", "latitude_deg"}:
-            raise water.at(0, "density_kg_m3 and latitude_deg both say how heavy the water is; leave one of them")
+            raise water.at(0, "density_kg_m3 and latitude_deg both give the density of the water; remove one of them")
     if "atmosphere_pa" not in given:
         cure = "atmosphere_pa of water.csv says it"
         report.notes.append(f"pressure.csv: {ATMOSPHERE:.0f} Pa of it are taken for the atmosphere; {cure}")
@@ -326,7 +326,7 @@ def _depth(pressure: Table, p: Array, water: Table | None, report: MissionReport
         report.notes.append(f"pressure.csv: depths by the formula of UNESCO at {latitude:.6g} degrees, of origin.csv")
     if latitude is None:
         cure = "add water.csv, one row with density_kg_m3, or with latitude_deg for sea water by the formula of UNESCO"
-        raise pressure.at(0, f"nothing says how heavy the water is; {cure}")
+        raise pressure.at(0, f"nothing gives the density of the water; {cure}")
     if abs(latitude) > 90:
         assert water is not None
         raise water.at(0, f"latitude_deg is {latitude!r}; expected -90 to 90")

@@ -67,7 +67,7 @@ class Calibrations:
             if name in self._rows:
                 raise table.at(row, f"{name} was given before, on line {int(table.lines[self._rows[name][2]]) + 1}")
             if sigma < 0:
-                raise table.at(row, f"sigma is {sigma!r}; expected a standard deviation, or 0 to hold the value")
+                raise table.at(row, f"sigma is {sigma!r}; expected a standard deviation, or 0 to fix the value")
             self._rows[name] = value, sigma, row
 
     def variable(self, name: str) -> Keys | None:
@@ -129,6 +129,6 @@ class Calibrations:
         for name, (_, _, row) in self._rows.items():
             if name not in self._used:
                 cure = "leave the row out, or add its file"
-                raise self._table.at(row, f"no measurement of this mission has a {name}; {cure}")
+                raise self._table.at(row, f"no measurement of this mission depends on {name}; {cure}")
         used = [(Kind(name)[0], self._rows[name]) for name in self.variables]
         return [(Prior(k, [z], Diagonal([sigma])), self._table.source(np.array([row]))) for k, (z, sigma, row) in used]

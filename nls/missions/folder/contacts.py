@@ -1,4 +1,4 @@
-"""contacts.csv and sonar.csv: what an imaging sonar saw, as factors."""
+"""contacts.csv and sonar.csv: contacts of an imaging sonar, as factors."""
 
 from collections.abc import Iterator
 

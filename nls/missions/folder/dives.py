@@ -134,7 +134,7 @@ def _refuse_unnamed(reports: Sequence[MissionReport]) -> None:
     """Refuse contacts without names."""
     for report in reports:
         if report.unnamed is not None:
-            why = "landmarks of several dives are told apart by their numbers"
+            why = "landmarks of several dives are identified by their numbers"
             cure = "add it, or solve the dives one by one"
             raise report.unnamed.table.at_names(f"has no column 'landmark': {why}; {cure}")
 
@@ -247,9 +247,9 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
             _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
             T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
-            lacks = "it has no anchor.csv and no fixes.csv, no dive_closures.csv joins it to another"
-            rest = f"{lacks}, and {len(p)} of its landmarks and beacons are theirs, too; give it one of these files"
-            raise GraphFileError(f"nothing says where this dive is beside {names[min(placed)]}: {rest}", report.path)
+            lacks = "it has no anchor.csv and no fixes.csv, no dive_closures.csv connects it to another"
+            rest = f"{lacks}, and it shares {len(p)} landmarks and beacons with them; give it one of these files"
+            raise GraphFileError(f"its position relative to {names[min(placed)]} is unknown: {rest}", report.path)
         placed[k] = _moved(values, T)
     return placed
 

@@ -5,7 +5,7 @@ A row counts that is marked valid, has three beams or more on the bottom, and an
 gate of the median of five rows. All this as far as the file has these columns.
 
 **Calibration.** The DVL reads (1 + s) Rz(a)' times the velocity along the axes of its mounting, so v = Rz(a) v_read /
-(1 + s) with s and a as they are believed to be.
+(1 + s) with the stated s and a.
 
 **Water.** Where there is no bottom but the DVL sees its way through the water, v = v_water + R' c with the current c,
 the mean over the rows that have both, in world axes:
@@ -117,7 +117,7 @@ def velocities(
 
     Returns
     -------
-    v : (n, 3) over the bottom, m/s, with the calibration as believed; 0 where they do not count.
+    v : (n, 3) over the bottom, m/s, with the stated calibration; 0 where they do not count.
     valid : (n,) which count.
     sigma : (n,) standard deviations along each axis, m/s.
 

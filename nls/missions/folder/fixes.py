@@ -69,7 +69,7 @@ def horizontal(table: Table, plane: LocalPlane | None) -> Array:
 
 
 def add_anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anchored: bool) -> Pose | None:
-    """Add what holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
+    """Add the anchor of the mission in the world: x, y and heading of a pose; the first such pose with these numbers.
 
     Nothing and None where other measurements are absolute. Else where nobody says so it is the first pose: at the
     truth, else at the first row of path.csv, else at 0. Its heading is held only where no compass measures it; with a
@@ -103,9 +103,9 @@ def add_anchor(mission: Assembly, numbers: Numbers, compass: Compass | None, anc
         factors, held = factors[:1], "x and y"
     for factor in factors:
         mission.add(factor, Source(report.path, np.zeros(1, dtype=np.intp)))
-    report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
+    report.notes.append(f"there is no anchor.csv: {held} of {anchor} are fixed at {where}")
     if report.plane is not None and compass is None and where == "0":
-        report.warn(f"nothing says where {anchor} is on the Earth, nor its heading; write both to anchor.csv")
+        report.warn(f"the position of {anchor} on the Earth and its heading are unknown; write both to anchor.csv")
     return anchor, z
 
 
@@ -149,7 +149,7 @@ def add_closures(mission: Assembly, timeline: Timeline) -> None:
         return
     poses, rows = timeline.poses("closures", table)
     same = rows & (poses[:, 0] == poses[:, 1])
-    table.refuse_rows(same, lambda k: f"the closure joins pose {poses[k, 0]} to itself")
+    table.refuse_rows(same, lambda k: f"the closure connects pose {poses[k, 0]} to itself")
     mission.add_rows(table, rows, closures(table, x[poses[:, 0]], x[poses[:, 1]]))
 
 

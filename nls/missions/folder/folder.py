@@ -1,4 +1,4 @@
-"""A mission folder: its files, each read as the table it must be, what is missing or not read, and its report."""
+"""A mission folder: its files, each read as the table it must be, missing and unread files, and its report."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
         if name not in (f"{table}.csv", f"{table}.csv.gz") or table not in COLUMNS:
             other_files.append(name)
         elif table in files:
-            raise GraphFileError(f"there is {files[table].name} beside it; leave one of them", str(path / name))
+            raise GraphFileError(f"there is {files[table].name} beside it; remove one of them", str(path / name))
         else:
             files[table] = _regular(path / name)
     _refuse_parts(str(folder), set(files), other_files)
@@ -205,14 +205,14 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, *BESIDE}):
         compass = "; the headings of a compass go into zpr.csv, columns yaw_rad and sigma_yaw_rad" * ("ahrs" in log)
-        cure = f"leave either the integrated odometry or the raw log{compass}"
-        raise GraphFileError(f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; {cure}", folder)
+        cure = f"keep either the integrated odometry or the raw log{compass}"
+        raise GraphFileError(f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the motion twice; {cure}", folder)
     if {"depth", "pressure"} <= files:
-        raise GraphFileError("has depth.csv and pressure.csv, the depth twice; leave one of them", folder)
+        raise GraphFileError("has depth.csv and pressure.csv, the depth twice; remove one of them", folder)
     for name, beside in ALONE.items():
         if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE, "poses"} - {name, *beside})):
-            cure = "leave one of them"
-            raise GraphFileError(f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; {cure}", folder)
+            cure = "remove one of them"
+            raise GraphFileError(f"has {name}.csv and {sorted(other)[0]}.csv, the motion twice; {cure}", folder)
     if (missing := [name for name in needed(files) if name not in files]) and "motion" not in files:
         message = f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}"
         raise GraphFileError(message, folder, advice=[Advice("template")])

@@ -6,7 +6,7 @@ Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses wi
 is none, as of what nothing measures. A scan mission calls its
 columns keyframe, time, x, y and yaw.
 
-**The truth** of a mission, truth.csv and landmarks.csv: the true poses and landmarks that a solution is judged by.
+**The truth** of a mission, truth.csv and landmarks.csv: the true poses and landmarks that a solution is compared with.
 """
 
 import os
@@ -147,7 +147,7 @@ def true_values(tables: dict[str, Table], numbers: Numbers, report: MissionRepor
         ids = table.unique("i", "pose")
         true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
         if not np.isin(ids, numbers).any():
-            raise table.at(0, f"pose {ids[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
+            raise table.at(0, f"pose {ids[0]} and all others are not in the track, {numbers[0]} to {numbers[-1]}")
         _compare("truth.csv", "poses", ids, numbers, report)
     if (table := tables.get("landmarks")) is not None:
         true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
@@ -174,7 +174,7 @@ def _truth_at_times(table: Table, numbers: Numbers, report: MissionReport) -> tu
 
 
 def compare_landmarks(report: MissionReport, points: Numbers) -> None:
-    """Say which landmarks cannot be judged by landmarks.csv, and which of its rows judge none."""
+    """Say which landmarks have no row in landmarks.csv, and which of its rows have no landmark."""
     if "l" not in report.truth.stacks:
         return
     known = report.truth.stack("l").numbers

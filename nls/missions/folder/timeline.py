@@ -48,7 +48,7 @@ def measured_times(tables: dict[str, Table], calibrations: Calibrations) -> Time
         timed, numbered = (("time_i_s", "time_j_s"), ("i", "j")) if name == "closures" else (("time_s",), ("i",))
         if not one_of(table, timed, numbered):
             if table.has("delay_s"):
-                raise table.at_names("has delay_s and no time_s: a row with i is of that pose; leave delay_s out")
+                raise table.at_names("has delay_s and no time_s: the pose i gives the time; leave delay_s out")
             continue
         t = table.measured(*timed)
         if table.has("delay_s"):

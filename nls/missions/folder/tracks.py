@@ -55,7 +55,7 @@ def odometry(mission: Assembly) -> Numbers:
     tables, report = mission.tables, mission.report
     joins, zpr = tables["odometry"], tables["zpr"]
     i, j = joins.integers("i"), joins.integers("j")
-    joins.refuse_rows(i == j, lambda k: f"the step joins pose {i[k]} to itself")
+    joins.refuse_rows(i == j, lambda k: f"the step connects pose {i[k]} to itself")
     numbers = np.unique(np.concatenate([i, j]))
     pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
     if len(pieces) > 1:
@@ -192,7 +192,7 @@ def walking(mission: Assembly) -> Numbers:
         W = SqrtInformation(np.diag([0, 0, 1]) / way[:, None, None])
         mission.add(Landmark(i, j, np.zeros((n - 1, 3)), W), walked)
     note = f"no sensor measures the motion: a random walk of {density:g} m in the first second, and by the root of more"
-    report.notes.append(f"{note}, joins {n} poses at the times of the measurements")
+    report.notes.append(f"{note}, connects {n} poses at the times of the measurements")
     if report.unmeasured:
         note = f"nothing measures {', '.join(report.unmeasured)}: empty cells in trajectory.csv"
         report.notes.append(f"{note}; 0 in trajectory.tum, which has none")

@@ -114,7 +114,7 @@ def mission_files(
     if held := [keys for keys in graph.fixed if len(keys)]:
         first = next(iter(held[0]))
         rest = "it by a factor instead: an anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw"
-        raise GraphError(f"write_mission: {first!r} is fixed, which no file of a mission says; hold {rest}", [first])
+        raise GraphError(f"write_mission: {first!r} is fixed, which no file of a mission states; fix {rest}", [first])
     tables, factors = _positioned(factors)
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
@@ -189,7 +189,7 @@ def _refuse_stray(rows: dict[str, list[Columns]], tables: dict[str, list[Columns
     for name, parts in ({name: rows.get(name, []) for name in ("zpr", "anchor", "contacts")} | tables).items():
         unique_ids, count = np.unique(_poses(parts), return_counts=True)
         if len(stray := np.setdiff1d(unique_ids, poses)):
-            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
+            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH connects it to the track")
         if name in ("zpr", "anchor") and (count > 1).any():
             problem = f"x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
             raise GraphError(f"write_mission: {problem}")

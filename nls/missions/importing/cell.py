@@ -123,7 +123,7 @@ def read_cell(table: str, column: str, value: Any, refused: Callable[[str], Grap
     if not names or not all(isinstance(name, str) for name in names):
         raise refuse("no column of the log; expected { column = ... }")
     if len(names) > 1 and not (column.startswith("time_") or (column in GEODETIC and len(names) == 2)):
-        raise refuse("several columns; only a date and a time are joined, and a latitude or longitude with its side")
+        raise refuse("several columns; only a date and a time are combined, and a latitude or longitude with its side")
     scale *= -1.0 if value.get("up") else float(value.get("sign", 1))
     cell = Cell(names, unit=str(unit), scale=scale, offset=offset, scaled="scale" in value)
     others = {key: value[key] for key in ("up", "equals", "above") if key in value}

@@ -1,4 +1,4 @@
-"""A first mapping for a log: a guess a line, what is not known is marked; to be read before it is used."""
+"""A first mapping for a log: one guess per line, unknown entries are marked; read it before you use it."""
 
 import json
 from collections.abc import Collection, Sequence

@@ -46,8 +46,8 @@ OPTIONS = {  # of a section, with what they may be
     "where": "{ column = ..., equals = ... }",
     "join": "a whole number of lines that are one row",
     "rows": "[first], or [first, last]: rows from one to before another, counted from 0; -1 is the last",
-    "missing": "numbers and words that stand for none: one, a list, or a table of them by column",
-    "missing_together": "a table of such by column: rows in which all of them are so have none of them",
+    "missing": "numbers and words that mean a missing value: one, a list, or a table of them by column",
+    "missing_together": "a table of numbers by column: in rows where all of them match, all are missing",
     "date": "the day of the first row, from whose midnight its time counts, such as '2022-08-14'",
     "time_format": "how times are written, such as '%m/%d/%Y %H:%M:%S'",
 }

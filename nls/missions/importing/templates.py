@@ -32,7 +32,7 @@ ABOUT = {
     "water": "what the water is like, for pressure.csv: one row",
     "tide": "the height of the surface above the level from which depths count",
     "sound-speed": "the speed of sound over depth",
-    "calibration": "a property of a sensor: its value and sigma; sigma 0 holds it",
+    "calibration": "a property of a sensor: its value and sigma; sigma 0 fixes it",
 }
 ALTERNATIVES = {  # of two ways to say the same the template has one
     "truth": ("time_s",),

@@ -1,4 +1,4 @@
-"""What an imaging sonar saw: by beam and range, as a fan, with the arcs on which landmarks must lie, and in space.
+"""Images and contacts of a sonar: by beam and range, as a fan, with the arcs of possible landmarks, and in space.
 
 A contact of range r and azimuth az is one place in the fan, r (cos az, sin az), whatever its elevation. Seen from the
 same pose the whole arc of elevations falls onto it. Seen from another pose it does not. There an arc is drawn from the

@@ -145,7 +145,7 @@ class Matches(MatchTable):
 
     @classmethod
     def around(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
-        """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
+        """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and test."""
         guess = SE2.between(poses[i], poses[j])
         part = {k: submap(poses, scans, k, SUBMAP_HALF) for k in np.unique(np.append(i, j)).tolist()}
         by_field: list[Match] = []
@@ -161,7 +161,7 @@ class Matches(MatchTable):
 
     @property
     def accepted(self) -> Mask:
-        """(n,) whether the selection was to judge it."""
+        """(n,) whether the selection tests it."""
         return np.asarray(self.verdict == ACCEPTED)
 
 
@@ -337,7 +337,7 @@ def refuse_other_keyframes(values: Values, scans: Scans) -> None:
 
 
 def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
-    """All candidates of a round, matched and judged; none where no two submaps overlap."""
+    """All candidates of a round, matched and tested; none where no two submaps overlap."""
     middle = centers(scans)
     a, b = pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
@@ -360,7 +360,7 @@ def chosen(
 ) -> tuple[Between | None, Values, Mask]:
     """The closures that a selection keeps, if any, the values to go on from, and which of the accepted they are (n,).
 
-    Every closure is judged by its own covariance, and counts in the estimate as `shares` says.
+    Every closure is tested by its own covariance, and counts in the estimate as `shares` says.
     """
     accepted = matches.accepted
     kept = np.ones(int(accepted.sum()), dtype=bool)

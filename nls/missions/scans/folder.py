@@ -1,4 +1,4 @@
-"""A folder of keyframes and scans: its files, and what is read of them: a graph of dead reckoning, points, a report.
+"""A folder of keyframes and scans: its files, and their contents: a graph of dead reckoning, points, a report.
 
 mission.toml says how the sonar is mounted, and how wrong dead reckoning is:
 
@@ -178,7 +178,7 @@ def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanRe
     for name, columns in COLUMNS.items():
         if (file := file_of(folder, name)) is not None:
             if f"{name}.csv" in names and f"{name}.csv.gz" in names:
-                raise GraphFileError(f"there is {name}.csv.gz beside it; leave one of them", str(file))
+                raise GraphFileError(f"there is {name}.csv.gz beside it; remove one of them", str(file))
             tables[name] = Table(file, columns, OPTIONAL.get(name, ()), needed=name in NEEDED)
     path = Path(folder, SETTINGS)
     settings = read_settings(path) if path.exists() else Settings()

@@ -2,7 +2,7 @@
 
 A submap is complete when the keyframes behind its middle have come. It is matched then with older ones whose footprints
 overlap, in windows of three sigmas of their relative pose, as in `close`. A match that is accepted waits until as many
-have come as are a part of those in the map; then all that ever were accepted are judged anew (`nls.gnc`), and those
+have come as are a part of those in the map; then all that ever were accepted are tested again (`nls.gnc`), and those
 that are kept enter as one factor, in place of the one before. So nothing enters the map unjudged. Rejected matches come
 back when the others agree with them, and each counts as its submaps are used by then. Each is matched once, by the
 submaps as they were then.
@@ -37,7 +37,7 @@ class OnlineClosing:
     ----------
     drift : how wrong dead reckoning is; the default is that of commanded speeds with a compass.
     mount : (3,) pose of the sensor on the vehicle, x, y, m, and yaw, rad.
-    enough : how many new closures, as a part of those in the map, make all be judged again.
+    enough : how many new closures, as a part of those in the map, make all be tested again.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class OnlineClosing:
 
     @property
     def graph(self) -> FactorGraph:
-        """All measurements in the estimate, with the closures that are believed."""
+        """All measurements in the estimate, with the closures that are kept."""
         return self.smoother.graph
 
     @property
@@ -169,7 +169,7 @@ class OnlineClosing:
 
     @property
     def _waiting(self) -> int:
-        """Accepted matches that are not judged yet."""
+        """Accepted matches that are not tested yet."""
         return sum(int(part.accepted.sum()) for part in self._matches) - len(self._kept)
 
     def _scans(self, keyframes: Index) -> Scans:
@@ -179,7 +179,7 @@ class OnlineClosing:
         return Scans(np.concatenate([np.zeros((0, 2)), *points]), number, len(self), self.mount)
 
     def _close(self, newest: int) -> None:
-        """Match the submap around a keyframe with the older ones, and judge when enough matches are accepted."""
+        """Match the submap around a keyframe with the older ones, and test when enough matches are accepted."""
         poses = self.poses
         scans, middle = self._near(poses, newest)
         if not len(middle) or middle[-1] != newest:

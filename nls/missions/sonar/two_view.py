@@ -87,7 +87,7 @@ class TwoView:
     iterations: int
 
     def factor(self, i: Keys, j: Keys) -> Between:
-        """The factor between the two poses: what the sonar said, and nothing else.
+        """The factor between the two poses, by the sonar alone.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class TwoView:
         if not self.converged:
             raise EvaluationError(
                 f"two_views did not converge in {self.iterations} iterations; give it the information of the odometry, "
-                "more points, or a better start"
+                "more points, or a better initial guess"
             )
         return Between(i, j, self.z, SqrtInformation(self.sqrt_information))
 
@@ -166,7 +166,7 @@ def two_views(
     Z = SE3.stack(start)
     O = SE3.identity() if offset is None else SE3.stack(offset)
     if len(Z) != 1 or len(O) != 1:
-        raise GraphError("two_views: expected one start (7,) and one offset (7,)")
+        raise GraphError("two_views: expected one initial guess (7,) and one offset (7,)")
     if odometry_information is None:
         r = contacts.z[:, 0].mean()
         known, prior, tau = np.diag([r**-2] * 3 + [1.0] * 3), np.zeros((6, 6)), 1.0

@@ -1,1 +1,1 @@
-"""What only missions begin with: beacons where their ranges meet, and tracks where their fixes put them."""
+"""Initial guesses of missions: beacons where their ranges meet, and tracks where their fixes put them."""

@@ -1,4 +1,4 @@
-"""The top of the page, what came out in a sentence and the key figures, and its sections; each from `ReportData`."""
+"""The top of the page, with the result in a sentence and the key figures, and its sections; each from `ReportData`."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def verdict(data: ReportData) -> Html:
 
 
 def key_figures(data: ReportData) -> Html:
-    """Sizes, chi2, what holds the graph, and what the caller knows besides."""
+    """Sizes, chi2, the gauge, and facts from the caller."""
     result, explained = data.result, data.explanation
     kinds = ", ".join(f"{len(stack):,} {kind}" for kind, stack in data.values.stacks.items())
     figures = [("variables", kinds, ""), ("measurements", f"{len(data.graph):,}", "")]
@@ -174,7 +174,7 @@ def findings(data: ReportData) -> Html:
 
 
 def kinds(data: ReportData) -> Html | None:
-    """chi2 of every kind of measurement against what noise explains."""
+    """chi2 of every kind of measurement against its expectation."""
     parts = [kind for kind in data.explanation.parts if kind.expected > 0]
     if not parts:
         return None
@@ -220,7 +220,7 @@ def worst(data: ReportData) -> Html | None:
     if data.rejected:
         shown = [(wrong.factor, f"{wrong.sigmas:.3g}", _chance(wrong.chance)) for wrong in data.rejected]
         columns = ("measurement", "sigmas", "by chance")
-        inside.append(table(f"{len(shown):,} measurements were rejected", columns, shown[:ROWS], (1, 2)))
+        inside.append(table(f"Rejected measurements: {len(shown):,}", columns, shown[:ROWS], (1, 2)))
         if len(shown) > ROWS:
             remaining = table("All others", columns, shown[ROWS:], (1, 2))
             inside.append(tag("details", tag("summary", f"and {len(shown) - ROWS:,} more"), remaining))
@@ -287,7 +287,7 @@ def convergence(data: ReportData) -> Html | None:
 
 
 def sparsity(data: ReportData) -> Html:
-    """Where the numbers are, and what a factorization costs."""
+    """Nonzeros, and the cost of a factorization."""
     from nls.plot.matrices import spy
 
     cost = inspect(data.graph, data.values)

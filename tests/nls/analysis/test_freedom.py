@@ -56,7 +56,7 @@ def test_a_component_without_anchor(group: LieGroup) -> None:
     assert error.nullity == group.dim
     assert len(error.components) == group.dim
     assert set(names(error)) <= {f"x{k}" for k in range(8)}
-    assert "all 8 variables joined to x0" in str(error)
+    assert "all 8 variables connected to x0" in str(error)
     assert f"leave {group.dim} direction{'s' if group.dim > 1 else ''} free" in str(error)
     assert actions(error) == ["fix", "prior", "gauge"]
     assert np.array_equal(error.values[x], sample.values[x])
@@ -83,8 +83,8 @@ def test_two_components(group: LieGroup, n: int) -> None:
     error = refused(graph, values)
     assert error.nullity == group.dim
     assert {int(name[1:]) for name in names(error)} <= set(range(n, 2 * n))
-    assert f"all {n} variables joined to x{n}" in str(error)
-    assert "joined to x0" not in str(error)
+    assert f"all {n} variables connected to x{n}" in str(error)
+    assert "connected to x0" not in str(error)
     system = graph.linearize(values)
     N = null_space(system)
     assert (N.shape, np.linalg.matrix_rank(N)) == ((2 * n * group.dim, group.dim), group.dim)
@@ -140,7 +140,7 @@ def test_a_weak_prior_is_named_as_such(solver: str, case: tuple[int, float]) -> 
     assert {"x0", f"x{n - 1}"} <= set(names(error))
     assert "determine every unknown" in str(error)
     assert "13 digits" in str(error)
-    assert f"of all {n} variables joined to x0" in str(error)
+    assert f"of all {n} variables connected to x0" in str(error)
     assert {"qr", "tighten", "units"} <= set(actions(error))
     if "qr" in INSTALLED:
         assert graph.optimize(values, linear_solver=SOLVERS["qr"]()).converged

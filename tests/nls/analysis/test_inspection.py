@@ -52,7 +52,7 @@ def test_counts() -> None:
     values = Values({x: (SE2, np.zeros((7, 3))), l: (R(2), np.zeros((2, 2)))})
     found = inspect(graph, values)
     counts = {"variables": 9, "measurements": 6, "components": 3, "component_sizes": [3, 2, 1]}
-    counts |= {"isolated_variables": 3, "gauge": "x0, x4 held", "semi_definite_measurements": 2}
+    counts |= {"isolated_variables": 3, "gauge": "x0, x4 fixed", "semi_definite_measurements": 2}
     counts |= {"rows_of_A": 18, "columns_of_A": (3 + 2 + 1) * 3 - 2 * 3, "numbers_in_A": 5 * 3 * 6 + 3 * 3}
     assert {name: found[name] for name in counts} == counts
     numbers = [found[name] for name in ("sigma_smallest", "sigma_largest", "chi2")]

@@ -184,7 +184,7 @@ def test_what_cannot_be_asked() -> None:
         with pytest.raises(OptionError, match=name):
             observability(graph, values, s[0], **{name: value})  # type: ignore[arg-type]
     graph.release(x[0])
-    with pytest.raises(GraphError, match="x0 is what gauge 'first' holds"):
+    with pytest.raises(GraphError, match="gauge 'first' fixes x0"):
         observability(graph, values, x[0])
     assert observability(graph, values, x[0], gauge="none").rank == 0
     assert observability(graph, values, s[0], gauge="none").rank == 6

@@ -186,4 +186,4 @@ def test_an_exact_fit_has_no_scale() -> None:
     graph, values = survey(0, np.zeros(3), np.zeros(2))
     estimate = variance_components(FactorGraph(graph.factors[:2], [x[0]]), values)
     assert [c.known for c in estimate.components] == [False] * 2
-    assert "their errors do not show" in str(estimate)
+    assert "their errors cannot be detected" in str(estimate)

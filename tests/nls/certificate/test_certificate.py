@@ -230,9 +230,9 @@ VALUES = Values({x: (SE2, SE2.identity(3)), l: (R(2), np.zeros((2, 2))), y: (SE3
 REFUSED = [
     ([CHAIN, BearingRange(x[0], l[1], [0.1, 3.0], Isotropic(0.1))], r"BearingRange\(x0, l1\) is no measured"),
     ([CHAIN.robust(Huber(1.0))], r"Between\(.*\) has the robust kernel Huber\(1\)"),
-    ([CHAIN, Prior(x[[0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both held"),
-    ([CHAIN, Prior(x[[0, 0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both held"),
-    ([CHAIN, *(Prior(x[k], [0, 0, 0], Isotropic(1)) for k in (1, 2))], "x1 and x2 are both held"),
+    ([CHAIN, Prior(x[[0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both anchored"),
+    ([CHAIN, Prior(x[[0, 0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both anchored"),
+    ([CHAIN, *(Prior(x[k], [0, 0, 0], Isotropic(1)) for k in (1, 2))], "x1 and x2 are both anchored"),
     ([CHAIN, Prior(l[1], [0, 0], Isotropic(1))], r"Prior\(l1\) is on no pose"),
     ([CHAIN[[0]]], "x2 and x0 are not connected"),
     ([CHAIN, Between(y[0], y[1], SE3.identity(1), Isotropic(1))], "Between factors of SE2, SE3; expected"),
@@ -256,7 +256,7 @@ def test_fixed_poses_and_other_spaces_are_refused() -> None:
     graph.fix(x[1])
     assert nls.certify(graph, values).verdict == "certified"  # the pose of the prior
     graph.fix(x[0])
-    with pytest.raises(nls.GraphError, match="x0 and x1 are both held"):
+    with pytest.raises(nls.GraphError, match="x0 and x1 are both anchored"):
         nls.certify(graph, VALUES)
     turns = FactorGraph([Between(x[0], x[1], SO3.identity(1), Isotropic(1))])
     with pytest.raises(nls.GraphError, match="Between factors of SO3; expected"):
@@ -313,11 +313,11 @@ def test_the_command_line_refutes_and_the_way_on_that_it_prints_is_certified(tmp
     first = json.loads(where.read_text())
     lower = first["certificate"]["lower_chi2"]
     assert lower < 1e-3 * first["chi2_final"]
-    (way_on,) = re.findall("-> go on from there: (.*)", captured.out)
-    assert re.search(rf"nls: refuted: .*; go on from there: {re.escape(way_on)}\n$", captured.err)
+    (way_on,) = re.findall("-> continue from there: (.*)", captured.out)
+    assert re.search(rf"nls: refuted: .*; continue from there: {re.escape(way_on)}\n$", captured.err)
     assert main([*command, *way_on.split()]) == 0
     captured = capsys.readouterr()
-    assert f"\nimproved    left at chi2 {first['chi2_final']:.9g}: went on from its better poses\n" in captured.out
+    assert f"\nimproved    from chi2 {first['chi2_final']:.9g}: continued from better poses\n" in captured.out
     assert "\ncertificate certified: " in captured.out
     assert captured.err == ""
     report = json.loads(where.read_text())
@@ -336,11 +336,11 @@ def test_the_command_line_goes_on_from_a_solution_that_stopped_too_early(tmp_pat
     assert main([*command, "--certify"]) == 0
     shown = capsys.readouterr().out
     assert "\ncertificate undecided: this solution stopped too early: " in shown
-    (way_on,) = re.findall("-> go on from there: (.*)", shown)
+    (way_on,) = re.findall("-> continue from there: (.*)", shown)
     stopped = json.loads((tmp_path / "r.json").read_text())["chi2_final"]
     assert main([*command, *way_on.split()]) == 0
     shown = capsys.readouterr().out
-    assert f"\nimproved    left at chi2 {stopped:.9g}: went on from its better poses\n" in shown
+    assert f"\nimproved    from chi2 {stopped:.9g}: continued from better poses\n" in shown
     assert "\ncertificate certified: " in shown
     assert json.loads((tmp_path / "r.json").read_text())["chi2_final"] == pytest.approx(9999**2 / 0.02, abs=0.1)
 

@@ -199,7 +199,7 @@ def test_beacons_and_calibrations_are_written_with_their_sigmas(shell: Shell, tm
     beacons = "\n".join(KNOWN.splitlines()[:3])
     m = folder(shell / "m", truth.files, ranges=ranges, fixes=fixes, beacons=beacons, calibration=calibration)
     out, report = shell.told("solve m -o out")
-    assert row(out, "ATE").endswith("(no alignment: held in the world by fixes.csv, beacons.csv)")
+    assert row(out, "ATE").endswith("(no alignment: anchored by fixes.csv, beacons.csv)")
     assert report["mission"]["anchor"] == "fixes.csv, beacons.csv"
     columns = ("beacon", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m")
     estimated = Table(shell / "out" / "beacons.csv", columns)

@@ -24,7 +24,7 @@ from tests.nls.io.g2o_files import PLANE, SPACE
 
 def test_the_table_of_solve(shell: Shell) -> None:
     out = shell(f"solve {shell.file()} --init file --verbose")
-    for text in ("4 variables, 4 measurements, 2-D", "gauge: x0 held", "3 degrees of freedom"):
+    for text in ("4 variables, 4 measurements, 2-D", "gauge: x0 fixed", "3 degrees of freedom"):
         assert text in out
     assert row(out, "result").startswith("converged: ")
     assert "iteration          chi2    max|dx|   seconds" in out
@@ -83,7 +83,7 @@ def test_a_file_without_vertices_has_no_chi2(shell: Shell) -> None:
 
 def test_every_choice_by_name(shell: Shell) -> None:
     expected = shell.report(f"solve {shell.file()}")
-    assert (expected["method"], expected["gauge"]) == ("gauss-newton", "x0 held")
+    assert (expected["method"], expected["gauge"]) == ("gauss-newton", "x0 fixed")
     names = {
         "init": ("file", "odometry", "spanning-tree", "chordal"),
         "gauge": ("prior", "free"),
@@ -160,7 +160,7 @@ def test_help_and_version(shell: Shell, capsys: pytest.CaptureFixture[str]) -> N
 def test_info(shell: Shell) -> None:
     out, report = shell(f"info {shell.file()}"), shell.report("info graph.g2o")
     assert re.search(r"EDGE_SE2 +4", out)
-    assert re.search(r"gauge +x0 held", out)
+    assert re.search(r"gauge +x0 fixed", out)
     assert re.search(r"variables of each part +4\n.*smallest sigma, m or rad +\d", out, re.DOTALL)
     assert report["tags"] == {"VERTEX_SE2": 4, "EDGE_SE2": 4}
     assert (report["rows_of_A"], report["columns_of_A"], report["components"]) == (12, 9, 1)

@@ -24,7 +24,7 @@ from tests.nls.plot.html_page import Page
 undrawn, unwarned = pytest.mark.usefixtures("undrawn"), pytest.mark.filterwarnings("ignore::nls.GraphWarning")
 KERNEL = "look at these rows, or solve with --robust Position=cauchy:1"
 
-GNC = "; find wrong loop closures: nls solve --robust gnc-tls; try another start: --init"
+GNC = "; find wrong loop closures: nls solve --robust gnc-tls; try another initial guess: --init"
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_fixes_that_jump_are_for_a_kernel_of_their_table(shell: Shell) -> None:
             out, _ = shell.both(f"solve m{options} -o out", int(jump > 0 and not options))
             (note,) = [note for note in rows(out, "note") if note.startswith("implausible: ")] or [""]
             assert (note.endswith(f"{KERNEL}; see: nls explain m")) == (jump > 0 and not options)
-            assert "try another start" not in note
+            assert "try another initial guess" not in note
             tracks.append(read_tum(shell / "out" / "trajectory.tum")[1][:, :2])
     good, _, bent, robust = tracks
     away, near = (np.linalg.norm(track - good, axis=1).max() for track in (bent, robust))
@@ -129,7 +129,7 @@ def test_a_failed_solve_says_why_and_what_it_wrote(shell: Shell) -> None:
         assert (report["converged"], report["status"]) == (False, "UNDERCONSTRAINED")
         assert report["underconstrained"]
         assert report["written"] == ["p.html", "r.json"]
-        assert "hold one pose of every part: --gauge first" in report["advice"]  # as it is typed
+        assert "fix one pose of every part: --gauge first" in report["advice"]  # as it is typed
         page = Page((shell / "p.html").read_text())
         for text in ("Not solved", message.removeprefix("nls: "), "--gauge first"):
             assert text in page.text
@@ -162,7 +162,7 @@ def test_a_warning_is_said_once(shell: Shell) -> None:
 
 
 def test_parts_that_nothing_joins_are_a_note_of_solve(shell: Shell) -> None:
-    two = "the graph has 2 parts that no measurement joins (4 with x0, 2 with x10)"
+    two = "the graph has 2 parts that no measurement connects (4 with x0, 2 with x10)"
     for text, count in ((PLANE + PART, 1), (PLANE, 0), (PLANE + PART + "FIX 0\nFIX 10\n", 0)):
         notes = rows(shell(f"solve {shell.file(text)}"), "note")
         assert sum(note.startswith(two) for note in notes) == sum("joins" in note for note in notes) == count
@@ -251,7 +251,7 @@ def test_a_kernel_is_judged_by_what_it_believes(shell: Shell) -> None:
     shell.both("solve graph.g2o", 1)
     out = shell("solve graph.g2o --robust cauchy:1")
     assert row(out, "ignored") == "by the kernel: 0 of 7 Between of odometry, 1 of 8 Between closures (12.5 %)"
-    assert "of what the kernel believes, 1 expected)" in row(out, "chi2")
+    assert "of the measurements the kernel keeps, 1 expected)" in row(out, "chi2")
     assert not any("implausible" in note for note in rows(out, "note"))
 
 
@@ -288,7 +288,7 @@ def test_the_words_and_the_numbers(text: str, unknowns: int, shell: Shell) -> No
         (PLANE + MORE, "at its optimum (gauss-newton, ", 0, "wrong_closure"),
         (PLANE + PART, "at its optimum (gauss-newton, ", 0, "separate_parts"),
         (PLANE + RAY, "at its optimum (levenberg-marquardt, ", 1, "free"),
-        (f"VERTEX_SE2 0 0 0 0\n{RAY}", "at the start", 1, "not_converged"),  # no method starts
+        (f"VERTEX_SE2 0 0 0 0\n{RAY}", "at the initial guess", 1, "not_converged"),  # no method starts
     ],
 )
 def test_what_is_found_is_no_failure(text: str, where: str, nullity: int, first: str, shell: Shell) -> None:
@@ -335,7 +335,7 @@ def test_an_anchor_is_believed_in_one_line_and_none_where_no_file_has_it(shell: 
     out = shell("explain m")
     assert "RangeAzimuth" in out
     assert "gauge: fixed by the graph itself" in out
-    line = "1. Position(x0), Heading(x0): believed as stated, no other measurement checks them [m/anchor.csv:2].\n\n"
+    line = "1. Position(x0), Heading(x0): taken as stated, no other measurement checks them [m/anchor.csv:2].\n\n"
     assert line in out
     assert out.count("anchor.csv:2") == 1
     assert "->" not in out

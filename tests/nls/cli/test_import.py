@@ -90,7 +90,7 @@ def test_every_chart_has_the_path_where_its_rows_are(shell: Shell, heading: floa
     shell.file("\n".join(["t,lat,lon,depth,heading", *rows, ""]), "log.csv")
     shell.file(MAP, "map.toml")
     shell("import log.csv --map map.toml -o m")
-    assert "held at the first row of path.csv" in shell("solve m -o s")
+    assert "fixed at the first row of path.csv" in shell("solve m -o s")
     shell("convert m m.csv")
     shell("convert m m.json")
     meter = pytest.approx(p, abs=1e-6)
@@ -109,7 +109,7 @@ def test_an_anchor_moves_a_path_that_begins_elsewhere(shell: Shell) -> None:
     names = "x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
     anchor = f"i,{names}\n2,7,8,1.5707963267948966,0.01,0.01,0.001\n"
     folder(shell / "m", {"path": "\n".join([f"time_s,{names}", *rows, ""]), "anchor": anchor})
-    assert "held at" not in shell("solve m -o s")
+    assert "fixed at" not in shell("solve m -o s")
     track = np.loadtxt(shell / "s" / "trajectory.tum")
     assert track[:, 1:3] == pytest.approx(np.array([[7, 6], [7, 7], [7, 8], [7, 9]]), abs=1e-6)
 

@@ -105,7 +105,7 @@ def test_covariances_at_an_optimum_only(shell: Shell, monkeypatch: pytest.Monkey
     out, err = shell.both(f"{words} -o o.g2o", 2)
     assert err.splitlines() == [
         "nls: c.csv was not written: scale is free",
-        "  -> hold one pose of every part: --gauge first",
+        "  -> fix one pose of every part: --gauge first",
     ]
     assert rows(out, "written") == ["o.g2o"]
     assert shell.contents().keys() == {"graph.g2o", "o.g2o"}

@@ -102,7 +102,7 @@ solve graph.g2o {-o out.g2o --json out.g2o|-o out.g2o --covariance ./link.csv} =
 solve graph.g2o {--plot a.png --json alone/../a.png|--report a.html --json a.html} => another output has this one
 
 solve a.pyfg -o out.g2o => cannot be written to a g2o file; poses A are written as x, points L as l
-{convert fixed.g2o|solve fixed.g2o -o} out.pyfg => x1 is held fixed, which a PyFactorGraph file has no line for
+{convert fixed.g2o|solve fixed.g2o -o} out.pyfg => x1 is fixed, and a PyFactorGraph file has no line for that
 convert names.pyfg out.g2o => or kinds of one or two letters, or let `nls convert` rename one kind of poses
 
 {solve|explain} square.g2o --robust {magic:1|none} => one of huber, cauchy, .*, dcs; or none, of a mission: all c
@@ -132,7 +132,7 @@ solve scans --robust {huber:1|gnc-tls} => is not possible; expected for a scan m
 solve scans --sigmas estimate => --sigmas: 'estimate' is not possible; expected nothing
 solve scans --elevation prior => a scan mission is of the plane
 solve scans --init odometry => a scan mission starts from dead reckoning
-solve scans --method dogleg => the rounds of a scan mission choose their own
+solve scans --method dogleg => a scan mission chooses its own in each round
 solve scans --hold x => a scan mission has only its keyframes and their drift
 solve scans --certify => the drifts of a scan mission are no poses
 solve scans --crs utm -o out => a scan mission has coordinates of its own

@@ -118,6 +118,6 @@ def test_a_wrong_setup_is_said_where_the_user_looks(shell: Shell) -> None:
     _, err = shell.both("solve m --json r.json", status=1)
     assert "nls: doubtful: no solution: the setup is wrong (mirrored), see the warning" in err
     assert "[drift]" not in err
-    assert "nls: warning: m: azimuths look mirrored: 72 steps that turn fit the other sign better, 0 fit this" in err
+    assert "nls: warning: m: azimuths look mirrored: 72 turning steps fit the other sign better, 0 fit this" in err
     (finding,) = shell.json()["scans"]["setup"]
     assert finding["kind"] == "mirrored"

@@ -65,7 +65,7 @@ def test_all_contacts_are_believed_on_request(shell: Shell, untried: None) -> No
     assert report["chi2_final"] > 100 * report["dof"]
     assert "robust kernel none" not in out
     note = row(out, "note")
-    assert "; without --robust none, wrong contacts are found and left out; " in note
+    assert "; leave --robust none out: wrong contacts are then found and rejected; " in note
     assert note.endswith("; see: nls explain m --robust none")  # which explains the same graph
 
 
@@ -83,7 +83,7 @@ def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeyp
     written(shell / "m", mission(outliers=0.1))
     monkeypatch.setattr("nls.robust.verdict.HALF_DOUBTED", 1.0)  # whatever is rejected is too much
     out, _ = shell.both("solve m", 1)
-    assert "all contacts are kept, though some do not fit: the choice among them is doubtful; " in out
+    assert "all contacts are kept, though some do not fit: no selection among them can be trusted; " in out
     assert "rejected  " not in out
 
 

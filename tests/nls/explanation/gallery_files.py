@@ -85,7 +85,7 @@ FILES = (
     _unread(
         "A tag that nobody knows",
         PLANE + "EDGE_SONAR 0 1 3.4\n",
-        "may join variables: EDGE_SONAR (1) | ignore_tags=['EDGE_SONAR']",
+        "may connect variables: EDGE_SONAR (1) | ignore_tags=['EDGE_SONAR']",
         line=4,
     ),
     _unread(

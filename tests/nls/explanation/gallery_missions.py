@@ -69,7 +69,7 @@ MISSIONS = (
         "A pose held by hand, which no table says",
         DIVE + 'graph = FactorGraph([step, tilt])\ngraph.fix(x[0])\nwrite_mission("dive", graph)\n',
         "GraphError",
-        ("x0 is fixed", "hold it by a factor", "Position of x and y and a Heading"),
+        ("x0 is fixed", "fix it by a factor", "Position of x and y and a Heading"),
         'here = Prior(x[0], SE3.identity()[0], Isotropic(0.001), components=("x", "y", "yaw"))\n'
         + 'files = write_mission("dive", FactorGraph([step, tilt, here]))\n'
         + LOAD

@@ -34,7 +34,7 @@ SPEED = {"check": "speed", "file": "dvl.csv", "line": 2, "column": "vx_m_s", "me
 MM = {"cause": "unit", "file": "dvl.csv", "column": "vx_m_s", "factor": 1000.0}
 FINDINGS = (
     Finding(Kind.IMPLAUSIBLE, (), SPEED | {"unit": "m/s", "readings": (MM,)}),
-    Finding(Kind.NOT_CONVERGED, (), {"reason": "something is free", "values": "at the start"}),
+    Finding(Kind.NOT_CONVERGED, (), {"reason": "something is free", "values": "at the initial guess"}),
     Finding(Kind.NO_OPTIMUM, (), {"fall": 12.3, "chi2": 45.6}),
     Finding(Kind.LOCAL_MINIMUM, (), {"lower": 12.3, "chi2": 45.6}),
     Finding(Kind.ILL_CONDITIONED),

@@ -316,7 +316,7 @@ def test_wholes_that_move_as_one() -> None:
     i, j = np.repeat(np.arange(3), 8), np.tile(np.arange(8), 3)
     d, values = L[j] - P[i, :2], Values({x: (SE2, P), l: (R(2), L)})
     bearings = Bearing(x[i], l[j], np.arctan2(d[:, 1], d[:, 0]) - P[i, 2], Isotropic(0.01))
-    whole = "of all 11 variables joined to x0"
+    whole = "of all 11 variables connected to x0"
     assert seen_from(FactorGraph([bearings]), values) == [f"scale about x0 {whole}"]
     ranges = Range(x[i], l[j], np.linalg.norm(d, axis=1), Isotropic(0.01))
     assert set(seen_from(FactorGraph([ranges]), values)) == {f"yaw about x0 {whole}", "x1: yaw", "x2: yaw"}
@@ -326,7 +326,7 @@ def test_wholes_that_move_as_one() -> None:
     )
     straight = Values({x: (SE2, np.column_stack([np.arange(4), np.zeros((4, 2))]))})
     explanation = nls.explain(graph, straight)
-    assert explanation.free == ("x of all 4 variables joined to x0", "y of all 4 variables joined to x0")
+    assert explanation.free == ("x of all 4 variables connected to x0", "y of all 4 variables connected to x0")
     assert explanation.rank == np.linalg.matrix_rank(graph.linearize(straight).A.toarray()) == 10
 
 
@@ -337,7 +337,7 @@ def test_more_free_directions_than_are_found_at_once() -> None:
     values = Values({l: (R(2), np.random.default_rng(0).normal(size=(40, 2)), np.concatenate([k, 100 + k]))})
     explanation = nls.explain(graph, values)
     assert (explanation.nullity, explanation.rank, explanation.capped) == (40, 40, False)
-    assert {f"{c} of all 2 variables joined to l{n}" for c in "xy" for n in k} == set(explanation.free)
+    assert {f"{c} of all 2 variables connected to l{n}" for c in "xy" for n in k} == set(explanation.free)
 
 
 def test_a_calibration_is_named_beside_a_landmark_that_is_free() -> None:

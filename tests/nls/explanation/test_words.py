@@ -129,7 +129,7 @@ def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
         "places": ["a.g2o:3"],
         "advice": [{"action": "merge", "about": []}],
         "sentence": placed.findings[0].says,
-        "cures": ["give both one number, if they are the same"],
+        "cures": ["merge them if they are the same: give both one number"],
     }
     assert record["sentence"].endswith(" [a.g2o:3]")
 

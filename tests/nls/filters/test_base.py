@@ -65,7 +65,7 @@ def test_graphs_that_have_no_steps_are_refused_by_name() -> None:
         steps(graph, values)
     graph, values = small()
     graph.fix(x[2])
-    with pytest.raises(GraphError, match=r"x2 is held fixed.*release"):
+    with pytest.raises(GraphError, match=r"x2 is fixed.*release"):
         steps(graph, values)
     graph.release(x[2])
     assert len(steps(graph, values)) == 3

@@ -214,7 +214,7 @@ def test_motions_that_look_back_are_refused() -> None:
     start, twice = Prior(x[0], [1.0], ONE), Factor.from_function(lambda a, b: b - 2 * a, [x[0], x[1]], dim=1)
     track = EKF().run(FactorGraph([start, twice]), values)
     assert (track.X[1, 0], track.P[1, 0, 0]) == (pytest.approx(2.0), pytest.approx(4 * 0.01 + 1))
-    with pytest.raises(GraphError, match=r"together say something of x0 as well, which is past"):
+    with pytest.raises(GraphError, match=r"together also constrain x0, which is past"):
         EKF().run(FactorGraph([start, twice, Between(x[0], x[1], [1.0], ONE)]), values)
 
 
@@ -230,7 +230,7 @@ def test_a_range_is_fine_once_its_landmark_is_known() -> None:
 def test_charted_landmarks_need_a_chart() -> None:
     seen = Landmark(x[[1, 2]], l[[0, 1]], [[1.0, 0.0], [2.0, 1.0]], ONE)
     chart = Prior(l[[0, 1]], [[2.0, 0.0], [4.0, 1.0]], Isotropic(4.0))
-    with pytest.raises(GraphError, match=r"l1 is seen and has no Prior, which landmarks='independent' needs"):
+    with pytest.raises(GraphError, match=r"l1 is observed and has no Prior, which landmarks='independent' needs"):
         run(START, WALK, seen, chart[0], landmarks="independent")
     charted, plain = (run(START, WALK, seen, chart, landmarks=name) for name in ("independent", "correlated"))
     assert np.array_equal(charted.state.P, plain.state.P)

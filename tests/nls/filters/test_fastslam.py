@@ -153,10 +153,10 @@ def test_what_it_cannot_take_is_refused_by_name() -> None:
     far, loop = Range(x[1], l[0], [5.0], Isotropic(0.1)), Between(x[0], x[2], [2.0, 0, 0], Isotropic(0.1))
     robust, heading = Heading(x[1], [0.1], Robust(Isotropic(0.1), Cauchy(1.0))), Heading(x[0], [0.1], Isotropic(0.1))
     cases: list[tuple[list[Factor], type[LeadlineError], str]] = [
-        ([first, walk, far], GraphError, r"Range\(x1, l0\) is the first to see l0.*Prior"),
+        ([first, walk, far], GraphError, r"Range\(x1, l0\) is the first to observe l0.*Prior"),
         ([first, walk, loop], GraphError, r"Between\(x0, x2\) is about more than x2.*or a Smoother"),
         ([first, walk, robust], GraphError, r"Heading\(x1\) has a robust kernel"),
-        ([walk], GraphError, r"x0: nothing is measured of it alone"),
+        ([walk], GraphError, r"x0: no measurement of its own"),
         ([heading, walk], UnderconstrainedError, r"x0.*Heading.*Prior of x0"),
     ]
     for factors, error, match in cases:

@@ -199,7 +199,7 @@ def test_unknown_variables_are_refused() -> None:
     with pytest.raises(GraphError, match="x0 is not in the estimate"):
         smoother[x[0]]
     smoother.update([], Values({x: (SE2, [[0.0, 0, 0]])}))
-    with pytest.raises(GraphError, match="x is in SE2, its start values are in SE3"):
+    with pytest.raises(GraphError, match="x is in SE2, its initial values are in SE3"):
         smoother.update([], Values({x: (SE3, SE3.identity())}))
 
 

@@ -105,7 +105,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
     refused(graph, Values({c: (CAMERA, values[c]), k: (LENS, values[k]), **points}), "counts the variables l from 0")
     refused(graph, Values({c: (LENS, values[k]), k: (LENS, values[k]), l: (R(3), values[l])}), "holds \\(wx")
     graph.fix(k[[0, 1]])
-    refused(graph, values, "held fixed")
+    refused(graph, values, "is fixed, and")
 
 
 def test_known_cost_and_gradient(data: Path) -> None:

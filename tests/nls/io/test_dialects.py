@@ -56,7 +56,7 @@ def test_several_readings_are_refused_with_the_choices() -> None:
 def test_tags_of_two_dialects() -> None:
     text = EDGES_2 + EDGE2
     assert_refused(5, "EDGE2 is a tag of toro or isam", read, text)
-    assert_refused(5, "may join variables: EDGE2 (1)", read, text, dialect="g2o")
+    assert_refused(5, "may connect variables: EDGE2 (1)", read, text, dialect="g2o")
     _, _, report = read(text, dialect="g2o", ignore_tags=["EDGE2"])
     assert report.ignored == [EDGE2.strip()]
     assert "unknown tags" in report.warnings[0]

@@ -156,12 +156,12 @@ VERTEX_SE2 0.5 AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA1 1 2
 VERTEX_SE2 t A2 1 2 3 | 't' is not a number
 EDGE_RANGE 0.5 A0 L4 5.1 0.1 | L4 is measured, but no vertex line gives it
 EDGE_RANGE 0.5 C0 L3 5.1 0.1 | C0 is measured, but no vertex line gives it
-EDGE_RANGE 0.5 A0 A0 5.1 0.1 | joins A0 to itself
+EDGE_RANGE 0.5 A0 A0 5.1 0.1 | connects A0 to itself
 EDGE_RANGE 0.5 A0 L3 -5.1 0.1 | a range is at least 0 m
 EDGE_RANGE 0.5 A0 L3 5.1 0 | Covariance of measurement 2 is 0, expected > 0
 EDGE_RANGE 0.5 L3 A0 5.1 0.1 | expected a pose
 EDGE_SE2 1 A0 A1 1 0 0 1 2 0 1 0 1 | not positive definite
-EDGE_SE2 1 A0 L3 1 0 0 1 0 0 1 0 1 | joins SE2 and R
+EDGE_SE2 1 A0 L3 1 0 0 1 0 0 1 0 1 | connects SE2 and R
 EDGE_SE2_XY 1 A0 A1 1 0 0 1 | covariance
 VERTEX_XYZ L9 1 2 3 | mixes the plane and space
 """)
@@ -197,7 +197,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
     refused(prior, "the number is negative", Values({A: (SE2, [zero, zero], [0, -1])}))
     graph = FactorGraph([prior])
     graph.fix(A[0])
-    assert_unwritable(tmp_path / "out.pyfg", "A0 is held fixed", graph, values)
+    assert_unwritable(tmp_path / "out.pyfg", "A0 is fixed", graph, values)
 
 
 def test_the_public_file_comes_back_byte_for_byte(data: Path, tmp_path: Path) -> None:

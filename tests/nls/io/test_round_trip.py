@@ -198,7 +198,7 @@ def test_what_a_dialect_has_no_line_for(tmp_path: Path) -> None:
     refused(FactorGraph(), Values({x: poses, o: (SE2, SE2.identity(1), [9])}), "g2o", "o9 is no offset")
     graph, values, _ = read(SENSORS_2)
     for dialect in ("toro", "isam", "graph", "isam-covariance"):
-        refused(graph, values, dialect, f"x0 is held fixed, .* {dialect} file")
+        refused(graph, values, dialect, f"x0 is fixed, and .* {dialect} file")
     graph.fixed = []
     refused(graph, values, "toro", r"Landmark.* cannot be written to a toro file")
     singular, values, _ = read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 0 0 1\n")

@@ -49,7 +49,7 @@ def test_two_robots_have_the_optimum_of_plain_ids(group: LieGroup, vertices: boo
     assert proofs[1].chi2_reached == pytest.approx(proofs[0].chi2_reached, rel=1e-9)
     chosen = [nls.gnc(graph, values, preselect=False).result.chi2_final for graph, values, _ in (one, two)]
     assert chosen[1] == pytest.approx(chosen[0], rel=1e-6)
-    with pytest.raises(nls.GraphError, match="no odometry joins a3 to b0: the graph has 2 sessions"):
+    with pytest.raises(nls.GraphError, match="no odometry connects a3 to b0: the graph has 2 sessions"):
         nls.gnc(*two[:2])
 
 

@@ -24,7 +24,7 @@ REPORT = LoadReport("m", "mission", "2-D", "log")
 
 def test_at_an_optimum_with_solver_and_gauge() -> None:
     result = GRAPH.optimize(START)
-    for gauge, sentence in (("first", "x0 held"), ("free", "free")):
+    for gauge, sentence in (("first", "x0 fixed"), ("free", "free")):
         marginals, note = Solution(GRAPH, START, result, REPORT, QR(), gauge).covariances
         assert note == ""
         assert marginals.gauge.startswith(sentence)

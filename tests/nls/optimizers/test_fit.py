@@ -82,7 +82,7 @@ def test_a_table_of_which_more_than_a_quarter_is_ignored_is_implausible() -> Non
         assert judged.believed == (0.0, 57 - wrong)
         assert ("other.csv" in judged.doubt) == (wrong > 2)
     unchecked = replace(result(0.0, 2, robust=True), shares=(names[1]._replace(total=99),))
-    assert unchecked.doubt == "nothing checks the measurements that the kernel believes"
+    assert unchecked.doubt == "nothing checks the measurements the kernel keeps"
 
 
 def test_closures_that_a_kernel_silences_are_not_hidden_among_odometry() -> None:

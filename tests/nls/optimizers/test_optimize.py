@@ -237,7 +237,7 @@ def test_a_singular_graph_is_refused_undamped_and_named_damped() -> None:
         assert result.chi2_final == pytest.approx(held.chi2_final, rel=1e-6)
         assert len(result.underconstrained) == 3
         assert all("x" in direction for direction in result.underconstrained)
-        assert "free, left where the start had them" in str(result)
+        assert "free, kept at the initial guess" in str(result)
     result = anchored.graph.optimize(anchored.values, LevenbergMarquardt(), gauge="none")
     assert (result.converged, result.underconstrained) == (True, ())
 

@@ -128,7 +128,7 @@ def test_with_values_variables_are_where_they_are() -> None:
     assert np.linalg.norm(same[0] - same[1]) > 0.3
     faces = [tuple(c.get_facecolor()[0]) for c in figure.axes[0].collections if len(c.get_offsets())]
     assert [face == to_rgba(HELD) for face in faces] == [False, False, False, False, True]  # l1, l2, x1, x2, x3
-    assert [text.get_text() for text in figure.legends[0].get_texts()][-1] == "held fixed"
+    assert [text.get_text() for text in figure.legends[0].get_texts()][-1] == "fixed"
 
 
 def test_no_square_covers_a_circle_or_another_square() -> None:

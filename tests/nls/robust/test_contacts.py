@@ -104,7 +104,7 @@ def test_a_landmark_whose_contacts_contradict_leaves_with_its_hinges() -> None:
     assert l[3] not in found.result.values
     assert l[4] in found.result.values
     assert not {"l3)", "l7)"} & {each.factor.split(", ")[1] for each in found.rejected}
-    assert "left with them: too few of" in "\n".join(found.report())
+    assert "removed with them: too few of" in "\n".join(found.report())
 
 
 def test_contacts_are_refused_where_dead_reckoning_is_broken() -> None:

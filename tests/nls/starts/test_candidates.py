@@ -112,7 +112,7 @@ def test_a_start_from_which_no_step_can_be_taken_stays_a_start() -> None:
         return np.zeros((len(pose), 1))
 
     graph.add(Factor.from_function(strict, x[5], 1))
-    with pytest.warns(nls.GraphWarning, match="start 'incremental' was left out"):
+    with pytest.warns(nls.GraphWarning, match="initial guess 'incremental' was left out"):
         _, name, chi2 = initialize(graph, world.start)
     assert name in ("chordal", "odometry")  # the same poses
     assert chi2.keys() == {"file", "chordal", "odometry"}
@@ -127,7 +127,7 @@ def test_a_warning_of_the_graph_is_left_to_its_optimization() -> None:
         graph.optimize(values)
 
 
-@pytest.mark.filterwarnings("ignore:start 'chordal' was left out")
+@pytest.mark.filterwarnings("ignore:initial guess 'chordal' was left out")
 def test_a_start_that_lies_on_a_bad_fix_is_left_whatever_the_size(tmp_path: Path) -> None:
     """No sensor measures the motion, and one of 1500 fixes is 44 m off: under a kernel its own start ends on it."""
     rng, t, bad = np.random.default_rng(0), np.arange(1500.0), 700

@@ -156,7 +156,7 @@ def test_chordal_refuses_what_leaves_a_pose_free(group: LieGroup) -> None:
     values = Values({x: (group, group.identity(4))})
     with pytest.raises(UnderconstrainedError, match="chordal relaxation: some poses have no rotation"):
         chordal(graph, values)
-    with pytest.warns(GraphWarning, match="start 'chordal' was left out: chordal relaxation: some poses") as caught:
+    with pytest.warns(GraphWarning, match="guess 'chordal' was left out: chordal relaxation: some poses") as caught:
         _, name, chi2 = initialize(graph, values)
     assert [warning.filename for warning in caught] == [__file__]
     assert (name, set(chi2)) == ("odometry", {"file", "odometry"})

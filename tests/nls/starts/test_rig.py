@@ -293,7 +293,7 @@ def test_what_does_not_tell_where_the_sonar_is() -> None:
     expected = truth()
     graph = held(*(f[I.numbers == 40] for f in seen(expected)))
     start = Values({x: (SE3, expected[x[40]], [40]), l: (R(3), expected[l], 3 * np.arange(40)), s: (SE3, expected[s])})
-    with pytest.raises(UnderconstrainedError, match="rig: pixels and ranges do not tell where s0 is") as caught:
+    with pytest.raises(UnderconstrainedError, match="rig: pixels and ranges do not determine s0") as caught:
         rig(graph, start, calibrate=True)
     assert [advice.action for advice in caught.value.advice] == ["move rig", "guess"]
     assert off(rig(graph, start), start) < 1e-9
@@ -314,8 +314,8 @@ def test_graphs_that_are_no_rig() -> None:
         ([pixels], expected, "rig: the graph has no RangeAzimuth of points in R3"),
         ([contacts], expected, "rig: the graph has no Projection of points in R3"),
         ([pixels[left], contacts[~left]], expected, "no point was seen by .* from one pose (160 pixels, 120 contacts)"),
-        ([pixels, twice[0]], both, "rig: poses of several kinds, x, y.*this start takes one"),
-        ([pixels, twice[1]], both, "rig: points of.*this start takes one"),
+        ([pixels, twice[0]], both, "rig: poses of several kinds, x, y.*expected one"),
+        ([pixels, twice[1]], both, "rig: points of.*expected one"),
         ([pixels, contacts], less, "l0 has no value"),
     ):
         with pytest.raises(GraphError, match=re.sub(r"([()])", r"\\\1", message)):

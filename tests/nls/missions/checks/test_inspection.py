@@ -217,7 +217,7 @@ SPEED = "sound-speed.csv:3: "
         ({"zpr": ZPR.replace("5.0332", "3e8")}, DEEP, "none of the usual mistakes"),
         ({"zpr": ZPR.replace("5.0332", "-1e9")}, DEEP, "none of the usual mistakes"),
         ({"zpr": ZPR.replace("5.0332", "1e5")}, DEEP, "mm"),
-        ({"poses": POSES.format("0.00")}, "odometry.csv:", "the middle speed is"),
+        ({"poses": POSES.format("0.00")}, "odometry.csv:", "the median speed is"),
     ]
 )
 def test_speeds_of_sound_and_integrated_tracks(case: tuple[dict[str, str], str, str]) -> None:
@@ -299,12 +299,12 @@ def test_a_right_log_is_plausible_whatever_its_way(course: float) -> None:
             "ahrs",
             "yaw_rad",
             lambda yaw: wrap(np.pi / 2 - yaw),
-            ["yaw_rad of ahrs.csv looks counted from", "x_m, y_m of"],
+            ["yaw_rad of ahrs.csv looks measured from", "x_m, y_m of"],
         ),
         ("ahrs", "yaw_rad", lambda yaw: 0 * yaw - 1.7, ["it is -1.7 rad in all rows", "ahrs.csv looks stuck"]),
         ("fixes", "y_m", lambda y: -y, ["multiply yaw_rad by -1", "multiply y_m by -1"]),
         ("fixes", "x_m", lambda x: -x, ["multiply x_m by -1"]),
-        ("fixes", "whole", lambda y: y[:, [0, 2, 1, 3, 4]], ["counted from east", "exchange the names of x_m, y_m"]),
+        ("fixes", "whole", lambda y: y[:, [0, 2, 1, 3, 4]], ["measured from east", "exchange the names of x_m, y_m"]),
         ("depth", "z_m", lambda z: 0 * z + 7, ["it is 7 m in all rows", "depth.csv looks stuck"]),
         ("depth", "z_m", lambda z: 1000 * z, ["divide z_m by 1000"]),
         ("depth", "z_m", lambda z: 100 * z, ["divide z_m by 100,"]),

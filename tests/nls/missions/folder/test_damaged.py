@@ -141,20 +141,20 @@ gyro.gyro | * | - | ahrs:- | has no column 'yaw_rad', and there is no gyro.csv
 gyro.noise | ,sigma_w_rad_s_sqrt_hz | ,gate_v_m_s | 2 | there is no column sigma_w_rad_s_sqrt_hz, which gyro
 raw.noise | sigma_yaw_rad | gate_v_m_s | 2 | there is no column sigma_yaw_rad, which ahrs.csv needs
 gyro.gyro | 0,0,0,0 | 0,0,0,300 | 2 | wz_rad_s is 300.0; expected radians per second, within 100
-gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission has a declination_ra
-water.water | * | - | pressure:2 | nothing says how heavy the water is; add water.csv
-water.water | * | density_kg_m3,latitude_deg\n1025,60 | 2 | both say how heavy
+gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission depends on declination_ra
+water.water | * | - | pressure:2 | nothing gives the density of the water; add water.csv
+water.water | * | density_kg_m3,latitude_deg\n1025,60 | 2 | both give the density
 water.water | * | density_kg_m3\n-3 | 2 | density_kg_m3 is -3.0; expected a number above 0
 water.water | * | latitude_deg\n100 | 2 | latitude_deg is 100.0; expected -90 to 90
 water.tide | * | time_s,tide_m\n0,1\n20,2 | 2 | the tide is known from 0.0 to 20.0 s
-path.dvl | * | time_s\n0 | - | has path.csv and dvl.csv, the same way twice
+path.dvl | * | time_s\n0 | - | has path.csv and dvl.csv, the motion twice
 path.path | \n1,1,1,0,1,1,1 |  | 2 | one pose
 walk.noise | * | - | ahrs:1 | has no sigma; write noise.csv with one row of sigma_roll_rad, sigma_pitch_
 walk.noise | * | sigma_z_m\n0.1 | 2 | there is no column sigma_roll_rad, which ahrs.csv needs
 walk.ahrs | * | time_s\n0\n1 | 1 | has times and no angle
 dry.tide | * | time_s,tide_m\n0,1 | 2 | is for pressure.csv, which is not there
 dry.fixes | 1,1,0,0,0 | 1,1,1,0,0 | 2 | has a lever arm; leave the arm out, or write roll_rad and pitch_rad and
-walk.dvl | * | time_s\n0 | - | has motion.csv and dvl.csv, the same way twice
+walk.dvl | * | time_s\n0 | - | has motion.csv and dvl.csv, the motion twice
 walk.gyro | * | time_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0,0,0 | - | has motion.csv and gyro.csv
 walk.fixes | * | time_s,x_m,y_m,sigma_x_m,sigma_y_m\n90,0,0,1,1\n93,5,5,1,1 | motion:2 | while all 2 logs of sensors las
 walk.fixes | * | - | motion:2 | fewer than two times
@@ -182,10 +182,10 @@ placed.ranges | \n1,3 | \n7,3 | 3 | i 7: no such pose in the track
 placed.sound-speed | 1490 | 4900 | 3 | sound_speed_m_s is 4900.0; expected m/s, near 1500
 placed.usbl | 0.4,0.5 | 1.8,0.5 | 2 | elevation_rad is 1.8; expected radians, -pi/2 to pi/2
 placed.ship | \n60 | \n1 | usbl:2 | is at 3.0 s, and no row is within the times of ship.csv, 0.0 to 1.0 s
-placed.closures | 0,3,3.5 | 3,3,3.5 | 2 | the closure joins pose 3 to itself
+placed.closures | 0,3,3.5 | 3,3,3.5 | 2 | the closure connects pose 3 to itself
 placed.closures | 0,3,3.5 | 0,9,3.5 | 2 | j 9: no such pose in the track
 placed.closures | i,j | i,time_j_s | 1 | has time_j_s and i; expected either time_i_s and time_j_s or i and j
-placed.calibration | fixes_clock_s | ranges_clock_s | 2 | no measurement of this mission has a ranges_clock_s
+placed.calibration | fixes_clock_s | ranges_clock_s | 2 | no measurement of this mission depends on ranges_clock_s
 placed.calibration | fixes_clock_s,0,0 | fixes_clock_s,0.7,0 | fixes:2 | no pose is at 0.3 s; the nearest is pose 0 at 1
 """)
 

@@ -64,7 +64,7 @@ def test_a_dive_without_anchor_is_where_the_shared_landmarks_are(dives: list[Pat
 def test_dives_that_share_nothing_are_refused_and_those_with_anchors_are_not(tmp_path: Path) -> None:
     alone = folder(tmp_path / "alone", raw())
     other = folder(tmp_path / "tiny", TINY)
-    with pytest.raises(GraphFileError, match=r"alone: nothing says where this dive is beside tiny.*anchor\.csv"):
+    with pytest.raises(GraphFileError, match=r"alone: its position relative to tiny is unknown.*anchor\.csv"):
         nls.load([other, alone])
     folder(alone, {}, anchor=f"i,{LEVEL}0,5,6,0,0.1,0.1,0.1\n")
     _, values, _ = nls.load([other, alone])

@@ -142,7 +142,7 @@ def test_a_track_that_begins_in_a_hole_is_held_where_the_compass_sees_it(tmp_pat
     files, truth = log(7, [(20.0, 25.0)], [])
     poses = "\n".join(["i,time_s", *(f"{k},{float(k)}" for k in range(22, 60))])
     graph, values, report = nls.load(folder(tmp_path / "m", files, poses=poses))
-    assert "there is no anchor.csv: x and y of x25 are held at 0" in report.notes
+    assert "there is no anchor.csv: x and y of x25 are fixed at 0" in report.notes
     result = graph.optimize(values)
     assert result.converged
     e = euler.from_se3(result.values[x])[:, 2] - truth[22:60, 2]

@@ -54,7 +54,7 @@ def test_beacons_of_unknown_place_are_found_from_ranges(truth: Positioned, tmp_p
     assert not any("no anchor.csv" in note for note in report.notes)
     (tmp_path / "fixes.csv").unlink()
     _, _, report = nls.load(folder(tmp_path, {}, poses=truth.poses))
-    assert "there is no anchor.csv: x and y of x0 are held at 0" in report.notes  # depths alone are no place
+    assert "there is no anchor.csv: x and y of x0 are fixed at 0" in report.notes  # depths alone are no place
 
 
 def test_ranges_turn_odometry_into_the_world(tmp_path: Path) -> None:

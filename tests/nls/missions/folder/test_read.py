@@ -147,16 +147,16 @@ def test_without_an_anchor_and_times_of_poses(tmp_path: Path) -> None:
     truth = TINY["truth"].replace("0,0.0,0.0,0.0,0.0,0.0,5.0", "0,0.0,0.0,0.5,7.0,8.0,5.0")
     _, values, report = nls.load(folder(tmp_path / "m", anchor=None, truth=truth))
     assert euler.from_se3(values[x[0]])[[3, 4, 2]] == pytest.approx([7.0, 8.0, 0.5])
-    assert "there is no anchor.csv: x, y and yaw of x0 are held at the truth" in report.notes
+    assert "there is no anchor.csv: x, y and yaw of x0 are fixed at the truth" in report.notes
     _, values, report = nls.load(folder(tmp_path / "n", anchor=None, truth=None))
-    assert "there is no anchor.csv: x, y and yaw of x0 are held at 0" in report.notes
+    assert "there is no anchor.csv: x, y and yaw of x0 are fixed at 0" in report.notes
     assert euler.from_se3(values[x[0]])[[3, 4, 2]] == pytest.approx([0.0, 0.0, 0.0])
 
 
 def test_a_track_on_the_earth_whose_heading_nothing_measured_is_a_warning(tmp_path: Path) -> None:
     origin = "lat_deg,lon_deg\n54.0,10.0\n"
     here = folder(tmp_path / "m", anchor=None, truth=None, origin=origin)
-    with pytest.warns(GraphWarning, match="nothing says where x0 is on the Earth, nor its heading; write both to an"):
+    with pytest.warns(GraphWarning, match="the position of x0 on the Earth and its heading are unknown; write both to an"):
         nls.load(here)
     _, _, report = nls.load(folder(tmp_path / "n", truth=None, origin=origin))  # the cure
     assert not report.warnings
@@ -174,7 +174,7 @@ def test_a_raw_log_is_integrated(tmp_path: Path) -> None:
     assert E[:, 2] == pytest.approx(np.where(t <= 20, 0.3, 0.3 + 0.05 * (t - 20)))
     assert report.vertex_times["x"].tolist() == t.tolist()
     assert graph.chi2(values) < 1e-15
-    assert "there is no anchor.csv: x and y of x0 are held at 0" in report.notes
+    assert "there is no anchor.csv: x and y of x0 are fixed at 0" in report.notes
 
     poses = "i,time_s\n" + "".join(f"{7 * k},{float(s)!r}\n" for k, s in enumerate([0.0, 3.3, 19.0, 21.7]))
     mount = "x_m,y_m,z_m,roll_rad,pitch_rad,yaw_rad\n0.0,0.0,0.0,0.0,0.0,0.3\n"

@@ -180,7 +180,7 @@ REFUSED: list[tuple[list[Any], str]] = [
     ([STEP, TILT, RangeAzimuth(x[0], l[0], [3, 0], Isotropic(1), x[1])], r"its variables are \['x', 'l', 'x'\]"),
     ([STEP, TILT, Prior(x[0], SE3.identity()[0], Isotropic(1))], r"anchor\.csv holds x, y and yaw: components="),
     ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("y",))], "a Position of x and y, and a Heading of"),
-    ([STEP, TILT, ZPR(x[2], [0, 0, 0], Isotropic(1))], r"x2 is in zpr\.csv, but no XYH says where it is in the track"),
+    ([STEP, TILT, ZPR(x[2], [0, 0, 0], Isotropic(1))], r"x2 is in zpr\.csv, but no XYH connects it to the track"),
     ([STEP, TILT, TILT], r"x0 is measured twice in zpr\.csv; expected once"),
     ([STEP, TILT, Heading(x[0], 0.0, Isotropic(1))], r"Heading\(x0\) has no file .* every pose, once: not for x1; one"),
     ([STEP, TILT, Heading(x[[0, 1, 1]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x1"),

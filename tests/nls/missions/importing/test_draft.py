@@ -186,7 +186,7 @@ DEPTH\nmissing = { z = 1 } | :4: missing: 'z' is not mapped here; did you mean '
 DEPTH\nmissing = inf | :4: missing is inf; expected
 DEPTH\nrows = [] | :4: rows is []; expected [first], or [first, last]
 DEPTH\nrows = [9] | :4: rows = [9] leaves no row
-DEPTH\nmissing_together = 0 | :4: missing_together is 0; expected a table of such by column
+DEPTH\nmissing_together = 0 | :4: missing_together is 0; expected a table of numbers by column
 DEPTH\nmissing_together = { z = 0 } | :4: missing_together: 'z' is not mapped here; did you mean 'z_m'?
 DEPTH\ntime_format = 5 | :4: time_format is 5; expected how times are written, such as '%m/%d/%Y
 DEPTH\ntime_format = "%m/%d %H:%M" | :4: time_format = '%m/%d %H:%M' names no year; expected %Y or %y, or write `date =
