@@ -38,6 +38,7 @@ extensions = [
     "notebook_download",
     "overview",
     "shell_cells",
+    "small_pictures",
 ]
 exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]  # pictures may lie below _build
 

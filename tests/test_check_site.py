@@ -63,6 +63,14 @@ def test_each_fault_is_named(site: Path) -> None:
         assert list(check_site.problems(site)) == [f"a.html: {fault}"]
 
 
+def test_a_page_is_heavy_with_its_pictures(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_site, "HEAVIEST", len(WHOLE) + 10)
+    (site / "a.png").write_bytes(bytes(10))
+    assert list(check_site.problems(site)) == []
+    (site / "a.png").write_bytes(bytes(11))
+    assert [fault.split(" bytes")[0] for fault in check_site.problems(site)] == [f"a.html: takes {len(WHOLE) + 11:,}"]
+
+
 def test_style_sheets_and_benchmarks(site: Path) -> None:
     (site / "_static" / "site.css").write_text(
         "@font-face { src: url('https://example.org/f.woff') }", encoding="utf-8"

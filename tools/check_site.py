@@ -3,9 +3,10 @@
     python tools/check_site.py docs/_build/html
 
 Every link inside the site leads to a file that is there and to an anchor in it; every picture is there and has a text;
-no script, style sheet, font or picture is loaded over http; a page with equations loads MathJax from the site; every
-page of benchmarks/results is on the site. In the sources, every link has a text: a code host shows nothing for a link
-without one. Prints what is wrong, a line each; the exit status is 1 if anything is.
+no script, style sheet, font or picture is loaded over http; no page exceeds 1.5 MB with its pictures; a page with
+equations loads MathJax from the site; every page of benchmarks/results is on the site. In the sources, every link has
+a text: a code host shows nothing for a link without one. Prints what is wrong, a line each; the exit status is 1 if
+anything is.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "video": "src"}
 NEEDED = {"stylesheet", "preload", "icon", "modulepreload"}  # links that a browser follows by itself
 PATH = re.compile(r"^\S*[/.]\S*$")  # a file name is no text
+HEAVIEST = 1_500_000  # bytes of a page with its pictures; what all pages share is loaded once
 NO_TEXT = re.compile(r"(?<!!)\[\]\(([^)]*)\)")  # a link that takes the title of its page
 
 
@@ -69,6 +71,10 @@ def problems(root: Path) -> Iterator[str]:
                 yield f"{name}: loads {source} from the network"
             elif parts.path and not parts.scheme and not (path.parent / unquote(parts.path)).exists():
                 yield f"{name}: loads {source}, which is not there"
+        pictures = {path.parent / unquote(source) for source, _ in page.pictures if not source.startswith("data:")}
+        weight = sum(file.stat().st_size for file in {path, *pictures} if file.exists())
+        if weight > HEAVIEST:
+            yield f"{name}: takes {weight:,} bytes with its pictures, at most {HEAVIEST:,}: fewer or smaller pictures"
         for source, text in page.pictures:
             if not text or PATH.match(text):
                 yield f"{name}: the picture {source[:80]} has no text (alt)"

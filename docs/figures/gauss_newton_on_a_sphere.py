@@ -23,7 +23,7 @@ VIEW = np.array(
         [0.0, np.cos(TILT)],
     ]
 )
-STEPS, PARTS = 5, np.linspace(0, 1, 7)[1:-1]
+STEPS, PARTS = 5, np.linspace(0, 1, 5)[1:-1]
 
 
 def make() -> tuple[list[Figure], list[float]]:
@@ -41,7 +41,7 @@ def make() -> tuple[list[Figure], list[float]]:
             delta = SE3.local(X, values.stack("x").X)
             for part in PARTS:
                 frames.append(_drawn(world, SE3.retract(X, part * delta), chi2, f"step {step} to {step + 1}"))
-                seconds.append(0.09)
+                seconds.append(0.15)
     seconds[0], seconds[-1] = 1.5, 3.0
     return frames, seconds
 

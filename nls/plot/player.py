@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 LIMIT = 1_000_000  # bytes of an animation: a page with two loads on a slow line
 DPI = 80
+COLORS, MAXIMUM_COVERAGE = 64, 1  # of a frame; Pillow's method that keeps rare colors, such as a thin red line
 PLAYER = Path(__file__).with_name("player.html")
 
 T = TypeVar("T")
@@ -56,7 +57,7 @@ class Animation:
         if durations.size not in (1, len(images)) or not (np.isfinite(durations) & (durations > 0)).all():
             raise OptionError("seconds", seconds, "a time above 0 for all frames, or one for each")
         self._last = images[-1]
-        self.frames = [_encoded(image, "webp", quality=75, method=1) for image in images]
+        self.frames = [_frame(image) for image in images]
         codes = [b64encode(frame).decode() for frame in self.frames]
         self.html = Template(PLAYER.read_text(encoding="utf-8")).substitute(
             name=f"player-{crc32(b''.join(self.frames)):x}",
@@ -143,6 +144,12 @@ def image(figure: Figure) -> Picture:
         figure.savefig(raw, format="rgba", dpi=DPI)
     drawn, ground = Image.frombytes("RGBA", size, raw.getvalue()), Image.new("RGBA", size, "white")
     return Image.alpha_composite(ground, drawn).convert("RGB")
+
+
+def _frame(image: Picture) -> bytes:
+    """An image as WebP: 64 colors, which keep lines sharp, or a lossy picture of all colors where that is smaller."""
+    few = image.quantize(COLORS, MAXIMUM_COVERAGE).convert("RGB")
+    return min(_encoded(few, "webp", lossless=True), _encoded(image, "webp", quality=75, method=1), key=len)
 
 
 def _encoded(image: Picture, kind: str, **options: object) -> bytes:

@@ -11,6 +11,7 @@ measurement. Nothing anchors it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
+FEW = 10  # shared landmarks, of which neighbors say nothing
 (x,) = kinds("x")
 Read = tuple[FactorGraph, Values, MissionReport]
 
@@ -82,7 +84,8 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
     Raises
     ------
     GraphFileError
-        No mission; a folder twice; dives with other origins on the Earth; numbers too large for so many dives.
+        No mission; a folder twice; dives with other origins on the Earth; landmarks of equal numbers that are not the
+        same; numbers too large for so many dives.
     """
     names = _names(folders)
     others = [read_mission(folder, elevation, anchored=False) for folder in folders[1:]]
@@ -90,6 +93,7 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
     dives = [read_mission(folders[0], elevation, anchored=alone), *others]
     _refuse_unnamed([report for _, _, report in (*others, dives[0])])
     _refuse_other_origins([report for _, _, report in dives])
+    _refuse_other_landmarks(dives, names)
     stride = _stride([values for _, values, _ in dives], str(folders[0]))
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")
     report.plane = dives[0][2].plane
@@ -148,6 +152,27 @@ def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
             cure = "give all dives one origin.csv, and x and y from there"
             message = f"its origin is {own}, that of {known[0][0]} is {first}; {cure}"
             raise GraphFileError(message, str(Path(path, "origin.csv")))
+
+
+def _refuse_other_landmarks(dives: Sequence[Read], names: Sequence[str]) -> None:
+    """Refuse equal numbers of other landmarks: neighbors in one dive are as far apart in the other as any two.
+
+    Dead reckoning that drifts does not change which landmarks are neighbors.
+    """
+    from scipy.spatial import cKDTree
+
+    for (k, (_, first, _)), (_, (_, second, report)) in combinations(enumerate(dives), 2):
+        p, q = _shared(first, second, SHARED[:1])
+        if len(p) < FEW:
+            continue
+        neighbors = np.median(np.linalg.norm(q - q[cKDTree(p).query(p, k=2)[1][:, 1]], axis=1))
+        any_two = np.sqrt(2 * q.var(axis=0).sum())
+        if neighbors > 0.5 * any_two:  # 0.03 to 0.1 of landmarks that are the same, 0.7 to 0.9 of others
+            name = names[k]
+            beside = f"neighbors in {name} are {neighbors:.2g} m apart here, any two landmarks {any_two:.2g} m"
+            cure = "give different landmarks different numbers, or solve the dives one by one"
+            message = f"{len(p)} of its landmarks have numbers of {name} but other places: {beside}; {cure}"
+            raise GraphFileError(message, report.path)
 
 
 def _stride(starts: Sequence[Values], path: str) -> int:
@@ -276,10 +301,10 @@ def _closed(
     return None
 
 
-def _shared(values: Values, world: Values) -> tuple[Array, Array]:
+def _shared(values: Values, world: Values, kinds: Sequence[str] = SHARED) -> tuple[Array, Array]:
     """Where a dive has the landmarks and beacons that others know, and where these have them: (n, 2) each."""
     p, q = [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for kind in SHARED:
+    for kind in kinds:
         if kind in values.stacks and kind in world.stacks:
             own, other = values.stacks[kind], world.stacks[kind]
             _, a, b = np.intersect1d(own.numbers, other.numbers, return_indices=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,18 @@ def test_dives_that_share_nothing_are_refused_and_those_with_anchors_are_not(tmp
     folder(alone, {}, anchor=f"i,{LEVEL}0,5,6,0,0.1,0.1,0.1\n")
     _, values, _ = nls.load([other, alone])
     assert euler.from_se3(values[x[100]])[3:5] == pytest.approx([5, 6])
+
+
+def test_dives_with_other_landmarks_of_equal_numbers_are_refused(dives: list[Path], tmp_path: Path) -> None:
+    other = Path(shutil.copytree(dives[1], tmp_path / "other"))
+    header, *rows = (other / "contacts.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    numbers = np.random.default_rng(2).permutation(1 + max(int(landmark) for _, landmark, *_ in cells))
+    rows = [",".join([i, str(numbers[int(landmark)]), *rest]) for i, landmark, *rest in cells]
+    (other / "contacts.csv").write_text("\n".join([header, *rows, ""]))
+    (other / "anchor.csv").write_text((dives[0] / "anchor.csv").read_text().replace("\n0,", "\n113,"))
+    with pytest.raises(GraphFileError, match=r"other: \d+ of its landmarks have numbers of first but other places"):
+        nls.load([dives[0], other])
 
 
 def test_refusals(tmp_path: Path) -> None:
