@@ -61,7 +61,7 @@ class Factor(Traits, Abstract):
     Attributes
     ----------
     relative : True when the residual does not change if all variables are moved by the same group element; beside poses
-        this includes turns, unless `knows_axes`. Only where all factors of a part say so its gauge may be held.
+        this includes turns, unless `knows_axes`. The gauge of a part may be held where all its factors say so.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
     per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part
@@ -284,7 +284,7 @@ class Factor(Traits, Abstract):
         noise : noise of the residual; unit variance when omitted.
         jacobians : called with the same stacks; returns one (n, dim, dim_k) array per slot, the derivative of the
             residual with respect to a tangent step of that variable. Central differences when omitted.
-        relative : True when the residual stays if everything is shifted and, beside poses, turned: the gauge may be held.
+        relative : True when a shift of everything, beside poses also a turn, changes nothing: the gauge may be held.
 
         Returns
         -------

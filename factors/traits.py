@@ -53,7 +53,7 @@ class Traits:
         printer.text(str(self))
 
     def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
-        """Whether a turn of everything changes a relative residual, though a shift does not; by the spaces."""
+        """Whether a turn of everything changes its residual, though a shift does not, for variables in these spaces."""
         return self.along_world and manifolds[0] in (R(2), R(3))
 
     def relative_poses(self, model: Any) -> Array | None:

@@ -112,10 +112,8 @@ class GrowingSystem:
             batch = GrowingBatch(model, variables)
             self.batches.append(batch)
             self._entered.append(0)
-        turned = factor.knows_axes(model.manifolds) and any(
-            self.variables[key.kind].manifold.body_axes for key in self.held
-        )
-        if self.held and (turned or not factor.relative):
+        poses = any(self.variables[key.kind].manifold.body_axes for key in self.held)
+        if self.held and (not factor.relative or (poses and factor.knows_axes(model.manifolds))):
             self.held = []  # what was held for the gauge may move now
             self.renew()
         batch.append(model, given)

@@ -239,10 +239,8 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
         if near and len(left):
             X0, slots = [touched[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
             models = [b.model for b in pattern.batches if rows[b.rows].any()]
-            relative, axes = (
-                all(m.factor.relative for m in models),
-                any(m.factor.knows_axes(m.manifolds) for m in models),
-            )
+            relative = all(model.factor.relative for model in models)
+            axes = any(model.factor.knows_axes(model.manifolds) for model in models)
             priors.append(MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative, slots, axes))
     return priors
 

@@ -15,7 +15,7 @@ from factors.base import Factor, Model
 from factors.joined import grouped, joined
 from factors.keys import Keys
 from factors.sighting import Sighting
-from models import LieGroup, Manifold, R
+from models import SE2, SE3, LieGroup, Manifold, R
 from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import GraphError, LeadlineError, OptionError
@@ -209,7 +209,8 @@ class Arrivals:
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
         spaces = tuple(self._known.space(keys.kind) for keys in factor.keys)
-        return not factor.relative or (factor.knows_axes(spaces) and self._known.poses)
+        poses = any(self._known.space(kind) in (SE2, SE3) for kind in {*self._known.variables, *self._known.spaces})
+        return not factor.relative or (factor.knows_axes(spaces) and poses)
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""

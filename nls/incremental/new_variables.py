@@ -57,12 +57,6 @@ class Known:
         """The space of a kind, if that is known."""
         return self.variables[kind].manifold if kind in self.variables else self.spaces.get(kind)
 
-    @property
-    def poses(self) -> bool:
-        """Whether a kind is of poses."""
-        spaces = [*self.spaces.values(), *(variables.manifold for variables in self.variables.values())]
-        return any(space.body_axes for space in spaces)
-
     def has(self, keys: Keys) -> Mask:
         """Which variables (k,) are in the estimate."""
         variables = self.variables.get(keys.kind)
