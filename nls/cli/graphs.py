@@ -72,7 +72,7 @@ def plot(options: argparse.Namespace) -> int:
 def view(options: argparse.Namespace) -> int:
     """Read, draw the page, write; returns the exit status."""
     name = "stdin" if options.file == "-" else files.title_of(options.file)
-    remark = "as read; nls solve --view shows the solution"
+    remark = "poses and residuals as read, before any solve; nls solve --view shows the solution"
     output = options.output or f"{name.partition('.')[0]}-view.html"
     return _drawn(options, output, PAGES, lambda kind, read, output: kind.view(read, remark).save(output))
 

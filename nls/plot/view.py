@@ -106,6 +106,7 @@ def view(
     go, scene = drawing_package(), Scene(graph, values, report)
     layers = [*scene.clouds(clouds or {}), *scene.measurements(rejected, lines), *scene.others(tracks or {})]
     layers += scene.variables(marginals)
+    layers.sort(key=lambda layer: layer["legendgroup"] == "rejected")  # on top of the track
     words = [f"{len(s):,} {'poses' if kind in scene.poses else 'points'} {kind}" for kind, s in scene.stacks.items()]
     words += [f"{len(graph):,} measurements"] + [f"{len(rejected):,} more rejected"] * bool(rejected)
     sentence = f"{remark}. " * bool(remark) + ", ".join(words)
