@@ -30,7 +30,8 @@ from tests.factors.test_conformity import PARTED, situation
 from tests.sent import contents, received, things
 
 (x,) = kinds("x")
-INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SpentError", "SparseSolver", "_Dense"}  # none leaves its call
+# none leaves its call
+INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SpentError", "SparseSolver", "_Dense"}
 SPLINES = {"SurveyLog"}  # those of SciPy take protocol 2 and above: tests/sim/test_survey.py
 COPIES: dict[str, Callable[[Any], Any]] = {
     **{

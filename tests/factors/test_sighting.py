@@ -219,4 +219,4 @@ def test_a_bearing_from_a_point_keeps_a_pose_from_being_held() -> None:
     seen = f.Landmark(x[[0, 0, 1, 1]], l[[0, 1, 0, 1]], [[2, 2], [4, 4], [0, 2], [2, 4]], UNIT)
     for sort, held in ((Range(l[0], l[1], sqrt(8), UNIT), x[0]), (Bearing(l[0], l[1], np.pi / 2, UNIT), l[0])):
         result = FactorGraph([f.Between(x[0], x[1], [2, 0, 0], UNIT), seen, sort]).optimize(values)
-        assert (result.gauge, result.chi2_final < 1e-12) == (f"{held} held", True)
+        assert (result.gauge, result.chi2_final < 1e-12) == (f"{held} fixed", True)
