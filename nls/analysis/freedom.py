@@ -9,8 +9,6 @@ part of the graph is a column of G. The motions in the span of free directions N
     (I - Q Q') G k = 0,   N = Q R,   columns scaled as those of A
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

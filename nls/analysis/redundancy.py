@@ -34,8 +34,6 @@ Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, int
 P. Teunissen, "Testing theory: an introduction", 2000, model errors of several dimensions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Outputs of the commands: words for people, files, reports for programs, pictures."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

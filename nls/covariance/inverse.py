@@ -20,8 +20,6 @@ P S P' of *any* symmetric generalized inverse S of A'A is its pseudo-inverse: C.
 Inverse of Matrices and its Applications, 1971.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

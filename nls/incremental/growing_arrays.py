@@ -3,8 +3,6 @@
 Measurements of one sort are one batch that grows: they are linearized together, however they arrived.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from copy import copy
 from typing import Any, Literal

@@ -12,8 +12,6 @@ preconditioner of conjugate gradients that is enough. Source: T. Davis, W. Hager
 Cholesky factorization", SIAM J. Matrix Anal. Appl. 26(3), 2005.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
