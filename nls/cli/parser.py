@@ -60,7 +60,8 @@ exit status:
        chi2, a table that a kernel ignores, a choice of --robust gnc-tls, a setup that bends a map from scans;
        also a solve that Ctrl-C stops while it iterates, which writes its best values
   2    bad input or usage, or an output that could not be written (the others are)
-  130  ended by Ctrl-C; explain prints what it knows by then
+  130  ended by Ctrl-C at another moment; explain prints what it knows by then
+  143  ended by a second Ctrl-C, on a terminal, within a step that the first one could not stop
 
 threads: one while a graph is solved; elsewhere one, unless the environment says more, as by OPENBLAS_NUM_THREADS=2
 """
