@@ -202,7 +202,8 @@ def test_a_kernel_that_silences_a_sensor_is_loud(shell: Shell, untried: None) ->
     assert (report["converged"], report["fit"]) == (True, "IMPLAUSIBLE")
     (share,) = [share for share in report["ignored"] if share["table"] == "Position (fixes.csv)"]
     assert share["ignored"] > share["total"] / 4
-    assert f"nls: doubtful: {'; '.join(report['doubtful'])}; take the estimate with --allow-doubtful" in err
+    doubtful = f"nls: m: doubtful: {'; '.join(report['doubtful'])}; see: nls explain m --robust cauchy:1; or take"
+    assert f"{doubtful} the estimate with --allow-doubtful" in err
     assert row(out, "result").endswith("; ".join(report["doubtful"]))
     assert (shell / "out" / "doubtful.txt").read_text().splitlines() == report["doubtful"]
     for text in ((shell / "out" / f"track.{form}").read_text() for form in ("kml", "geojson")):

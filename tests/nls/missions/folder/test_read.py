@@ -156,7 +156,9 @@ def test_without_an_anchor_and_times_of_poses(tmp_path: Path) -> None:
 def test_a_track_on_the_earth_whose_heading_nothing_measured_is_a_warning(tmp_path: Path) -> None:
     origin = "lat_deg,lon_deg\n54.0,10.0\n"
     here = folder(tmp_path / "m", anchor=None, truth=None, origin=origin)
-    with pytest.warns(GraphWarning, match="the position of x0 on the Earth and its heading are unknown; write both to an"):
+    with pytest.warns(
+        GraphWarning, match="the position of x0 on the Earth and its heading are unknown; write both to an"
+    ):
         nls.load(here)
     _, _, report = nls.load(folder(tmp_path / "n", truth=None, origin=origin))  # the cure
     assert not report.warnings
