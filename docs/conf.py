@@ -49,6 +49,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+nb_render_markdown_format = "gfm"  # of outputs: CommonMark has no tables
 nb_ipywidgets_js = {}  # a slider needs a kernel, and the pages load nothing over the network
 
 # --- reference ---

@@ -284,7 +284,7 @@ class Factor(Traits, Abstract):
         noise : noise of the residual; unit variance when omitted.
         jacobians : called with the same stacks; returns one (n, dim, dim_k) array per slot, the derivative of the
             residual with respect to a tangent step of that variable. Central differences when omitted.
-        relative : True when a shift of everything, beside poses also a turn, leaves the residual: the gauge may be held.
+        relative : True when a shift of everything, beside poses also a turn, changes nothing: the gauge may be fixed.
 
         Returns
         -------

@@ -50,6 +50,7 @@ FAULTS = [
     ("A map, before and after", "", NO_ALT),
     ("A map, before and after", "../_images/a.png", NO_ALT),
     ('img src="a.png"', 'img src="z.png"', "loads z.png, which is not there"),
+    ('<a href="#top">up</a>', "<p>| a | b |\n|---|---|</p>", "shows the source of a table"),
     (MJ, "b.html", "has equations, but does not load MathJax"),
     (MJ, "https://cdn.org/mathjax.js", "loads https://cdn.org/mathjax.js from the network"),
     (CSS, 'href="//fonts.org/a.css"', "loads //fonts.org/a.css from the network"),

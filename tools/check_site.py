@@ -4,9 +4,9 @@
 
 Every link inside the site leads to a file that is there and to an anchor in it; every picture is there and has a text;
 no script, style sheet, font or picture is loaded over http; no page exceeds 1.5 MB with its pictures; a page with
-equations loads MathJax from the site; every page of benchmarks/results is on the site. In the sources, every link has
-a text: a code host shows nothing for a link without one. Prints what is wrong, a line each; the exit status is 1 if
-anything is.
+equations loads MathJax from the site; no page shows the source of a table; every page of benchmarks/results is on the
+site. In the sources, every link has a text: a code host shows nothing for a link without one. Prints what is wrong, a
+line each; the exit status is 1 if anything is.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "vide
 NEEDED = {"stylesheet", "preload", "icon", "modulepreload"}  # links that a browser follows by itself
 PATH = re.compile(r"^\S*[/.]\S*$")  # a file name is no text
 HEAVIEST = 1_500_000  # bytes of a page with its pictures; what all pages share is loaded once
+TABLE = re.compile(r"<p>\|[^<]*\n\|-{3}")  # Markdown that nobody has turned into a table
 NO_TEXT = re.compile(r"(?<!!)\[\]\(([^)]*)\)")  # a link that takes the title of its page
 
 
@@ -37,6 +38,7 @@ class Page(HTMLParser):
         self.anchors: set[str] = set()
         self.pictures: list[tuple[str, str]] = []  # source, text
         self.math = 'class="math' in text
+        self.raw = TABLE.search(text) is not None
         self.feed(text)
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
@@ -78,6 +80,8 @@ def problems(root: Path) -> Iterator[str]:
         for source, text in page.pictures:
             if not text or PATH.match(text):
                 yield f"{name}: the picture {source[:80]} has no text (alt)"
+        if page.raw:
+            yield f"{name}: shows the source of a table"
         if page.math and not any("mathjax" in source.lower() for source in page.loaded):
             yield f"{name}: has equations, but does not load MathJax"
     for style in sorted(root.rglob("*.css")):

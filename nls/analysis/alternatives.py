@@ -10,7 +10,9 @@ collectif", 1939). Where the sigmas are too small by s, all falls are too large 
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -83,6 +85,35 @@ def aligned(graph: FactorGraph, values: Values) -> Values:
     return start.replaced(moved)
 
 
+WORK = 2_800_000  # measurements times iterations of all tries of one explanation; 20 to 30 s
+_LEFT: ContextVar[float] = ContextVar("left", default=math.inf)
+
+
+class SpentError(Exception):
+    """The work that is left does not suffice for the next try."""
+
+
+@contextmanager
+def bounded(work: float) -> Iterator[None]:
+    """At most so much work, measurements times iterations, for all that is `solved` inside."""
+    token = _LEFT.set(work)
+    try:
+        yield
+    finally:
+        _LEFT.reset(token)
+
+
+def need(graph: FactorGraph, tries: int = 1) -> None:
+    """Refuse tries for which too little work is left: `FIRST` iterations each.
+
+    Raises
+    ------
+    SpentError
+    """
+    if _LEFT.get() < tries * FIRST * len(graph):
+        raise SpentError
+
+
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
     "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],
     "odometry": lambda graph, values: initialize(graph, values, "odometry")[0],
@@ -132,7 +163,14 @@ def solved(
         that leads to a chi2 that noise explains is taken.
     iterations : at most, from each start; the last values count, converged or not.
     limit : starts whose chi2 is above it are left out.
+
+    Raises
+    ------
+    SpentError
+        Too little work is left.
     """
+    if not math.isinf(_LEFT.get()):
+        iterations = max(FIRST, min(iterations, WORK // (4 * len(graph))))  # a quarter of the work at most
     best: Fit | None = None
     damped = LevenbergMarquardt(Stop(max_iterations=iterations))
     tried: list[float] = []  # chi2 of the starts
@@ -145,9 +183,11 @@ def solved(
                 if chi2 > limit or any(math.isclose(chi2, other, rel_tol=1e-6) for other in tried):
                     continue
                 tried.append(chi2)
+                need(graph)
                 result = graph.optimize(begin, damped)
         except REFUSED:
             continue
+        _LEFT.set(_LEFT.get() - result.iterations * len(graph))
         if best is None or result.chi2_final < best.chi2:
             best = Fit(graph, result.values, result.chi2_final, result.dof)
         if expected(best):

@@ -39,7 +39,7 @@ from models import SE2, SE3, SO2, SO3
 from models.algebra import Array, Index, wrap
 from models.chi_squared import chi2_tail, innovation_distances
 from models.manifolds.units import unit
-from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, solved, supported
+from nls.analysis.alternatives import FIRST, UNLIKELY, expected, nearest, need, solved, supported
 from nls.analysis.leave_one_out import Checked, Linearization, kinds_of, middle_variance
 from nls.analysis.suspects import weights_without
 from nls.graph import FactorGraph
@@ -191,15 +191,16 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
     standing = solved(graph, values, start=False)
     if standing is None or expected(standing):
         return ()
-    standing = min(standing, solved(graph, values) or standing, key=lambda fit: fit.chi2)
-    if expected(standing):
-        return ()
     alternatives = [
         (name, places, reading, factors)
         for name, places in _sources(graph.pattern(values)).items()
         for reading, read in READINGS.items()
         if (factors := _reread(graph, values, places, read)) is not None
     ]
+    need(graph, len(alternatives) + 1)
+    standing = min(standing, solved(graph, values) or standing, key=lambda fit: fit.chi2)
+    if expected(standing):
+        return ()
     worst = 100.0 * standing.chi2  # of a start that leads somewhere; headings turned by 90 degrees begin at 6
     fits = [
         solved(FactorGraph([*reread, *other_factors], graph.fixed), standing.values, True, FIRST, worst)

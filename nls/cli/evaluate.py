@@ -19,8 +19,8 @@ LEVEL_RAD = 1e-9  # rad, below which a pose is one of the plane
 TURNED_OVER = (
     "the alignment {} turned the track upside down. Causes: (1) one track is mirrored, (2) one file has z up and the "
     "other z down, (3) the track is nearly straight, so its roll is not determined. The ATE of a level track does not "
-    "show it. Compare with --align yaw, which keeps z. If that fits worse, change the signs of y and yaw of one file, "
-    "or its frame"
+    "show it. Compare with --align yaw, which keeps the vertical. If that fits worse, change the signs of y and "
+    "yaw of one file, or its frame"
 )
 ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, and of angles that are spread
 

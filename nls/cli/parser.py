@@ -17,15 +17,15 @@ FILE = (
 DIVES, START = "folders of further missions there", "initial guess (default: auto)"
 ELEVATION = "treatment of the unmeasured elevation of sonar contacts (default: hinge)"
 COORDINATES = "coordinates in a solved mission: local (default), utm or EPSG:n, which need origin.csv and pyproj"
-VIEW = "write one HTML page to turn, zoom and ask, with layers and a slider of time; needs the package plotly"
+VIEW = "write an interactive HTML page with layers and a slider of time; needs the package plotly"
 SOLVED_GRAPH = "of a mission: write the graph that was solved, with all landmarks; the suffix says the format"
 REJECTING = (
-    "gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: wrong loop closures and, in a mission, wrong contacts "
-    "are found, left out and listed; of a scan mission gnc (default), cauchy or none: how matches are selected; "
+    "gnc-tls or gnc-gm[:PROBABILITY] (0.99) reject wrong loop closures, and wrong contacts of a mission. Of a scan "
+    "mission gnc (default), cauchy or none select the matches. "
 )
 SCALES = (
-    "estimate: one scale on the sigmas of every kind of measurement (default: stated); :units: one for its lengths and "
-    "one for its angles; :components: one for every component"
+    "estimate: one scale on the sigmas of each kind of measurement; :units: one for lengths and one for angles; "
+    ":components: one for each component (default: stated)"
 )
 TOLERANCE = "accepted excess of chi2 over its minimum, relative to max(chi2, 1) (default 1e-3)"
 ALONE = "turns off the threshold that is not given"
@@ -48,7 +48,7 @@ EXAMPLES = """examples:
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls evaluate solved dive                             how far a trajectory is from the true one
   nls plot survey.g2o survey.png                       the graph as it was read
-  nls view survey.g2o -o survey.html                   the graph as it was read, as a page to turn, zoom and ask
+  nls view survey.g2o -o survey.html                   the graph as it was read, as an interactive page
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; a killed run continues
   nls import dive.csv > mapping.toml                   a draft: what its columns may mean
   nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
@@ -56,14 +56,14 @@ EXAMPLES = """examples:
 
 exit status:
   0    solve: converged; all other commands: done
-  1    solve: not converged, under-constrained, refuted by --certify, or doubtful: implausible tables of a mission or
-       chi2, a table that a kernel ignores, a choice of --robust gnc-tls, a setup that bends a map from scans;
-       also a solve that Ctrl-C stops while it iterates, which writes its best values
+  1    solve: not converged, under-constrained, refuted by --certify, or stopped by Ctrl-C while it iterates (best
+       values are written); or doubtful: implausible tables or chi2, a table that a kernel ignores, an untrusted
+       selection of --robust gnc-tls, a wrong setup of a scan mission
   2    bad input or usage, or an output that could not be written (the others are)
-  130  ended by Ctrl-C at another moment; explain prints what it knows by then
+  130  ended by Ctrl-C at another moment; explain prints its results so far
   143  ended by a second Ctrl-C, on a terminal, within a step that the first one could not stop
 
-threads: one while a graph is solved; elsewhere one, unless the environment says more, as by OPENBLAS_NUM_THREADS=2
+threads: one while a graph is solved; elsewhere one, or as many as OPENBLAS_NUM_THREADS allows
 """
 
 
@@ -167,7 +167,7 @@ def parser() -> Parser:
     add("--gauge", default="first", choices=choices.GAUGES, help="how the gauge is fixed")
     better = "--certify first, and continue from each better optimum it finds"
     _flag(more, "--improve", better)
-    add("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
+    add("--max-iterations", type=int, metavar="N", help="at most N iterations (default: 100; 1000 with --method auto)")
     add("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     decrease = f"converged when the relative decrease of chi2 is below X; {ALONE}"
     add("--chi2-rtol", type=float, metavar="X", help=decrease)
@@ -224,7 +224,7 @@ def parser() -> Parser:
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
     _reading(plot)
 
-    view = command("view", "write a page to turn, zoom and ask: the graph as it was read", "graphs")
+    view = command("view", "write an interactive page of the graph as it was read", "graphs")
     view.add_argument("-o", "--output", metavar="OUT.html", help="the page to write (default: NAME-view.html)")
     _reading(view)
 
@@ -277,9 +277,9 @@ def _writing(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
 def _robust(command: argparse.ArgumentParser, rejecting: str = "") -> None:
     """Kernels, and ways of rejecting measurements."""
     kernels = (
-        f"treatment of outliers: {rejecting}a kernel on every factor, such as huber:1.0, or on those of a type, "
-        f"such as RangeAzimuth=cauchy:1; one of {', '.join(choices.KERNELS)}; of a mission none: keep all contacts "
-        "(default: reject wrong ones if chi2 and residuals show some)"
+        f"{rejecting}huber:1.0 puts a kernel on every factor, RangeAzimuth=cauchy:1 on one type. Kernels: "
+        f"{', '.join(choices.KERNELS)}. Of a mission none keeps all contacts; without --robust wrong ones are rejected "
+        "if chi2 and residuals show some"
     )
     command.add_argument("--robust", action=Once, metavar="[TYPE=]KERNEL:SIGMAS", help=kernels)
 

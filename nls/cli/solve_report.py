@@ -167,7 +167,7 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
         *(f"method      {remark}" for remark in result.remarks),
         *_rows(kind, solved, report),
     ]
-    lines += [f"held        all {kind}" for kind in report["held"]]
+    lines += [f"fixed       all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:
         lines.append(f"free        and {more} more directions")
@@ -262,10 +262,10 @@ def _facts(
         "lines": ", ".join(f"{count:,} {tag}" for tag, count in report.tags.items()),
         "command": shlex.join(["nls", *map(str, options.argv)]),
         "convention": report.convention,
-        "starts": ", ".join(f"{name}: chi2 {chi2:.6g}" for name, chi2 in problem.starts.items()),
+        "initial guesses": ", ".join(f"{name}: chi2 {chi2:.6g}" for name, chi2 in problem.starts.items()),
         "linear solver": getattr(result, "linear_solver", ""),
         "robust kernel": kind.robust or "",
-        "held": ", ".join(f"all {kind}" for kind in options.hold),
+        "fixed": ", ".join(f"all {kind}" for kind in options.hold),
         "unchecked": unchecked,
         "notes": "; ".join(report.notes),
         "version": f"leadline {nls.__version__}",

@@ -52,7 +52,7 @@ def certifies(graph: FactorGraph, values: Values) -> bool:
 
 
 def graduates(graph: FactorGraph, values: Values) -> bool:
-    """Whether this graph has loop closures that `nls.gnc` tests, and odometry to test them against."""
+    """Whether a graph has loop closures that `nls.gnc` tests, and odometry to test them against."""
     from nls.robust.loop_graph import loop_graph
 
     try:

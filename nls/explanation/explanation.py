@@ -1,6 +1,7 @@
 """`explain`: the contents of a graph, its free directions, whether its measurements agree, and cures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from models.advice import Advice
 from models.algebra import Array, Index, Mask
 from models.chi_squared import chi2_interval, chi2_tail
 from models.errors import EvaluationError, GraphError, SingularGeometryError
-from nls.analysis.alternatives import expected
-from nls.analysis.calibrations import calibrations
+from nls.analysis.alternatives import WORK, SpentError, bounded, expected
+from nls.analysis.calibrations import Calibration, calibrations
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Checked, Tested, checks, kinds_of, spoiled
 from nls.analysis.redundancy import unverified_groups
@@ -28,7 +29,6 @@ from nls.stages import announce, stage
 from nls.values import Values, refuse_other
 
 WORST = 10  # measurements that are named
-TRIED = 50_000  # measurements of a graph that is solved anew for causes: dozens of optimizations
 Kinds = dict[str, list[tuple[int, Index]]]  # by name: number of the batch, indices of its measurements
 
 
@@ -61,8 +61,8 @@ def explain(
     Notes
     -----
     Ctrl-C ends the search for outliers: a finding says so, and all numbers that were there are in the explanation. At
-    most 100 measurements, or groups of them, are taken out. Above 50,000 measurements no other reading and no
-    calibration is tried; a finding says so where chi2 is off.
+    most 100 measurements, or groups of them, are taken out. Calibrations, other readings and exchanged landmarks are
+    tried for half a minute at most, counted in iterations; a finding names those that were not tried to their end.
     The statistics are those of geodetic networks, see the theory page on explanations.
 
     Examples
@@ -127,7 +127,7 @@ def explain(
         else:
             held = FactorGraph(graph.factors, [*graph.fixed, *unmeasured])
             try:
-                with stage("outliers"):
+                with stage("outliers"), bounded(WORK):
                     disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
                     findings += disagreement
                     alike = FindingKind.SYSTEMATIC in {finding.kind for finding in disagreement}
@@ -186,8 +186,10 @@ def _disagreement(
     """
     assert free.checked is not None
     findings = [] if free.count else causes.duplicate_points(free.checked, pattern, values)
-    announce("calibrations")
-    wrong = calibrations(graph, values, free) if len(graph) <= TRIED else ()
+    spent: list[str] = []
+    wrong: tuple[Calibration, ...] = ()
+    with _tried("calibrations", spent):
+        wrong = calibrations(graph, values, free)
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
@@ -199,23 +201,40 @@ def _disagreement(
         outliers = replace(outliers, places=[])  # where most are off, it is not these
         kinds = doubts.of_parts(parts, outliers, graph)
     alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-    findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
+    findings += _causes(graph, values, free.checked, tests, outliers, alike, spent) or calibrated
     findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-    if len(graph) > TRIED and (kinds or outliers.places):
-        findings.append(Finding(FindingKind.NOT_TRIED, (), {"measurements": len(graph), "most": TRIED}))
+    if spent and (kinds or outliers.places):
+        findings.append(Finding(FindingKind.NOT_TRIED, (), {"causes": spent, "measurements": len(graph)}))
     return findings + [kind for kind in kinds if kind not in alike], outliers
 
 
+@contextmanager
+def _tried(cause: str, spent: list[str]) -> Iterator[None]:
+    """Search for a cause; its name is added where the work of the explanation was spent before the end."""
+    announce(cause)
+    try:
+        yield
+    except SpentError:
+        spent.append(cause)
+
+
 def _causes(
-    graph: FactorGraph, values: Values, checked: Checked, tests: list[Tested], outliers: Suspects, alike: list[Finding]
+    graph: FactorGraph,
+    values: Values,
+    checked: Checked,
+    tests: list[Tested],
+    outliers: Suspects,
+    alike: list[Finding],
+    spent: list[str],
 ) -> list[Finding]:
     """The explanation of a chi2 that noise does not explain: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
-    tried = len(graph) <= TRIED
-    if tried and (alike or outliers.many):
-        findings = causes.misread(graph, values)
-    if tried and not findings and (alike or outliers.places):
-        findings = causes.exchanged_landmarks(graph, values, tests)
+    if alike or outliers.many:
+        with _tried("other readings", spent):
+            findings = causes.misread(graph, values)
+    if not findings and (alike or outliers.places):
+        with _tried("exchanged landmarks", spent):
+            findings = causes.exchanged_landmarks(graph, values, tests)
     return findings or causes.clocks_by_residuals(checked, values, len(graph.factors))
 
 

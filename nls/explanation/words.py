@@ -242,9 +242,9 @@ SENTENCES: Sentences = {
         "under two numbers?"
     ),
     FindingKind.UNVERIFIED: _unverified,
-    FindingKind.NOT_TRIED: (
-        "calibrations, other readings and exchanged landmarks were not tried as causes: that takes dozens of "
-        "optimizations, and the graph has {measurements:,} measurements (tried up to {most:,})"
+    FindingKind.NOT_TRIED: lambda f: (
+        f"{' and '.join(f.numbers['causes'])} were not tried to their end as causes: that takes dozens of "
+        f"optimizations of {f.numbers['measurements']:,} measurements"
     ),
     FindingKind.REPEATED: _repeated,
     FindingKind.UNCHECKED: _unchecked,

@@ -23,6 +23,9 @@ def dominant(u: Index, v: Index, V: int) -> sp.csc_array:
 def factored(H: sp.csc_array | sp.csc_matrix, order: str = "NATURAL") -> Any:
     """SuperLU's factors of a symmetric matrix, with symmetric pivoting.
 
+    Columns are not merged into wider ones beforehand (``relax``), which is 25 times slower on 20,000 poses: the order
+    given is no postorder, so SuperLU merges columns that have little in common.
+
     Raises
     ------
     SingularSystemError
@@ -31,7 +34,7 @@ def factored(H: sp.csc_array | sp.csc_matrix, order: str = "NATURAL") -> Any:
     from scipy.sparse.linalg import splu
 
     try:
-        return splu(H, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return splu(H, permc_spec=order, diag_pivot_thresh=0.0, relax=1, options={"SymmetricMode": True})
     except RuntimeError as error:  # SuperLU's way to say it
         raise SingularSystemError(str(error)) from error
 

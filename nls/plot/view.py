@@ -166,8 +166,10 @@ class Scene:
         self.dim = max((_positions(stack).shape[1] for stack in stacks), default=2)
         self.stacks = {stack.kind: stack for stack in stacks if _positions(stack).shape[1] == self.dim}
         self.poses = [kind for kind, stack in self.stacks.items() if stack.manifold.dim > self.dim]
-        times = {} if report is None else report.vertex_times
-        times = {kind: times[kind] for kind in self.poses if kind in times and self._rises(kind, times[kind])}
+        given = {} if report is None else report.vertex_times
+        times = {kind: given[kind] for kind in self.poses if kind in given}
+        for kind in [k for k, t in times.items() if (np.diff(t[np.argsort(self.stacks[k].numbers)]) < 0).any()]:
+            del times[kind]  # those of several dives
         self.timed, self.order, V = bool(times), places(self.pattern), len(self.pattern.dims)
         self.place, when = np.full((V, self.dim), np.nan), np.full(V, -np.inf)
         for kind, stack in self.stacks.items():
@@ -187,10 +189,6 @@ class Scene:
         self.part = np.cumsum(parted)[self.order]
         self.near = bool(np.nanmax(np.abs(self.place), initial=0.0) < 1e4)  # m, where four bytes hold a millimeter
 
-    def _rises(self, kind: str, times: Array) -> bool:
-        """Whether the times of the poses of a kind rise with their numbers, as those of several dives do not."""
-        return bool((np.diff(times[np.argsort(self.stacks[kind].numbers)]) >= 0).all())
-
     def _rows(self, kind: str) -> slice:
         """Rows of the variables of a kind among all."""
         begin = self.pattern.offsets[kind]
@@ -200,8 +198,7 @@ class Scene:
         """Axes of one scale, and the way the mouse moves the map."""
         axes: dict[str, Any] = {f"{name}axis": {"title": {"text": f"{name} [m]"}} for name in "xyz"[: self.dim]}
         if self.dim == 2:
-            axes["yaxis"]["scaleanchor"] = "x"
-            return {**axes, "dragmode": "pan"}
+            return {**axes, "yaxis": axes["yaxis"] | {"scaleanchor": "x"}, "dragmode": "pan"}
         if down or is_down(self.graph):
             axes["yaxis"]["autorange"] = axes["zaxis"]["autorange"] = "reversed"
             axes["zaxis"]["title"] = {"text": "z, down [m]"}
@@ -210,8 +207,7 @@ class Scene:
     @property
     def meta(self) -> dict[str, Any]:
         """The moments of the slider, whether they are times in s, and the colors on black by those on white."""
-        moments = [self.since[self._rows(kind)] for kind in self.poses]
-        clock = np.unique(np.concatenate([np.zeros(0), *moments]))
+        clock = np.unique(np.concatenate([np.zeros(0), *(self.since[self._rows(kind)] for kind in self.poses)]))
         return {"moments": clock[_rows(clock)].tolist(), "timed": self.timed, "dark": DARK}
 
     def variables(self, marginals: Marginals | None) -> Iterator[Layer]:
@@ -288,16 +284,12 @@ class Scene:
             texts = [
                 _text(rejected[r].factor, s, lines[r : r + 1])
                 if red
-                else _text(self.graph.factors[f].describe(r), s, self._place(f, r))
+                else _text(self.graph.factors[f].describe(r), s, [self.report.place(f, r)] if self.report else [])
                 for f, r, s in zip(factor.tolist(), row.tolist(), sigmas.tolist(), strict=True)
             ]
             about: dict[str, Any] = {"text": np.repeat(texts, len(at)).tolist(), "hoverinfo": "text"}
             about |= {"marker": dot | {"color": REJECTED} if red else dot, "showlegend": not line}
             yield self._layer(name, members, a + at * (b - a), since, shown, **about)
-
-    def _place(self, factor: int, row: int) -> list[str]:
-        """The file and the line of a measurement, where they are known."""
-        return [] if self.report is None else [self.report.place(factor, row)]
 
     def _columns(self, rejected: Sequence[Rejected]) -> Iterator[tuple[Array | Index, ...]]:
         """Of every batch (k,): layer, chance, factor, row, the two variables on the map, sigmas, and since when."""

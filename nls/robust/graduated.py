@@ -262,12 +262,12 @@ def gnc(
         left += [Left(repr(key), int(count)) for key, count in zip(keys, counts, strict=True)]
     tails = [np.minimum(total * chi2_tail(d2 / variance, np.array(m)), 1) for d2, m in zip(off, dims, strict=True)]
     rows = zip(graph.factors, masks, choice.inliers, choice.s, tails, landmarks.leaving(gone), strict=True)
-    found = [
+    rejections = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5, k, n, tuple(keys[[n]] for keys in factor.keys), float(p[n]))
         for k, (factor, d, m, s, p, leaves) in enumerate(rows)
         for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]
-    rejected = tuple(sorted(found, key=lambda rejection: -rejection.sigmas))
+    rejected = tuple(sorted(rejections, key=lambda rejection: -rejection.sigmas))
     weights = [m.astype(float) for m in choice.inliers]
     sigma0 = float(np.sqrt(variance))
     return Robustified(

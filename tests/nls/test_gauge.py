@@ -226,15 +226,15 @@ def test_beside_poses_points_that_know_the_axes_leave_a_shift_free(group: LieGro
     """They determine the headings. A pose that is held would keep the one of its start."""
     seen, L, start = turned_start(group)
     known = along_world(kind, L)
-    assert FactorGraph([*seen, known[1]]).optimize(start).gauge == "x0 held"
-    for gauge, says in zip(GAUGES[:3], ("l0 held", "a prior of unit information on l0", "l0 held"), strict=True):
+    assert FactorGraph([*seen, known[1]]).optimize(start).gauge == "x0 fixed"
+    for gauge, says in zip(GAUGES[:3], ("l0 fixed", "a prior of unit information on l0", "l0 fixed"), strict=True):
         result = FactorGraph([*seen, *known]).optimize(start, gauge=gauge)
         assert result.gauge.endswith(says)
         assert result.converged
         assert result.chi2_final < 0.01
         np.testing.assert_allclose(result.values[l] - result.values[l[0]], L - L[0], atol=0.01)
     marginals = Marginals(FactorGraph([*seen, *known]), result.values)
-    assert marginals.gauge == "l0 held"
+    assert marginals.gauge == "l0 fixed"
     assert (np.diag(marginals.covariance(x[0], "world")) > 1e-6).all()
 
 
@@ -252,7 +252,7 @@ def test_points_that_know_the_axes_turn_a_map_that_grows(group: LieGroup, lag: i
     assert not smoother.pending
     found = smoother.values.stack(l)
     np.testing.assert_allclose(found.X - found.X[0], L[found.numbers] - L[found.numbers[0]], atol=0.02)
-    assert Marginals(smoother.graph, smoother.values).gauge == f"l{found.numbers[0]} held"
+    assert Marginals(smoother.graph, smoother.values).gauge == f"l{found.numbers[0]} fixed"
 
 
 def test_one_difference_in_space_leaves_a_turn_about_itself_free() -> None:

@@ -165,7 +165,7 @@ def test_parts_that_nothing_joins_are_a_note_of_solve(shell: Shell) -> None:
     two = "the graph has 2 parts that no measurement connects (4 with x0, 2 with x10)"
     for text, count in ((PLANE + PART, 1), (PLANE, 0), (PLANE + PART + "FIX 0\nFIX 10\n", 0)):
         notes = rows(shell(f"solve {shell.file(text)}"), "note")
-        assert sum(note.startswith(two) for note in notes) == sum("joins" in note for note in notes) == count
+        assert sum(note.startswith(two) for note in notes) == sum("connects" in note for note in notes) == count
 
 
 ENDS = np.r_[0.5:4:0.5, 16.5:20:0.5]  # s, of fixes at both ends

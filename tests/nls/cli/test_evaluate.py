@@ -192,7 +192,7 @@ def test_a_mirrored_track_is_called_so_and_its_cure_helps(shell: Shell, align: s
     assert record["ate"]["rmse_m"] < 1e-9
     assert (record["turned_over"], record["tilt_deg"]) == (True, pytest.approx(180.0))
     assert record["ate"]["rotation_rmse_deg"] > 90
-    assert err.startswith(f"nls: warning: mirrored.csv: the alignment {align} turned the track over")
+    assert err.startswith(f"nls: warning: mirrored.csv: the alignment {align} turned the track upside down")
     assert "tilted by 180 deg" in row(out, "alignment")
     # the cures: another alignment shows it, other signs remove it
     assert shell.report("evaluate mirrored.csv truth.csv --align yaw")["ate"]["rmse_m"] > 5

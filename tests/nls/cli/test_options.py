@@ -85,7 +85,7 @@ def test_a_kind_is_held(shell: Shell) -> None:
     assert (list(report["starts"]), report["dof"], report["underconstrained"]) == (["file"], 30 - 15, [])
     before, after = nls.load(file)[1], nls.load("out.txt")[1]
     assert [np.array_equal(after[kind], before[kind]) for kind in nls.kinds("c", "k", "l")] == [True, True, False]
-    assert rows(shell(f"solve {file} --hold k"), "held") == ["all k"]
+    assert rows(shell(f"solve {file} --hold k"), "fixed") == ["all k"]
 
 
 def test_what_a_file_holds_fixed_is_held_and_the_rest_not_written_as_fixed(shell: Shell) -> None:

@@ -125,7 +125,7 @@ def test_gauges(case: str) -> None:
     keys = nls.Keys("x", sample.values.stack("x").numbers)
     first = Marginals(sample.graph, sample.values)
     lowest = [repr(x[int(n)]) for n in ([0, 50] if case == "two" else [keys.numbers.min()])]
-    assert first.gauge == ", ".join(lowest) + " held"
+    assert first.gauge == ", ".join(lowest) + " fixed"
     status = first.status(x)
     assert [repr(x[int(n)]) for n, s in zip(keys.numbers, status, strict=True) if s == "gauge"] == lowest
     held = np.array([s == "gauge" for s in status])
@@ -225,7 +225,7 @@ def test_wrong_uses() -> None:
             use()
     assert marginals.covariance(x[[]], "body").shape == (0, 3, 3)
     lying = FactorGraph([Factor.from_function(lambda X: X - 1.0, x[0], 2, relative=True)])
-    with pytest.raises(GraphError, match="says relative=True and is not"):
+    with pytest.raises(GraphError, match="declares relative=True, but is not relative"):
         Marginals(lying, Values({x: (R(2), [0.0, 0.0])}), gauge="free")
 
 

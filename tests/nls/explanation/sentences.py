@@ -66,7 +66,7 @@ FINDINGS = (
     Finding(Kind.TWINS, (l[1], l[2]), {"distance": 0.12, "sigmas": 0.8}),
     Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED),
     Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED | {"meters": float("inf"), "sigmas": float("inf")}),
-    Finding(Kind.NOT_TRIED, (), {"measurements": 96_000, "most": 50_000}),
+    Finding(Kind.NOT_TRIED, (), {"causes": ["other readings", "exchanged landmarks"], "measurements": 96_000}),
     Finding(Kind.REPEATED, (x[0], x[4]), {"count": 1, "factors": ("Between(x0, x4)",)}),
     Finding(Kind.UNCHECKED, (x[0],), {"count": 1, "of": 9, "factors": ("Prior(x0)",), "believed": True}),
     Finding(Kind.UNCHECKED, (x[3],), {"count": 1, "of": 9, "factors": ("ZPR(x3)",), "believed": False}),

@@ -177,7 +177,7 @@ def test_a_kind_that_is_wrong_as_a_whole(case: tuple[list[float], str]) -> None:
 
 
 def test_causes_of_a_large_graph_are_not_tried_and_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nls.explanation.explanation.TRIED", 50)
+    monkeypatch.setattr("nls.explanation.explanation.WORK", 10_000)
     world = sim.manhattan(np.random.default_rng(0), 100)
     steps = world.graph.factors[0]
     wrong = FactorGraph([Between(*steps.keys, steps.z * [1, 1, -1], steps.noise), *world.graph.factors[1:]])

@@ -141,7 +141,7 @@ gyro.gyro | * | - | ahrs:- | has no column 'yaw_rad', and there is no gyro.csv
 gyro.noise | ,sigma_w_rad_s_sqrt_hz | ,gate_v_m_s | 2 | there is no column sigma_w_rad_s_sqrt_hz, which gyro
 raw.noise | sigma_yaw_rad | gate_v_m_s | 2 | there is no column sigma_yaw_rad, which ahrs.csv needs
 gyro.gyro | 0,0,0,0 | 0,0,0,300 | 2 | wz_rad_s is 300.0; expected radians per second, within 100
-gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission depends on declination_ra
+gyro.calibration | * | name,value,sigma\ndeclination_rad,0.1,0 | 2 | no measurement of this mission depends on declin
 water.water | * | - | pressure:2 | nothing gives the density of the water; add water.csv
 water.water | * | density_kg_m3,latitude_deg\n1025,60 | 2 | both give the density
 water.water | * | density_kg_m3\n-3 | 2 | density_kg_m3 is -3.0; expected a number above 0

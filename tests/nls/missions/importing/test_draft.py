@@ -180,7 +180,7 @@ dvl = { time_s = "t", vx = "u" } | :1: dvl.csv has no column 'vx'
 [poses]\ni = { row = true } | row is True; expected the number of the first row, such as { row = 0 }
 [sonar]\nname = '''a\nb''' | expected one line [name = '''a]
 time_s = "t"\nseparator = "ab"\n\n[depth]\nz_m = "depth" | :2: separator is 'ab'
-DEPTH\nmissing = true | :4: missing is True; expected numbers and words that stand for none
+DEPTH\nmissing = true | :4: missing is True; expected numbers and words that mean a missing value
 DEPTH\nmissing = [1, []] | :4: missing is [1, []]; expected numbers
 DEPTH\nmissing = { z = 1 } | :4: missing: 'z' is not mapped here; did you mean 'z_m'?
 DEPTH\nmissing = inf | :4: missing is inf; expected

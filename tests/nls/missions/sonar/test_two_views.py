@@ -194,7 +194,7 @@ def test_what_cannot_be_is_refused() -> None:
         (r"z_i \(15, 2\) and z_j \(14, 2\)", {"z_j": z_j[1:]}),
         ("sigmas", {"sigmas": [0.01, 0.0]}),
         ("range that is not above 0", {"z_i": -z_i}),
-        ("one start", {"start": [start, start]}),
+        ("one initial guess", {"start": [start, start]}),
         ("not positive definite", {"odometry_information": np.diag([1.0, 1, 1, 1, 1, 0])}),
         ("symmetric", {"odometry_information": np.eye(3)}),
         *(("limit", {"limit": limit}) for limit in (0.0, 2.0, True)),
