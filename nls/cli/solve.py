@@ -99,17 +99,18 @@ def _read(kind: GraphFile, run: Run) -> Problem:
 
 def _begun(kind: GraphFile, problem: Problem) -> Problem:
     """The initial guess; with graduated non-convexity also the measurements to keep."""
+    graph, values = problem.graph, problem.values  # of all measurements
     if kind.rejects:
         from nls.cli.outliers import chosen
 
         with _free_written(kind, problem):
-            choice = chosen(str(kind.robust), kind.init, problem.graph, problem.values)
+            choice = chosen(str(kind.robust), kind.init, graph, values)
         problem = problem.without(choice, str(kind.robust))
     else:
-        start, init, starts = nls.initialize(problem.graph, problem.values, kind.init)
+        start, init, starts = nls.initialize(graph, values, kind.init)
         problem = replace(problem, start=start, init=init, starts=starts)
     try:  # it may not exist there, as for a bearing to the place of the sensor
-        chi2 = problem.starts["file"] if "file" in problem.starts else problem.graph.chi2(problem.values)
+        chi2 = problem.starts["file"] if "file" in problem.starts else graph.chi2(values)
     except (nls.EvaluationError, nls.SingularGeometryError):
         chi2 = None
     problem.clock.lap("init")

@@ -155,11 +155,12 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     of = " of the measurements the kernel keeps" if result.shares else ""
     ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
+    steps = f"{report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in {several(report['iterations'], 'iteration')}"
+    if kind.rejects:  # which optimizes as well
+        steps = f"{report['chi2_final']:.9g} by the choice of {kind.robust} and {several(report['iterations'], 'more iteration')}"
     lines += [
         f"start       {report['init'].replace('file', file)} (chi2: {start})",
-        f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
-        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}"
-        f"{convention}{robust}",
+        f"chi2        {steps}, {report['dof']} degrees of freedom{ratio}{convention}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         *([f"ignored     by the kernel: {', '.join(map(str, result.shares))}"] if result.shares else []),
