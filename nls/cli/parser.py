@@ -4,6 +4,7 @@ import argparse
 import sys
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from nls.cli import choices
@@ -29,42 +30,7 @@ SCALES = (
 )
 TOLERANCE = "accepted excess of chi2 over its minimum, relative to max(chi2, 1) (default 1e-3)"
 ALONE = "turns off the threshold that is not given"
-FIRST = """begin with:
-  nls solve survey.g2o                                 the optimum, and whether to trust it
-  nls explain survey.g2o                               what is free, what does not fit, and what helps
-  nls solve survey.g2o -o solved.g2o --report solved.html
-  nls solve mission -o mission/solved                  a folder with the tables of a vehicle
-  nls import dive.csv > mapping.toml                   a log of your own: a draft of what its columns mean
-
-options, examples and the exit status of a command: nls COMMAND --help
-"""
-EXAMPLES = """examples:
-  nls solve survey.g2o                                 the optimum, and whether to trust it
-  nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
-  nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
-  nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
-  nls explain survey.g2o                               what is free, what does not fit, and what helps
-  nls info survey.g2o                                  its contents, its gauge, the cost of a solve
-  nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
-  nls evaluate solved dive                             how far a trajectory is from the true one
-  nls plot survey.g2o survey.png                       the graph as it was read
-  nls view survey.g2o -o survey.html                   the graph as it was read, as an interactive page
-  nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; a killed run continues
-  nls import dive.csv > mapping.toml                   a draft: what its columns may mean
-  nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
-  nls new mission                                      templates of mapping.toml and of every table
-
-exit status:
-  0    solve: converged; all other commands: done
-  1    solve: not converged, under-constrained, refuted by --certify, or stopped by Ctrl-C while it iterates (best
-       values are written); or doubtful: implausible tables or chi2, a table that a kernel ignores, an untrusted
-       selection of --robust gnc-tls, a wrong setup of a scan mission
-  2    bad input or usage, or an output that could not be written (the others are)
-  130  ended by Ctrl-C at another moment; explain prints its results so far
-  143  ended by a second Ctrl-C, on a terminal, within a step that the first one could not stop
-
-threads: one while a graph is solved; elsewhere one, or as many as OPENBLAS_NUM_THREADS allows
-"""
+FIRST, EXAMPLES = Path(__file__).with_name("help.txt").read_text(encoding="utf-8").split("\f\n")
 
 
 class Parser(argparse.ArgumentParser):

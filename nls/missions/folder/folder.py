@@ -195,6 +195,11 @@ def _regular(file: Path) -> Path:
 def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
     if not files & {*TRACK, *LOG, "pressure", *ALONE}:
+        if {"trajectory.csv", "map.csv"} & {*other_files}:
+            parent = Path(os.path.relpath(Path(folder).absolute().parent))
+            is_mission = any((parent / f"{name}.csv").exists() for name in (*TRACK, *LOG, *ALONE))
+            mission = shlex.quote(str(parent)) if is_mission else "the folder of the mission"
+            raise GraphFileError(f"is the solution of a mission, not a mission; give {mission} instead", folder)
         contents = f"it has {_listed(sorted(files) + other_files)}" if files or other_files else "it is empty"
         endings = {name: Path(name.removesuffix(".gz")).suffix for name in other_files}
         graphs = [name for name, suffix in endings.items() if suffix in suffixes() and suffix != ".csv"]

@@ -48,7 +48,7 @@ def depth_chart(chart: Chart) -> Figure:
     for points in chart.points:
         axes.plot(*points.p[:, 1::-1].T, "^" if points.name == "beacon" else ".", color=LANDMARK, label=points.name)
     _graticule(axes, chart, low, high)
-    _scale_and_north(axes, wide)
+    _scale_and_north(axes, wide, (p - low) / (high - low))
     full_legend(axes, 4)
     return figure
 
@@ -91,13 +91,19 @@ def _graticule(axes: Axes, chart: Chart, low: Array, high: Array) -> None:
         axis.set_ticks(np.interp(minutes, ends, [low[k], high[k]]), names)
 
 
-def _scale_and_north(axes: Axes, wide: float) -> None:
-    """A bar of 1, 2 or 5 times a power of ten meters, at most a quarter of the map, and an arrow to the north."""
+def _scale_and_north(axes: Axes, wide: float, p: Array) -> None:
+    """A bar of 1, 2 or 5 times a power of ten meters, at most a quarter of the map, and an arrow to the north.
+
+    The bar is in the corner with the fewest of the points p (n, 2), parts of the map from the lower left; the arrow is
+    in the upper right.
+    """
     from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
     power = 10.0 ** np.floor(np.log10(wide / 4))
     length = power * max(m for m in (1, 2, 5) if m * power <= wide / 4)
-    bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", "lower left", borderpad=1, size_vertical=length / 30)
+    corners = {"lower left": [0, 0], "lower right": [1, 0], "upper left": [0, 1]}
+    corner = min(corners, key=lambda name: int((np.abs(p - corners[name]) < 0.3).all(axis=1).sum()))
+    bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", corner, borderpad=1, size_vertical=length / 30)
     axes.add_artist(bar)
     arrow = {"arrowstyle": "-|>", "facecolor": "black", "mutation_scale": 20}
     axes.annotate("", (0.95, 0.95), (0.95, 0.86), xycoords="axes fraction", arrowprops=arrow)

@@ -9,6 +9,7 @@ from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -310,3 +311,13 @@ def test_the_undamaged_folders_are_read(tmp_path: Path) -> None:
     assert graph.optimize(values).converged
     files = raw(lost=(5.0, 8.0))  # velocities without bottom lock may be anything
     assert nls.load(folder(tmp_path / "lost", files, dvl=files["dvl"].replace("99.0", "1e308")))[1]
+
+
+def test_the_folder_of_a_solution_names_the_mission_around_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    solved = folder(tmp_path / "dive", TINY) / "solved"
+    solved.mkdir()
+    (solved / "trajectory.csv").touch()
+    with pytest.raises(GraphFileError, match=r"is the solution of a mission, not a mission; give dive instead"):
+        nls.load("dive/solved/")
+    nls.load("dive")

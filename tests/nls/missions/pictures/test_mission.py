@@ -11,6 +11,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.tri import TriContourSet
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 import nls
 from factors import Diagonal, Isotropic, Prior
@@ -270,3 +271,5 @@ def test_a_chart_has_contours_of_depth_and_a_graticule() -> None:
             assert plane.local(*at)[k] == pytest.approx(tick, abs=0.1)
     flat = depth_chart(replace(chart, plane=None, bottom=bottom[:1])).axes  # nothing to draw contours of
     assert [axes.get_xlabel() for axes in flat] == ["y, east [m]"]
+    (scale,) = (artist for artist in flat[0].artists if isinstance(artist, AnchoredSizeBar))
+    assert scale.loc == AnchoredSizeBar.codes["lower right"]  # the track begins in the lower left
