@@ -77,7 +77,11 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "smaller sigma": "give it a smaller sigma",
     "compare sigmas": "compare the sigmas with those of the other rows",
     "larger sigmas": "take larger sigmas",
-    "smaller sigmas": "take smaller sigmas, if the measurements are real",
+    "smaller sigmas": (
+        "take smaller sigmas, if the measurements are real",
+        "nls.variance_components(graph, values)",
+        "nls solve --sigmas estimate",
+    ),
     "squares": ("check for mixed-up sigmas, variances and informations", "Isotropic and Diagonal take sigmas", ""),
     "units": "check sigmas and units",
     "frames": "check signs, units and frames, and the order of the information matrix",

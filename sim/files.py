@@ -126,12 +126,12 @@ def mission_rows(mission: Mission) -> Rows:
 
 
 def graph_files(world: World) -> Contents:
-    """The graph with the start and with the truth, in two formats."""
+    """The graph with the start and with the truth, in two formats; the one that a folder stands for is written last."""
     from nls.io import rendered
 
     values = {"graph.g2o": world.start, "truth.g2o": world.truth}
     text = {name: rendered(name, world.graph, estimate)[0] for name, estimate in values.items()}
-    return {**native_files(world), **text}, HOLD + "graph.g2o, truth.g2o: the same for other programs.\n"
+    return {**text, **native_files(world)}, HOLD + "graph.g2o, truth.g2o: the same for other programs.\n"
 
 
 def mission_folder(mission: Mission) -> Contents:

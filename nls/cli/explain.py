@@ -28,6 +28,7 @@ def explain(options: argparse.Namespace) -> int:
     graph = kind.prepared(as_read, values, report)
     start, init, _ = nls.initialize(graph, values, kind.init)
     options.phase.now(f"while explaining {options.file}")
+    options.phase.outcome = "no findings yet; nls solve -o OUT writes its best values at Ctrl-C, for nls explain OUT"
     with stage("solve"):
         explanation, how, report = _explained(kind, (graph, values, report), start)
     explanation = kind.with_tables(explanation, report)

@@ -29,24 +29,25 @@ class Phase:
     ----------
     doing : the activity of this moment, such as ``while reading survey.g2o``.
     written : files that are complete.
+    outcome : the words of the line where no file is complete; of one activity.
     ticker : shows them on a terminal, from its start on.
     as_read : the graph and its report, once they are read; an error may be about one of the measurements.
     """
 
     def __init__(self, program: str) -> None:
-        self.program, self.doing, self._step = program, "at its start", ""
-        self.ticker = Ticker()
+        self.program, self.ticker = program, Ticker()
+        self.begin("at its start")
         self.written: list[str] = []
         self.as_read: Any = None
 
     def __str__(self) -> str:
-        written = f"written: {', '.join(self.written)}" if self.written else "nothing was written"
+        written = f"written: {', '.join(self.written)}" if self.written else self.outcome
         words = f"{self.program}: interrupted {self.doing}{self._step and f': {self._step}'}; {written}"
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)  # imports nothing in their midst
 
     def begin(self, doing: str) -> None:
         """Another activity."""
-        self.doing, self._step = doing, ""
+        self.doing, self._step, self.outcome = doing, "", "nothing was written"
         self.ticker.say(doing.removeprefix("while "))
 
     def step(self, words: str) -> None:

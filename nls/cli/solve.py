@@ -99,17 +99,18 @@ def _read(kind: GraphFile, run: Run) -> Problem:
 
 def _begun(kind: GraphFile, problem: Problem) -> Problem:
     """The initial guess; with graduated non-convexity also the measurements to keep."""
+    graph, values = problem.graph, problem.values  # of all measurements
     if kind.rejects:
         from nls.cli.outliers import chosen
 
         with _free_written(kind, problem):
-            choice = chosen(str(kind.robust), kind.init, problem.graph, problem.values)
+            choice = chosen(str(kind.robust), kind.init, graph, values)
         problem = problem.without(choice, str(kind.robust))
     else:
-        start, init, starts = nls.initialize(problem.graph, problem.values, kind.init)
+        start, init, starts = nls.initialize(graph, values, kind.init)
         problem = replace(problem, start=start, init=init, starts=starts)
     try:  # it may not exist there, as for a bearing to the place of the sensor
-        chi2 = problem.starts["file"] if "file" in problem.starts else problem.graph.chi2(problem.values)
+        chi2 = problem.starts["file"] if "file" in problem.starts else graph.chi2(values)
     except (nls.EvaluationError, nls.SingularGeometryError):
         chi2 = None
     problem.clock.lap("init")
@@ -267,17 +268,18 @@ def _report(kind: GraphFile, solved: Solved) -> None:
 
 def _status(kind: GraphFile, solved: Solved) -> int:
     """The exit status; reasons for another than 0 on standard error."""
-    options, result = solved.options, solved.result
+    options, result, see = solved.options, solved.result, kind.asking(solved.options.phase.written)
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     if not result.converged and not (allowed and options.quiet):
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
-        say(f"nls: {reason}; see: {kind.asking(options.phase.written)}", error=True)
+        say(f"nls: {reason}; see: {see}", error=True)
     certificate = solved.certificate
     if refuted := certificate is not None and certificate.verdict == "refuted":
         say(f"nls: {'; '.join([certificate.sentence, *listed(certificate.advice, shell=True)])}", error=True)
     doubts = [] if options.allow_doubtful or refuted else kind.doubts(solved)
     if doubts and (result.converged or allowed):
-        say(f"nls: doubtful: {'; '.join(doubts)}; take the estimate with --allow-doubtful", error=True)
+        doubtful = f"{solved.report.path}: doubtful: {'; '.join(doubts)}"
+        say(f"nls: {doubtful}; see: {see}; or take the estimate with --allow-doubtful", error=True)
     for failure in solved.failed:
         complain(failure)
     if solved.failed and options.debug:

@@ -58,7 +58,7 @@ def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
         "written": written,
         "unwritten": [error.message for error in solved.failed],
         **findings,
-        "notes": [*report.notes, *_separate_parts(solved), *doubtful(kind, result, written, cures)],
+        "notes": [*report.notes, *_findings(solved), *doubtful(kind, result, written, cures)],
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -88,16 +88,21 @@ def _additions(kind: GraphFile, solved: Solved) -> dict[str, Any]:
     return record
 
 
-def _separate_parts(solved: Solved) -> list[str]:
-    """The note on parts that no measurement joins, of a graph that has several."""
-    graph, values = solved.graph, solved.result.values
-    pattern = graph.pattern(values)
-    if not component_labels(pattern).any():  # one part, beginning with the first variable
-        return []
-    from nls.explanation.explanation import separate_parts
+def _findings(solved: Solved) -> list[str]:
+    """Notes on parts that no measurement joins, and on sigmas that are too large where covariances are written."""
+    graph, options, result, notes = solved.graph, solved.options, solved.result, list[nls.Finding]()
+    pattern = graph.pattern(result.values)
+    if component_labels(pattern).any():  # several parts: the first one begins with the first variable
+        from nls.explanation.explanation import separate_parts
 
-    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
-    return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
+        gauge = choose_gauge("first", pattern, result.values, fixed_variables(graph.fixed, result.values))
+        notes += separate_parts(pattern, gauge)
+    shown = result.converged and (options.covariance or options.view or options.report)
+    if shown and result.ratio < 1 and not result.robust:
+        from nls.explanation.doubts import large_sigmas
+
+        notes += large_sigmas("all measurements", *result.believed)
+    return ["; ".join([finding.says, *listed(finding.advice, shell=True)]) for finding in notes]
 
 
 def _gnc_applies(kind: GraphFile, solved: Solved) -> list[str]:
@@ -155,11 +160,15 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     of = " of the measurements the kernel keeps" if result.shares else ""
     ratio = f" (ratio {result.ratio:.3g}{of}, 1 expected)" if result.believed[1] > 0 else ""
+    steps = (
+        f"{report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in {several(report['iterations'], 'iteration')}"
+    )
+    if kind.rejects:  # which optimizes as well
+        more = several(report["iterations"], "more iteration")
+        steps = f"{report['chi2_final']:.9g} by the choice of {kind.robust} and {more}"
     lines += [
         f"start       {report['init'].replace('file', file)} (chi2: {start})",
-        f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
-        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}"
-        f"{convention}{robust}",
+        f"chi2        {steps}, {report['dof']} degrees of freedom{ratio}{convention}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         *([f"ignored     by the kernel: {', '.join(map(str, result.shares))}"] if result.shares else []),
@@ -169,8 +178,8 @@ def table(kind: GraphFile, solved: Solved, report: dict[str, Any]) -> str:
     ]
     lines += [f"fixed       all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
-    if (more := len(report["underconstrained"]) - SHOWN) > 0:
-        lines.append(f"free        and {more} more directions")
+    if (left := len(report["underconstrained"]) - SHOWN) > 0:
+        lines.append(f"free        and {left} more directions")
     lines += [f"written     {name}" for name in report["written"]]
     lines += [f"note        {note}" for note in report["notes"] if note not in solved.report.warnings]
     if options.verbose:

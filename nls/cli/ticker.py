@@ -1,8 +1,9 @@
 """A line on a terminal that says what a process does and for how long, every half second, until the process ends.
 
 A process of its own writes it. A thread could not: a factorization by CHOLMOD keeps all other threads of Python
-waiting. The words are of what was done, the seconds of the stage so far. This file, run by itself, is that process; it
-imports nothing of the library.
+waiting. The words are of what was done, the seconds of the stage so far. The same process answers Ctrl-C within a step
+that Python cannot stop, and ends the command at a second Ctrl-C. This file, run by itself, is that process; it imports
+nothing of the library.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 QUIET, EVERY = 1.0, 0.5  # seconds before the first line, and from line to line
+PATIENCE = 0.4  # seconds for the command to end by itself after a second Ctrl-C
+STOPPING = "stopping after this step; Ctrl-C again ends at once"
 
 
 class Ticker:
@@ -55,11 +58,22 @@ class _Line:
     def __init__(self) -> None:
         self.stage, self.step, self.shown = "", "", ""
         self.began = self.since = monotonic()
+        self.command, self.presses = os.getppid(), list[float]()
+
+    def press(self, *_: object) -> None:
+        """Note a Ctrl-C that comes within a step."""
+        self.presses.append(monotonic())
 
     def draw(self) -> None:
-        """Show what is done."""
-        if (now := monotonic()) - self.began >= QUIET and self.stage:
-            text = f"{now - self.since:5.0f} s  {self.stage}{self.step and f': {self.step}'}"
+        """Show what is done; end the command after a second Ctrl-C that it does not hear."""
+        now, done = monotonic(), f"{self.stage}{self.step and f': {self.step}'}"
+        if len(self.presses) > 1 and now - self.presses[1] > PATIENCE and os.getppid() == self.command:
+            self.show()
+            sys.stderr.write(f"interrupted within a step: {done}\n")
+            os.kill(self.command, 15)
+            os._exit(0)
+        if (now - self.began >= QUIET or self.presses) and self.stage:
+            text = f"{now - self.since:5.0f} s  {STOPPING if self.presses else done}"
             self.show(text[: (os.get_terminal_size(2).columns or 80) - 1])
 
     def show(self, text: str = "") -> None:
@@ -75,8 +89,9 @@ def _tick() -> None:
     import signal
     from threading import Lock, Thread
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     line, lock = _Line(), Lock()
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as for a command in the background
+        signal.signal(signal.SIGINT, line.press)
 
     def draw() -> None:
         while True:
@@ -89,6 +104,7 @@ def _tick() -> None:
         for words in lines:
             stage, _, step = words.rstrip("\n").partition("\t")
             with lock:
+                line.presses.clear()  # the command is between two steps
                 if not stage:
                     line.show()
                     os.write(1, b"\n")

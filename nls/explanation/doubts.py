@@ -121,6 +121,25 @@ def of_suspects(
     return out
 
 
+def large_sigmas(
+    name: str, chi2: float, expected: float, typical: float = float("nan"), without: int = 0
+) -> list[Finding]:
+    """A finding on measurements of this name whose chi2 is so far below its expectation that sigmas are too large.
+
+    Parameters
+    ----------
+    name, chi2, expected : of these measurements, and their degrees of freedom.
+    typical, without : their median residual, and how many suspects are not among them.
+    """
+    if not chi2 > 1e-6 * expected > 0 or chi2_tail(np.array(chi2), np.array(expected)) < 1 - 1e-3:
+        return []
+    if (times := (expected / chi2) ** 0.5) <= SIZEABLE:
+        return []
+    numbers = {"kind": name, "without": without, "chi2": chi2, "expected": expected, "typical": typical}
+    advice = (Advice("smaller sigmas"), *(Advice("squares"),) * (times > 3))
+    return [Finding(FindingKind.SIGMAS, (), numbers | {"cause": "large"}, advice)]
+
+
 def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) -> list[Finding]:
     """Kinds of measurements whose chi2 no chance explains; with many outliers only those that are off as a whole.
 
@@ -151,9 +170,8 @@ def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) ->
             cause, advice = "few", [Advice("inspect", ("the worst ones",)), Advice.robust("Cauchy", 1)]
         elif ratio > 1:
             cause, advice = "unknown", [Advice("inspect", ("the worst ones",))]
-        elif ratio**-0.5 > SIZEABLE:
-            cause, advice = "large", [Advice("smaller sigmas")] + [Advice("squares")] * (ratio**-0.5 > 3)
         else:
+            out += large_sigmas(part.name, part.chi2, part.expected, typical, len(suspects.places))
             continue
         numbers = {"kind": part.name, "without": len(suspects.places), "chi2": part.chi2, "expected": part.expected}
         out.append(Finding(FindingKind.SIGMAS, (), numbers | {"typical": typical, "cause": cause}, tuple(advice)))

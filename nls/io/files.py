@@ -9,6 +9,7 @@ import re
 import secrets
 import stat
 import sys
+import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -17,11 +18,12 @@ from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
-from models.errors import GraphFileError, OptionError
+from models.errors import GraphFileError, GraphWarning, OptionError
 from models.listing import some
 from nls.io.bounded_text import BoundedText
 
 GRAPH_FILES = ("graph.npz", "graph.g2o")  # of a folder, the first one counts
+COPIED_TOGETHER = 0.1  # seconds between two files of one copy
 CHUNK = 1 << 20
 GZIP = b"\x1f\x8b"
 ZIP = b"PK\x03\x04"
@@ -185,11 +187,17 @@ def descriptor(name: str) -> int | None:
 
 
 def graph_file(path: str | Path) -> str | Path:
-    """The file ``graph.npz`` or ``graph.g2o`` of a folder without tables; otherwise the path itself."""
+    """The file ``graph.npz`` or ``graph.g2o`` of a folder without tables; otherwise the path itself.
+
+    A `GraphWarning` names the second one where it is newer, as after an edit.
+    """
     if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not any(Path(path).glob("*.csv*")):
-        for name in GRAPH_FILES:
-            if (file := Path(path, name)).is_file():
-                return str(file)
+        files = [file for name in GRAPH_FILES if (file := Path(path, name)).is_file()]
+        for other in files[1:]:
+            if other.stat().st_mtime > files[0].stat().st_mtime + COPIED_TOGETHER:
+                newer = f"{other.name} is newer than {files[0].name}, which was read; give {other}"
+                warnings.warn(f"{path}: {newer}", GraphWarning, stacklevel=4)
+        return str(files[0]) if files else path
     return path
 
 

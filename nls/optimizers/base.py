@@ -47,6 +47,7 @@ class Watch(Record):
         self.callback, self.after_a_step = callback, stop.AFTER_A_STEP
         self.latest: Step | None = None
         self.halted = False
+        announce(f"iteration 0, chi2 {system.chi2:.6g}")
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors import XYH, ZPR, DvlLeg, Gravity
-from models.listing import number
+from models.listing import number, several
 from nls.gauge import placeless_kinds
 from nls.plot.picture import add_lines, axes_or_new, figure_of, full_legend, name_plane, new_figure
 from nls.plot.style import BEFORE, CLOSURE, ECHO, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT
@@ -59,8 +59,9 @@ def before_after(
     for axes, values in ((left, before), (middle, result.values)):
         named = _map(graph, values, axes, rejected)
     times = one_scale(graph, (left, before), (middle, result.values))
-    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
-    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
+    without = f",\nwithout the {len(rejected):,} rejected" * bool(rejected)
+    left.set_title(f"before: chi2 = {number(chi2)}{without}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
+    middle.set_title(f"after: chi2 = {number(result.chi2_final)}{without}")
     convergence(result, right, chi2)
     if title:
         figure.suptitle(title)
@@ -115,7 +116,8 @@ def convergence(result: Result, axes: Axes | None = None, before: float | None =
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.xaxis.set_major_formatter(lambda k, _: f"{k:.0f}" if k >= 0 else "")
     axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
+    ended = f"{result.status.name.lower().replace('_', ' ')} after {several(result.iterations, 'iteration')}"
+    axes.set_title(ended if result.iterations or not result.converged else "the start was the optimum: 0 iterations")
     return figure_of(axes)
 
 

@@ -36,7 +36,8 @@ NEEDED = (*ANGLES, *PLACE)
 SIGMAS = suffixed(PLACE)
 OPTIONAL = ("i", "time_s", *UPRIGHT, "yaw_rad", *SIGMAS)
 COLUMNS = ("x_m", "y_m", *OPTIONAL)
-FILES, TRUE_FILES = ("trajectory.csv",), ("truth.csv", "truth.npz", "trajectory.csv")  # of a solution; a mission
+FILES = ("trajectory.csv",)  # of a solution
+TRUE_FILES = ("truth.csv", "truth/truth.csv", "truth.npz", *FILES)  # of a mission; the second one as nls-sim writes it
 ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
 x, l = kinds("x", "l")
 

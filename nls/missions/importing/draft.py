@@ -30,6 +30,7 @@ TABLES = {  # what must be there, what may be
 }
 AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
 LEVEL_NOTE = "no column looks like it: level, as far as its sigma in [noise] says"
+OF_ONE_LOG = "needed only if several logs have these columns; leave it out to use the mapping for other dives"
 NOISE_OF = ("dvl", "dvl", "dvl", "ahrs", "ahrs", "ahrs", "depth")  # the table of each
 WALK = "sigma_walk_m_sqrt_s = 1.0   # a guess: by so much in the first second, and by its root in more"
 MESSAGES = {  # sections by type of message; {topic} is filled in
@@ -141,7 +142,7 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             continue
         tables.append(table)
         used |= set(chosen.values())
-        lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
+        lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}   # {OF_ONE_LOG}"] if named else [])]
         lines += [_line(column, chosen, log) for column in chosen]
         if table == "ahrs":
             lines += [f"{angle} = 0.0   # {LEVEL_NOTE}" for angle in ANGLES if angle not in chosen]

@@ -282,6 +282,8 @@ def _is_section(value: Any) -> bool:
 def _advice(name: str, value: object, known: tuple[str, ...]) -> str:
     """The line to write in the place of a key that is no column; nothing where no column is like it."""
     shown = str(value) if isinstance(value, int | float) else f'"{value if isinstance(value, str) else "..."}"'
+    if name == "valid":
+        return f"; select rows: where = {{ column = {shown}, equals = true }}"
     near = did_you_mean(name, [*known, *OPTIONS])
     if column := re.search(r"did you mean '(\w+)'", near):
         return f"{near}; write {column[1]} = {shown}"

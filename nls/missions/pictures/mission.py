@@ -219,7 +219,8 @@ def plan_before_after(
             mark(ax, values, wrong, rows, linestyle="--", linewidth=0.8, label=in_words(rejected))
     _plan(panels, values)
     chi2 = graph.chi2(before)
-    panels[0].set_title(f"chi2 = {number(chi2)} before, {number(result.chi2_final)} after")
+    without = f"\n(both without the {len(rejected):,} rejected)" * bool(rejected)
+    panels[0].set_title(f"chi2 = {number(chi2)} before, {number(result.chi2_final)} after{without}")
     convergence(result, figure.add_subplot(grid[:, 1], box_aspect=0.9), chi2)
     if title:
         figure.suptitle(title)

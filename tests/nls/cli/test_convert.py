@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -317,6 +318,7 @@ def test_a_stream_ends_at_the_optimum(name: str, form: str, shell: Shell) -> Non
     assert [line["step"] for line in lines] == list(range(1, len(lines) + 1))
 
 
+@pytest.mark.filterwarnings("always::nls.GraphWarning")
 def test_certify_and_a_folder(shell: Shell) -> None:
     world = WORLDS["ring"]()
     Path("demo").mkdir()
@@ -326,6 +328,14 @@ def test_certify_and_a_folder(shell: Shell) -> None:
     out = shell("solve demo --certify")
     assert "input       demo/graph.npz" in out
     assert "certificate certified" in out
+    now = Path("demo/graph.npz").stat().st_mtime
+    os.utime("demo/graph.g2o", (now, now + 1))  # as after an edit
+    newer = "graph.g2o is newer than graph.npz, which was read; give demo/graph.g2o"
+    assert shell.both("info demo")[1] == f"nls: warning: demo: {newer}\n"
+    assert shell.both("info demo/graph.g2o")[1] == ""
+    with pytest.warns(nls.GraphWarning, match="demo/graph.g2o") as said:
+        nls.load("demo")
+    assert said[0].filename == __file__
 
 
 def test_several_held_variables_are_refused(shell: Shell) -> None:

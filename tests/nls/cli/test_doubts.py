@@ -161,6 +161,17 @@ def test_a_warning_is_said_once(shell: Shell) -> None:
     assert any("UNKNOWN" in note for note in shell.report("solve graph.g2o")["notes"])
 
 
+def test_covariances_of_sigmas_that_are_too_large_are_told(shell: Shell) -> None:
+    twice = [(k, 1 + error) for k in range(20) for error in (-0.01, 0.01)]  # m; their sigma is 0.045 m
+    shell.file("".join(f"EDGE_SE2 {k} {k + 1} {x} 0 0 {INFORMATION_2}\n" for k, x in twice))
+    too_large = "all measurements: chi2 2 is 0.033 times its expectation of 60; sigmas about 5.5 times too large; "
+    told = [
+        any(note.startswith(too_large) for note in rows(shell(f"solve graph.g2o {option}"), "note"))
+        for option in ("", "--covariance c.csv", "--covariance c.csv --sigmas estimate")
+    ]
+    assert told == [False, True, False]
+
+
 def test_parts_that_nothing_joins_are_a_note_of_solve(shell: Shell) -> None:
     two = "the graph has 2 parts that no measurement connects (4 with x0, 2 with x10)"
     for text, count in ((PLANE + PART, 1), (PLANE, 0), (PLANE + PART + "FIX 0\nFIX 10\n", 0)):
@@ -202,7 +213,8 @@ def test_a_kernel_that_silences_a_sensor_is_loud(shell: Shell, untried: None) ->
     assert (report["converged"], report["fit"]) == (True, "IMPLAUSIBLE")
     (share,) = [share for share in report["ignored"] if share["table"] == "Position (fixes.csv)"]
     assert share["ignored"] > share["total"] / 4
-    assert f"nls: doubtful: {'; '.join(report['doubtful'])}; take the estimate with --allow-doubtful" in err
+    doubtful = f"nls: m: doubtful: {'; '.join(report['doubtful'])}; see: nls explain m --robust cauchy:1; or take"
+    assert f"{doubtful} the estimate with --allow-doubtful" in err
     assert row(out, "result").endswith("; ".join(report["doubtful"]))
     assert (shell / "out" / "doubtful.txt").read_text().splitlines() == report["doubtful"]
     for text in ((shell / "out" / f"track.{form}").read_text() for form in ("kml", "geojson")):

@@ -97,6 +97,9 @@ def test_the_solution_of_a_mission_beside_its_truth(shell: Shell, undrawn: None)
     assert row(out, "sigmas").startswith("mean of (error / sigma)^2: x ")
     assert rows(shell("evaluate solved/trajectory.csv m/truth.csv --align rigid"), "sigmas") == []
     assert shell.report("evaluate solved m --distances 1") == record
+    (shell / "s" / "truth").mkdir(parents=True)
+    (shell / "m" / "truth.csv").rename("s/truth/truth.csv")  # as nls-sim survey writes it
+    assert shell.report("evaluate solved s --distances 1")["ate"] == record["ate"]
     assert shell.report("evaluate solved solved --distances 1")["ate"]["rmse_m"] == 0
 
 
@@ -130,7 +133,7 @@ def test_refusals(shell: Shell) -> None:
         ("n.csv graph.txt", "a folder, or a file ending in .g2o, .toro, "),
         ("n.csv b.bal", "holds the poses of one kind, this graph has none"),
         ("empty n.csv", "expected a folder with trajectory.csv, as nls solve empty -o OUT writes"),
-        ("n.csv empty", "expected a folder with truth.csv or truth.npz or trajectory.csv"),
+        ("n.csv empty", "expected a folder with truth.csv or truth/truth.csv or truth.npz or trajectory.csv"),
         ("n.csv n.csv --distances 0,5", "meters above 0 with commas between"),
         ("n.csv n.csv --distances far", "meters above 0 with commas between"),
         ("n.csv n.csv --tolerance 1", "the poses are matched by number, not by time"),

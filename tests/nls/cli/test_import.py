@@ -40,6 +40,16 @@ def test_a_log_becomes_a_mission(shell: Shell) -> None:
     assert MAPPING in (shell / "mission" / "README.txt").read_text()
 
 
+def test_a_flag_of_a_table_without_flags_selects_its_rows(shell: Shell) -> None:
+    shell.file("t [s];depth [cm];ok\n0;250;True\n1;260;false\n", "log.csv")
+    shell.file('[depth]\ntime_s = "t [s]"\nz_m = "depth [cm]"\nvalid = "ok"\n', "mapping.toml")
+    refused = shell.refused("import log.csv --map mapping.toml -o mission")
+    cure = re.search(r"select rows: (where = .* }); it has", refused)
+    assert cure
+    shell.file((shell / "mapping.toml").read_text().replace('valid = "ok"', cure[1]), "mapping.toml")
+    assert rows(shell("import log.csv --map mapping.toml -o mission"), "written") == ["mission: depth 1"]
+
+
 def test_flags_with_a_decimal_point_are_flags(shell: Shell) -> None:
     folder(shell / "m", raw(), dvl=re.sub(r",1$", ",1.0000", raw()["dvl"], flags=re.M))
     shell("solve m")

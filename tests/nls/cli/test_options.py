@@ -208,6 +208,9 @@ def test_what_was_rejected_is_said_and_left_out(spoiled: tuple[Path, set[str]], 
     for each in record["rejected"]:
         assert each["file"] == str(path)
         assert lines[each["line"] - 1].split()[1:3] == re.findall(r"x(\d+)", each["factor"])
+    graph, values, _ = nls.load(path)
+    assert record["chi2_file"] == graph.chi2(values)  # of all
+    assert f"{record['chi2_final']:.9g} by the choice of gnc-tls and " in out
     assert (record["init"], record["certificate"]["verdict"]) == ("gnc-tls", "certified")
     assert f"{len(rejected)} of {record['doubted']} tested measurements rejected" in out
     assert f"rejected, {len(wrong)} of them far off, by up to" in out

@@ -101,7 +101,7 @@ def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pyte
     assert row(out, "settled").startswith("no: the last round moved the track by 0.7")
     monkeypatch.setattr("nls.missions.scans.solution.WILD", 0.1)
     _, err = shell.both("solve m", status=1)
-    assert err.startswith("nls: doubtful: not settled: the last of 1 rounds moved the track by 0.7")
+    assert err.startswith("nls: m: doubtful: not settled: the last of 1 rounds moved the track by 0.7")
 
 
 def test_other_commands(shell: Shell) -> None:
@@ -116,7 +116,7 @@ def test_a_wrong_setup_is_said_where_the_user_looks(shell: Shell) -> None:
     """Azimuths to the right, and no mission.toml that says so."""
     write(shell / "m", room(side=-1.0))
     _, err = shell.both("solve m --json r.json", status=1)
-    assert "nls: doubtful: no solution: the setup is wrong (mirrored), see the warning" in err
+    assert "nls: m: doubtful: no solution: the setup is wrong (mirrored), see the warning" in err
     assert "[drift]" not in err
     assert "nls: warning: m: azimuths look mirrored: 72 turning steps fit the other sign better, 0 fit this" in err
     (finding,) = shell.json()["scans"]["setup"]

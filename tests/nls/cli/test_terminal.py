@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,41 @@ def test_a_stage_is_shown_while_the_process_is_busy() -> None:
     assert max(seconds for seconds, _ in pieces[1:]) < 2
     assert text.endswith("\rinput\r\nresult\r\n")
     assert "\x1b" not in text
+
+
+DEAF = """
+import ctypes, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from nls.cli.phase import Phase
+phase = Phase("nls")
+phase.ticker.start()
+phase.begin("while solving a.g2o")
+phase.step("iteration 3")
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # as long as a factorization, which hears nothing
+ctypes.PyDLL(None).usleep({})
+signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+"""
+
+
+@pytest.mark.parametrize(("presses", "busy", "status"), [(2, 20, -signal.SIGTERM), (1, 3, -signal.SIGINT)])
+def test_ctrl_c_within_a_step_is_answered(presses: int, busy: int, status: int) -> None:
+    """A second one ends the command at once; after the first one its step goes on, and Python ends it then."""
+    child, here = pty.fork()
+    if not child:
+        os.environ |= {"PYTHONPATH": str(ROOT), "TERM": "xterm"}
+        os.execv(sys.executable, [sys.executable, "-c", DEAF.format(busy * 1_000_000)])
+    text, sent, began = "", 0, monotonic()
+    try:
+        while piece := os.read(here, 4096):
+            text += piece.decode()
+            if sent < presses and ("iteration 3" if not sent else "Ctrl-C again") in text:
+                sent += 1
+                os.write(here, b"\x03")
+    except OSError:
+        pass
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == status, text
+    assert ("interrupted within a step: solving a.g2o: iteration 3" in text) == (presses == 2)
+    assert monotonic() - began < 8
 
 
 def test_the_verdict_has_a_color_where_somebody_sees_it(shell: Shell) -> None:

@@ -121,8 +121,10 @@ def test_what_was_rejected_is_dashed_and_red_on_both_maps(group: LieGroup) -> No
     sample = pose_graph(group, start=0.3)
     result = sample.graph.optimize(sample.values)
     wrong = [Rejected(f"Between(x{i}, x{j})", 291.0, 0, 0, (x[i], x[j]), 0.0) for i, j in ((0, 5), (2, 7))]
-    figure = before_after(sample.graph, sample.values, result, rejected=wrong)
+    figure = before_after(sample.graph, sample.values, replace(result, history=result.history[:1]), rejected=wrong)
     drawn(figure)
+    assert [axes.get_title().endswith("without the 2 rejected") for axes in figure.axes] == [True, True, False]
+    assert figure.axes[2].get_title() == "the start was the optimum: 0 iterations"
     for axes, values in zip(figure.axes[:2], (sample.values, result.values), strict=True):
         (line,) = (line for line in axes.get_lines() if line.get_color() == REJECTED)
         X = np.stack(line.get_data_3d() if axes.name == "3d" else line.get_data(), axis=1)  # type: ignore[attr-defined]

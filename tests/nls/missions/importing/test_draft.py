@@ -154,6 +154,7 @@ a = 1\n\nb = "x\n | :3: is no TOML
 [dvll] | :1: [dvll] is no table of a mission; did you mean 'dvl'?
 seperator = ';'\n[dvl] | :1: 'seperator' is no table of a mission and no option; did you mean 'separator'?
 [depth]\nz_m = 1\n\n[dvl]\nvx = "u" | :5: dvl.csv has no column 'vx'; did you mean 'vx_m_s'?; write vx_m_s = "u"
+[fixes]\nvalid = "ok" | :2: fixes.csv has no column 'valid'; select rows: where = { column = "ok", equals = true }; it
 dvl.vx = "u" | :1: dvl.csv has no column 'vx'
 dvl = { time_s = "t", vx = "u" } | :1: dvl.csv has no column 'vx'
 [contacts]\ncolour = "red" | :2: contacts.csv has no column 'colour'; it has i, time_s, landmark

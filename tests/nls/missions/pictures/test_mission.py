@@ -184,7 +184,8 @@ def test_a_mission_before_and_after(solved: Solved, factor: float) -> None:
         assert_within(np.concatenate([np.asarray(line.get_xydata()) for line in solution]), ax)
         size = np.ptp(limits(ax), axis=0) / np.ptp(limits(alone), axis=0)
         assert size.max() < (1.2 if factor == 1 else 3.01)
-    assert panels[0].get_title() == f"chi2 = {number(graph.chi2(before))} before, {number(result.chi2_final)} after"
+    chi2 = f"chi2 = {number(graph.chi2(before))} before, {number(result.chi2_final)} after"
+    assert panels[0].get_title() == f"{chi2}\n(both without the 1 rejected)"
     assert curve.get_xlabel() == "iteration"
     assert legend_of(panels[0]) == ["landmarks moved", *names, *legend_of(plan(graph, dead).axes[0])[:-1]]
 
