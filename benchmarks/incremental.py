@@ -182,7 +182,7 @@ def page(data: Path, sets: list[str], rounds: int, gtsam: str | None) -> list[st
         "- ms: processor time of a step, one thread; last tenth: mean of the last tenth of the steps",
         "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, by Cholesky, or QR where Cholesky fails",
         f"- above: how far chi2 is above the batch minimum, at every {CHECK}th step",
-        "- beyond its gap: how often chi2 exceeds the smoother's own bound on its distance from the minimum",
+        "- beyond its gap: how often chi2 exceeds the smoother's own estimate of its distance from the minimum",
         *table,
     ]
 

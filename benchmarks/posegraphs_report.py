@@ -76,9 +76,17 @@ def write(results: dict[str, Any], folder: Path) -> None:
     (folder / "posegraphs.json").write_text(json.dumps(results, indent=1) + "\n")
     draw(sets, folder / "posegraphs.png")
     print(f"\n{shown}\n")
-    ratios = [(name, peer, ratio) for name, found in sets.items() for peer, ratio in found["ratio"].items()]
-    slower = [f"  {name}: {ratio:.2f} of {peer}" for name, peer, ratio in ratios if ratio > 1]
-    print("slower than a peer:\n" + "\n".join(slower) if slower else "faster than every peer on every set")
+    print("\n".join(beside(peer, sets) for peer in PEERS))
+
+
+def beside(peer: str, sets: dict[str, Any]) -> str:
+    """On how many sets a peer has a time, and on which of them leadline takes longer."""
+    ratios = {name: found["ratio"][peer] for name, found in sets.items() if peer in found["ratio"]}
+    if not ratios:
+        return f"{peer}: not compared, it has a time on none of {len(sets)} sets"
+    slower = ", ".join(f"{name} ({ratio:.2f} of its time)" for name, ratio in ratios.items() if ratio > 1)
+    where = f"slower on {slower}" if slower else "faster on all of them"
+    return f"{peer}: compared on {len(ratios)} of {len(sets)} sets; leadline is {where}"
 
 
 def fastest(sets: dict[str, Any]) -> list[str]:

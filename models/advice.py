@@ -17,7 +17,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "solve": ("solve first", "nls.explain(graph, graph.optimize(values).values)", "more --max-iterations"),
     "start": ("try another initial guess", "nls.initialize(graph, values)", "--init"),
     "start at better": ("continue from there", "graph.optimize(certificate.better)", "--improve"),
-    "certify": ("prove whether there is a lower minimum", "nls.certify(graph, values)", "nls solve --certify"),
+    "certify": ("check whether there is a lower minimum", "nls.certify(graph, values)", "nls solve --certify"),
     "damp": ("damp the steps", "nls.LevenbergMarquardt()", "--method levenberg-marquardt"),
     "qr": ("keep twice the digits", "linear_solver=nls.QR()", "--linear-solver qr"),
     "truncate": ("damp only the landmarks", "nls.Schur(block_inverse=nls.linear.truncated_inverse)", None),

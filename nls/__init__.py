@@ -33,7 +33,7 @@ Names in the order in which a program meets them:
     Marginals              covariances of variables, alone or together
     explain                what is free, doubtful or wrong, in sentences with cures
     gnc                    the estimate without outliers
-    certify                a proof that no other values have a lower chi2
+    certify                is it the global optimum? A proof in a related cost
     Incremental            the estimate after each new measurement
     plot                   pictures: trajectory, ellipses, convergence, matrices, report
     save                   a graph file

@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib
 import pytest
 
+import nls
 import nls.cli
 import sim.cli
 
@@ -98,3 +99,12 @@ def test_the_commands_print_what_is_shown(
                     assert Path(word).stat().st_size > 0
             ran += 1
     assert ran == 3
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    root = README.parent
+    if not (root / "CITATION.cff").exists():
+        pytest.skip("there is no CITATION.cff here (an installed copy has none)")
+    assert f"\nversion: {nls.__version__}\n" in (root / "CITATION.cff").read_text(encoding="utf-8")
+    entry = (root / "docs" / "how-to" / "cite.md").read_text(encoding="utf-8")
+    assert f"version = {{{nls.__version__}}}" in entry

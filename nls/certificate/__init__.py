@@ -1,4 +1,4 @@
-"""Whether a solved pose graph is the best there is: a certificate of global optimality, or a better one."""
+"""Whether a solved pose graph is at its global optimum, by a proof in the SE-Sync cost; or a better one."""
 
 from nls.certificate.verdict import Certificate, certify
 

@@ -94,7 +94,7 @@ class Certificate:
         minimum = "global optimum of the SE-Sync cost" if self.proved else "lowest minimum of the SE-Sync cost found"
         ends, higher = f"chi2, optimized from the {minimum},", "ends higher" if self.reached else "does not converge"
         if self.verdict == "certified":
-            why = f"{ends} ends at this solution. The proof is in that cost, which differs slightly from chi2. This "
+            why = f"{ends} ends at this solution. The proof is in that cost, not in chi2. This "
             why += "does not validate the measurements"
         elif self.verdict == "refuted":
             why = f"not globally optimal: {ends} ends lower"
@@ -126,7 +126,7 @@ class Certificate:
 
 @single_thread()
 def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Certificate:
-    r"""Whether the chi2 of values is the lowest, by a proof in the SE-Sync cost.
+    r"""Whether chi2 ends at these values from the global optimum of the SE-Sync cost, which is proved if possible.
 
     .. math:: \sum_{(i,j)} \kappa |R_j - R_i R_{ij}|_F^2 + \tau |t_j - t_i - R_i t_{ij}|^2
 

@@ -116,7 +116,7 @@ def parser() -> Parser:
     _json(solve)
     _robust(solve, REJECTING)
     add("--init", default="auto", choices=["auto", *choices.STARTS], help=START)
-    proof = "prove that a pose graph is at its global optimum; exit with 1 if a better one is found"
+    proof = "is a pose graph at its global optimum? Proof in the SE-Sync cost; exit with 1 if a better one is found"
     _flag(solve, "--certify", proof)
     how = solve.add_mutually_exclusive_group()
     _flag(how, "--quiet", "print nothing but errors")

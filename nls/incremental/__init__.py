@@ -1,4 +1,4 @@
-"""Smoothing as measurements arrive: the whole trajectory at its optimum after every update."""
+"""Smoothing as measurements arrive: the whole trajectory near its optimum after every update."""
 
 from nls.incremental.incremental import Incremental
 

@@ -1,12 +1,13 @@
-r"""Smoothing as measurements arrive, at the optimum of all of them after every update.
+r"""Smoothing as measurements arrive, near the optimum of all of them after every update.
 
 The gradient g = A'b is exact, at the present values. Only the factor of A'A is kept from update to update, and takes
 the rows of new measurements. The old factor is the preconditioner of conjugate gradients on the exact A'A:
 
     A'A dx = g by conjugate gradients,   x <- x [+] dx,   until gap <= 0.8 tol chi2
 
-The gap, a bound on how far chi2 is above its minimum, is four times the decrease of |A dx - b|^2 in the same
-iterations. On public graphs and logs chi2 itself decreases by up to 3 times as much.
+The gap estimates how far chi2 is above its minimum: four times the decrease of |A dx - b|^2 in the same iterations. On
+public graphs and logs chi2 itself decreases by up to 3 times as much. It is not a proof: small, strongly nonlinear
+graphs can exceed the gap.
 
 A new pose whose odometry fits exactly changes nothing, and a new measurement of residual r cannot lower the minimum:
 
@@ -52,7 +53,7 @@ SETTLED = 0.8  # of the tolerance: a smaller gap is no reason for another step
 
 
 class Incremental:
-    """The estimate of all variables so far, at the optimum of all measurements so far.
+    """The estimate of all variables so far, near the optimum of all measurements so far: `gap` estimates how near.
 
     Parameters
     ----------
@@ -65,8 +66,9 @@ class Incremental:
 
     Attributes
     ----------
-    gap : absolute, in units of chi2: chi2 is above its minimum by no more. With robust kernels an estimate, from how
-        fast the weights settle. Above tol * max(chi2, 1) where not even a batch solution has arrived.
+    gap : how far chi2 is above its nearest minimum, in units of chi2: an estimate, not a proof, four times the decrease
+        of the linear problem. With robust kernels also from how fast the weights settle. Above
+        tol * max(chi2, 1) where not even a batch solution has arrived.
 
     Examples
     --------

@@ -59,6 +59,15 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
         assert words.split()[1].split("=")[-1] in done.stderr
 
 
+def test_the_last_lines_say_who_was_not_compared(part: Callable[[str], Any]) -> None:
+    sets = {"ring": {"ratio": {"gtsam": 1.25}}, "intel": {"ratio": {"gtsam": 0.5, "ceres_cpp": 0.5}}}
+    assert [part("posegraphs_report").beside(peer, sets) for peer in ("gtsam", "g2o_cpp", "ceres_cpp")] == [
+        "gtsam: compared on 2 of 2 sets; leadline is slower on ring (1.25 of its time)",
+        "g2o_cpp: not compared, it has a time on none of 2 sets",
+        "ceres_cpp: compared on 1 of 2 sets; leadline is faster on all of them",
+    ]
+
+
 def timed(load: float, optimize: float, g2o: float, gtsam: float) -> dict[str, Any]:
     cpu = {"load": load, "start": 1.0, "optimize": optimize}
     return {"cpu": cpu, "total": sum(cpu.values()), "chi2": {"g2o": g2o, "gtsam": gtsam}}
