@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from sim.corrupt import outliers as outliers
     from sim.landmark_world import LandmarkWorld as LandmarkWorld
     from sim.mission import Mission as Mission
+    from sim.pictures import against_truth as against_truth
     from sim.scene import Scene as Scene
     from sim.sonar_images import contacts as contacts, sonar_image as sonar_image
     from sim.spoil import drop_contacts as drop_contacts, exchange_contacts as exchange_contacts
@@ -34,6 +35,7 @@ _WHERE = {
     "sim.corrupt": "outliers",
     "sim.landmark_world": "LandmarkWorld",
     "sim.mission": "Mission",
+    "sim.pictures": "against_truth",
     "sim.scene": "Scene",
     "sim.sonar_images": "contacts sonar_image",
     "sim.spoil": "drop_contacts exchange_contacts false_contacts poor_odometry",

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import nls
+import sim
 from factors import Between, Diagonal
 from models import SE2
 
@@ -30,7 +31,7 @@ def make() -> tuple[list[Figure], list[float]]:
     start, *_ = nls.initialize(graph, unknown, "odometry")
     result = graph.optimize(start)
     truth, *_ = nls.initialize(nls.FactorGraph([Between(x[0:40], x[1:41], EXACT, noise)]), unknown, "odometry")
-    figure = nls.plot.against_truth(graph, truth, {"dead reckoning": start, "loops closed": result.values})
+    figure = sim.against_truth(graph, truth, {"dead reckoning": start, "loops closed": result.values})
     figure.set_size_inches(7.6, 3.8)  # its words are read on a phone, too
     return [figure], [0.0]
 

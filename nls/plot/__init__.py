@@ -5,7 +5,6 @@ Pictures of missions are registered in `OF_MISSIONS`, and imported when they are
 """
 
 from nls.lazy import importer
-from nls.plot.against_truth import against_truth as against_truth
 from nls.plot.ellipses import ellipses as ellipses
 from nls.plot.factor_graph import factor_graph as factor_graph
 from nls.plot.filters import belief as belief
@@ -28,7 +27,7 @@ OF_MISSIONS = {
     "nls.missions.pictures.sonar": "fan_image frustum polar_image",
 }
 
-NOW = "against_truth animation before_after belief convergence correlations ellipses factor_graph offsets report spy"
+NOW = "animation before_after belief convergence correlations ellipses factor_graph offsets report spy"
 NOW += " trajectory view view_page"
 
 if not TYPE_CHECKING:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 import nls
-from models import SE3, R
+import sim
+from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from models.sensors import Camera
 from nls import Values
 from sim.pictures import rig_before_after
+from tests.nls.graphs import pose_graph
 
 x, l = nls.kinds("x", "l")
 same = np.testing.assert_allclose
@@ -78,3 +81,17 @@ def test_without_errors_it_is_drawn_all_the_same() -> None:
         figure.draw_without_rendering()
         ends = np.concatenate(drawn(figure.axes[0]))
         same(ends[:, 1], ends[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_each_estimate_is_drawn_over_the_truth_with_its_error(group: LieGroup) -> None:
+    sample = pose_graph(group)
+    X = sample.truth[x].copy()
+    X[:, :2] += [3.0, 4.0]
+    figure = sim.against_truth(sample.graph, sample.truth, {"moved": Values({x: (group, X)}), "true": sample.truth})
+    figure.draw_without_rendering()
+    assert [axes.get_title() for axes in figure.axes] == ["moved: 5 m off", "true: 0 m off"]
+    for axes, positions in zip(figure.axes, (X, sample.truth[x]), strict=True):
+        truth, estimate, _ = axes.get_lines()
+        np.testing.assert_array_equal(truth.get_xydata(), sample.truth[x][:, :2])
+        np.testing.assert_array_equal(estimate.get_xydata(), positions[:, :2])

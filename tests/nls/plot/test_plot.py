@@ -23,7 +23,7 @@ from models.errors import OptionError
 from models.listing import number
 from nls import FactorGraph, Marginals, Values
 from nls.missions.scans import dead_reckoning
-from nls.plot import against_truth, before_after, convergence, ellipses, spy, trajectory
+from nls.plot import before_after, convergence, ellipses, spy, trajectory
 from nls.plot.style import REJECTED
 from nls.robust.graduated import Rejected
 from tests.nls.graphs import ODD, Sample, Seen, in_frame, l, mixed, pose_graph, x
@@ -132,20 +132,6 @@ def test_what_was_rejected_is_dashed_and_red_on_both_maps(group: LieGroup) -> No
         np.testing.assert_array_equal(X[[0, 1, 3, 4]], t[[0, 5, 2, 7]])
         assert line.get_linestyle() == "--"
     assert figure.legends[0].get_texts()[-1].get_text() == "2 loop closures rejected"
-
-
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-def test_each_estimate_is_drawn_over_the_truth_with_its_error(group: LieGroup) -> None:
-    sample = pose_graph(group)
-    X = sample.truth[x].copy()
-    X[:, :2] += [3.0, 4.0]
-    figure = against_truth(sample.graph, sample.truth, {"moved": Values({x: (group, X)}), "true": sample.truth})
-    drawn(figure)
-    assert [axes.get_title() for axes in figure.axes] == ["moved: 5 m off", "true: 0 m off"]
-    for axes, positions in zip(figure.axes, (X, sample.truth[x]), strict=True):
-        truth, estimate, _ = axes.get_lines()
-        np.testing.assert_array_equal(truth.get_xydata(), sample.truth[x][:, :2])
-        np.testing.assert_array_equal(estimate.get_xydata(), positions[:, :2])
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
