@@ -374,5 +374,4 @@ def _rescaled(problem: Problem, optimizer: nls.Optimizer) -> Solved:
     if problem.form:
         report.notes.append(f"{problem.graph_file} holds the estimated sigmas, not the stated ones")
     problem = replace(problem, as_read=as_read, report=replace(report, factor_times=factor_times, statements=[]))
-    problem = replace(problem, graph=sigmas.graph, sigmas=sigmas)
-    return Solved(**vars(problem), result=sigmas.result)
+    return Solved(**vars(replace(problem, graph=sigmas.graph, sigmas=sigmas)), result=sigmas.result)

@@ -141,5 +141,4 @@ def without_rejected(
 def without_left(values: nls.Values, kept: nls.Values) -> nls.Values:
     """The values of the variables that were kept."""
     kinds = ((stack, kept.stack(stack.kind).numbers) for stack in values.stacks.values())
-    stacks = (stack.only(np.isin(stack.numbers, numbers)) for stack, numbers in kinds)
-    return nls.Values.of(stacks)
+    return nls.Values.of(stack.only(np.isin(stack.numbers, numbers)) for stack, numbers in kinds)

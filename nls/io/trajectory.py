@@ -140,8 +140,7 @@ def write_kitti(path: str | Path, poses: npt.ArrayLike) -> None:
 def kitti_text(path: str | Path, poses: npt.ArrayLike) -> bytes:
     """The bytes `write_kitti` writes; the path is for messages."""
     X = _some(path, poses)
-    T = np.concatenate([rotation3(X[:, 3:]), X[:, :3, None]], axis=2)
-    return _text(T.reshape(-1, 12))
+    return _text(np.concatenate([rotation3(X[:, 3:]), X[:, :3, None]], axis=2).reshape(-1, 12))
 
 
 def lifted(poses: npt.ArrayLike) -> Array:

@@ -241,8 +241,7 @@ class Step:
     def missed(self) -> bool:
         """Whether an undamped step promised a much larger fall than it brought."""
         # a step that promised 10 times the fall it brought has not converged, it has missed
-        much = self.undamped is None and self.promised > 10 * max(self.fall, self.little)
-        return much and not self.invisible
+        return self.undamped is None and self.promised > 10 * max(self.fall, self.little) and not self.invisible
 
     @cached_property
     def ending(self) -> bool:

@@ -143,5 +143,4 @@ def _moved(problem: Truncated, loops: LoopGraph, choice: Choice, inliers: Mask, 
     """The choice without a group, or with all of it where most of it is rejected."""
     takes = 2 * (inliers & group).sum() < group.sum()
     masks = loops.masks(inliers | group if takes else inliers & ~group)
-    start = problem.graph.only(masks).optimize(choice.result.values).values
-    return problem.settled(start)
+    return problem.settled(problem.graph.only(masks).optimize(choice.result.values).values)

@@ -53,8 +53,7 @@ def odometry(graph: FactorGraph, values: Values) -> Values:
     A track in which the two take turns it does not chain; `incremental` does.
     """
     refuse_other("odometry", graph, values)
-    poses = dead_reckoning(graph, chain(graph, values))
-    return search_elevation(graph, locate_points(graph, poses))
+    return search_elevation(graph, locate_points(graph, dead_reckoning(graph, chain(graph, values))))
 
 
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {

@@ -209,5 +209,4 @@ def type_named(name: object) -> type:
 
 def type_name(thing: Any) -> str | None:
     """The name of the class of a thing; None where it has none."""
-    known = {cls: name for name, cls in {**_own(), **_registered}.items()}
-    return known.get(type(thing))
+    return {cls: name for name, cls in {**_own(), **_registered}.items()}.get(type(thing))

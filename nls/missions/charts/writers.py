@@ -171,8 +171,7 @@ NODATA = -9999.0
 def depths_text(chart: Chart, projection: MapProjection | None = None) -> bytes:
     """The grid of the depths of a chart: of its landmarks, and of the bottom below the vehicle; it has one of them."""
     p = chart.depths
-    east_north = p[:, [1, 0]] if projection is None else projection.east_north(p)
-    return grid_text(east_north, p[:, 2])
+    return grid_text(p[:, [1, 0]] if projection is None else projection.east_north(p), p[:, 2])
 
 
 def cell_of(east_north: Array) -> float:

@@ -188,7 +188,7 @@ class TextLog(Log):
         self.text = text.replace("\r\n", "\n").split("\n")
         self.path = str(path)
         announce(f"{len(self.text):,} lines of {self.path}")
-        kept = [k for k, line in enumerate(self.text) if k >= skip and _counts(line)]
+        kept = [k for k, line in enumerate(self.text) if k >= skip and line.lstrip()[:1] not in ("", *COMMENTS)]
         if not kept:
             raise GraphFileError("has no row; expected a line of names and rows of values", self.path)
         head = self._header(kept, separator) if header else ""
@@ -303,11 +303,6 @@ def _names_units(cells: Sequence[Sequence[str]]) -> bool:
         return False
     pairs = zip(cells[0], cells[1], strict=False)
     return any(dimension(unit.strip(BRACKETS)) and is_number(cell.strip()) for unit, cell in pairs)
-
-
-def _counts(line: str) -> bool:
-    """Whether a line is neither blank nor a comment."""
-    return bool(start := line.lstrip()[:1]) and start not in COMMENTS
 
 
 def is_number(word: str) -> bool:
