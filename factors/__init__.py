@@ -89,7 +89,12 @@ _WHERE = {
 }
 
 if not TYPE_CHECKING:  # mypy would take it for a circle
+    import os
+    import sys
+
+    if os.path.basename(script := getattr(sys.modules["__main__"], "__file__", None) or "") == "nls.py":
+        raise ImportError(f"{script} has the name of the package 'nls' of leadline and hides it; rename the script")
     import nls.lazy  # refuses packages of other programs that shadow `models`, too
 
     __getattr__, __dir__, __all__ = nls.lazy.importer("factors", _WHERE)
-    del TYPE_CHECKING
+    del TYPE_CHECKING, os, script, sys

@@ -237,12 +237,12 @@ class Factor(Traits, Abstract):
         model = self._model  # read once, and what is returned is never read back: threads may bind one factor at once
         if model is None or model.manifolds != manifolds:
             name = self.name
+            if isinstance(self.slots, Manifold):
+                raise self._refusal(f"slots is one space, expected a tuple: slots = ({self.slots!r},)")
             if len(self.slots) != len(self.keys):
-                raise GraphError(
-                    f"{name}: its `slots` state {len(self.slots)} spaces, it has {len(self.keys)} variables; set one "
-                    "for each, such as slots = (SE2, R(2)), None for any",
-                    self.keys,
-                    name,
+                raise self._refusal(
+                    f"its `slots` state {len(self.slots)} spaces, it has {len(self.keys)} variables; set one for each, "
+                    "such as slots = (SE2, R(2)), None for any"
                 )
             for required, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
                 if required is not None and required is not manifold:

@@ -12,6 +12,7 @@ from factors.base import Factor, Model
 from factors.check_parts import check_parts
 from factors.differences import EPS, FIRST, ROUGH, SAFE, derivative, sizes
 from factors.noise import square, whiten
+from factors.robust import Kernel
 from models.algebra import Array, Mask
 from models.errors import GraphError, GraphWarning, JacobianError
 from models.listing import several
@@ -22,6 +23,7 @@ VAGUE = 1e-3  # uncertainty of a column, relative to its largest entry, that is 
 ROUNDING = 16 * EPS  # of A, relative to the largest column of its measurement, each times the size of its variable
 DUST = 1e-6  # a difference below this part of the same, and of the residual, may be noise where A is 0
 OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first happens to hide, it shows
+KERNEL_STEP = 1e-4  # relative step of s: what the difference leaves out is about its square
 RTOL, ATOL = 1e-4, 1e-6  # of entries that are those of a cause
 RATIOS = {  # of analytic to numeric, without its sign
     np.pi / 180: "it is in degrees, or radians are taken for degrees",
@@ -65,14 +67,16 @@ def check_jacobians(factor: Factor | Graph, values: Gatherer, rtol: float = 1e-6
         With the worst entry, both values, and the likely cause (ratio of analytic to difference: sign, degrees,
         factor of 2; transpose, transposed rotation); of a graph that of the factor that disagrees most.
     GraphError
-        Neither a factor nor a graph; an array of n rows that the class does not declare, `per_measurement` and
-        `shared`; a measurement whose residual changes where the batch is cut, reversed or one longer.
+        A robust kernel whose `weight` is not d rho / ds. Neither a factor nor a graph; an array of n rows that the
+        class does not declare, `per_measurement` and `shared`; a measurement whose residual changes where the batch is
+        cut, reversed or one longer.
 
     Warns
     -----
     GraphWarning
-        A column with too few digits in its differences, or with none at any step: a mistake of a thousandth would not
-        show. A column lost in the rounding of the others of its measurement counts as 0.
+        A factor without Jacobians of its own: nothing is compared. A column with too few digits in its differences, or
+        with none at any step: a mistake of a thousandth would not show. A column lost in the rounding of the others of
+        its measurement counts as 0.
 
     Examples
     --------
@@ -110,7 +114,12 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
     """The largest relative disagreement of one factor; errors and warnings as those of `check_jacobians`."""
     model, X = values.gather(factor)
     A, b = model.linearize(*X)
-    h = factor.predict(model.manifolds, *X)[0]
+    h, own = factor.predict(model.manifolds, *X)
+    if own is None:
+        nothing = "predict returns no Jacobians, so central differences are used and there is nothing to compare"
+        warnings.warn(f"{factor!r:.200}: {nothing}", GraphWarning, stacklevel=3)
+    if factor.kernel is not None:
+        _check_kernel(factor.kernel)
     rounding = EPS * (whiten(np.abs(model.W), sizes(model.space, h)[:, model.rows]) + np.abs(b))
     extents = [sizes(m, Y)[:, None, :] for m, Y in zip(model.manifolds, X, strict=True)]
     largest = np.max(
@@ -173,6 +182,23 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
                 stacklevel=3,
             )
     return max(deviations)
+
+
+def _check_kernel(kernel: Kernel) -> None:
+    """Compare weights with central differences of rho, over four decades of s around c^2.
+
+    Raises
+    ------
+    GraphError
+        A weight that is not d rho / ds.
+    """
+    s = kernel.c**2 * np.logspace(-2.013, 1.987, 41)  # none is c^2, where a weight may jump
+    slope = (kernel.rho(s * (1 + KERNEL_STEP)) - kernel.rho(s * (1 - KERNEL_STEP))) / (2 * KERNEL_STEP * s)
+    weight = np.asarray(kernel.weight(s), dtype=float)
+    k = int(np.argmax(np.abs(weight - slope)))
+    if not abs(weight[k] - slope[k]) <= RTOL:
+        wrong = f"weight is {weight[k]:.4g} at s = {s[k]:.4g}, where d rho / ds is {slope[k]:.4g}"
+        raise GraphError(f"{kernel!r}: {wrong}; expected weight = d rho / ds, s the squared whitened residual")
 
 
 def _likely_cause(A: Array, numeric: Array, W: Array) -> str:

@@ -209,9 +209,7 @@ def advice(result: nls.Result, allowed: bool) -> str:
     if result.rises and not result.attempts:
         return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"
     if name in ("MAX_ITERATIONS", "MAX_TIME"):
-        return "allow more with --max-iterations" + (
-            "" if allowed else ", or take the estimate with --allow-unconverged"
-        )
+        return "allow more with --max-iterations" + ", or take the estimate with --allow-unconverged" * (not allowed)
     if name in ("STOPPED", "INTERRUPTED"):
         return "the best estimate so far was kept"
     return "the best estimate so far was kept; try another --init"

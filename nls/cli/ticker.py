@@ -60,10 +60,6 @@ class _Line:
         self.began = self.since = monotonic()
         self.command, self.presses = os.getppid(), list[float]()
 
-    def press(self, *_: object) -> None:
-        """Note a Ctrl-C that comes within a step."""
-        self.presses.append(monotonic())
-
     def draw(self) -> None:
         """Show what is done; end the command after a second Ctrl-C that it does not hear."""
         now, done = monotonic(), f"{self.stage}{self.step and f': {self.step}'}"
@@ -91,7 +87,7 @@ def _tick() -> None:
 
     line, lock = _Line(), Lock()
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as for a command in the background
-        signal.signal(signal.SIGINT, line.press)
+        signal.signal(signal.SIGINT, lambda *_: line.presses.append(monotonic()))
 
     def draw() -> None:
         while True:

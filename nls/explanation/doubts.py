@@ -121,9 +121,7 @@ def of_suspects(
     return out
 
 
-def large_sigmas(
-    name: str, chi2: float, expected: float, typical: float = float("nan"), without: int = 0
-) -> list[Finding]:
+def large_sigmas(name: str, chi2: float, expected: float, typical: float = np.nan, without: int = 0) -> list[Finding]:
     """A finding on measurements of this name whose chi2 is so far below its expectation that sigmas are too large.
 
     Parameters
@@ -131,9 +129,8 @@ def large_sigmas(
     name, chi2, expected : of these measurements, and their degrees of freedom.
     typical, without : their median residual, and how many suspects are not among them.
     """
-    if not chi2 > 1e-6 * expected > 0 or chi2_tail(np.array(chi2), np.array(expected)) < 1 - 1e-3:
-        return []
-    if (times := (expected / chi2) ** 0.5) <= SIZEABLE:
+    times = (expected / chi2) ** 0.5 if chi2 > 1e-6 * expected > 0 else 0.0
+    if times <= SIZEABLE or chi2_tail(np.array(chi2), np.array(expected)) < 1 - 1e-3:
         return []
     numbers = {"kind": name, "without": without, "chi2": chi2, "expected": expected, "typical": typical}
     advice = (Advice("smaller sigmas"), *(Advice("squares"),) * (times > 3))
@@ -268,9 +265,8 @@ def of_choice(choice: Robustified, contacts: bool = False) -> list[Finding]:
     names = ("doubted", "probability", "sigma0")
     # one of 20 choices has a right measurement so far off
     far = [rejected.sigmas for rejected in choice.rejected if rejected.chance < 0.05]
-    numbers = {"count": len(choice.rejected), "by_chance": choice.expected_by_chance}
-    numbers |= {"far": len(far), "most": max(far, default=0.0)}
-    numbers |= {name: getattr(choice, name) for name in names}
+    numbers = {"count": len(choice.rejected), "by_chance": choice.expected_by_chance, "far": len(far)}
+    numbers |= {"most": max(far, default=0.0)} | {name: getattr(choice, name) for name in names}
     out = [Finding(ChoiceKind.CONTACTS if contacts else ChoiceKind.REJECTED, (), numbers)]
     if choice.left:
         count = sum(landmark.measurements for landmark in choice.left)

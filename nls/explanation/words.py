@@ -7,7 +7,7 @@ from typing import Any
 
 from models.advice import listed
 from models.findings import Sentences
-from models.listing import number, some
+from models.listing import number, several, some
 from models.manifolds.units import unit
 from nls.analysis.observable import in_unit
 from nls.explanation.findings import ChoiceKind, Explanation, Finding, FindingKind, Part
@@ -168,10 +168,13 @@ def _turn(f: Finding) -> str:
 
 
 def _unverified(f: Finding) -> str:
-    n = f.numbers
+    n, (first, *others) = f.numbers, f.numbers["factors"]
+    accepted = f"and {several(len(others), 'more closure')} agree with each other" if others else "is accepted"
     moves = f"the map moves {n['meters']:.3g} m ({n['sigmas']:.2g} sigmas)"
     motion = moves if isfinite(n["meters"]) else "the graph falls apart"
-    return f"accepted, not verified: {some(n['factors'], 1)}: redundancy {n['redundancy']:.2f}, {motion} without it"
+    which = _pronoun(len(n["factors"]))
+    unchecked = f"but nothing else checks {which} (redundancy {n['redundancy']:.2f})"
+    return f"{first} {accepted}, {unchecked}; without {which} {motion}"
 
 
 def _repeated(f: Finding) -> str:

@@ -191,14 +191,13 @@ def graph_file(path: str | Path) -> str | Path:
 
     A `GraphWarning` names the second one where it is newer, as after an edit.
     """
-    if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not any(Path(path).glob("*.csv*")):
-        files = [file for name in GRAPH_FILES if (file := Path(path, name)).is_file()]
-        for other in files[1:]:
-            if other.stat().st_mtime > files[0].stat().st_mtime + COPIED_TOGETHER:
-                newer = f"{other.name} is newer than {files[0].name}, which was read; give {other}"
-                warnings.warn(f"{path}: {newer}", GraphWarning, stacklevel=4)
-        return str(files[0]) if files else path
-    return path
+    is_folder = isinstance(path, str | os.PathLike) and os.path.isdir(path) and not any(Path(path).glob("*.csv*"))
+    files = [file for name in GRAPH_FILES if is_folder and (file := Path(path, name)).is_file()]
+    for other in files[1:]:
+        if other.stat().st_mtime > files[0].stat().st_mtime + COPIED_TOGETHER:
+            newer = f"{other.name} is newer than {files[0].name}, which was read; give {other}"
+            warnings.warn(f"{path}: {newer}", GraphWarning, stacklevel=4)
+    return str(files[0]) if files else path
 
 
 def title_of(path: str | Path) -> str:

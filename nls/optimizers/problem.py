@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from models.algebra import Array
-from models.errors import EvaluationError, SingularGeometryError
+from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.linear.base import LinearSolution, LinearSolver
 from nls.linear.default import chosen_solver
 from nls.linear.factorization import NULL, SingularSystemError
@@ -47,8 +47,12 @@ class Problem:
         return self._timed("linearize", lambda: LinearSystem.at(self.pattern, values))
 
     def solve(self, system: LinearSystem, damping: Array | None = None) -> Array:
-        self.latest = system
-        return self._counted(self.analysis.solve(system, damping))
+        self.latest, start = system, perf_counter()
+        try:
+            return self._counted(self.analysis.solve(system, damping))
+        except KeyboardInterrupt:
+            self._add("factorize", perf_counter() - start)  # nearly all of it
+            raise
 
     def solve_again(self, system: LinearSystem) -> Array | None:
         """The step by the factorization of the latest solve; None where the linear solver keeps none."""
@@ -127,6 +131,8 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
         Something is free: there is no unique step.
     EvaluationError
         Squares of weights or Jacobians overflow.
+    OptionError
+        Not a linearization.
 
     Examples
     --------
@@ -138,6 +144,8 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     >>> gauss_newton_step(graph.linearize(Values({x: (SE2, [0, 0, 0])}))).round(6)
     array([1., 2., 0.])
     """
+    if not isinstance(system, LinearSystem):
+        raise OptionError("system", system, "a LinearSystem, graph.linearize(values)")
     solver = chosen_solver(linear_solver, system.pattern.n)
     try:
         return solver.analyze(system.pattern).solve(system).dx

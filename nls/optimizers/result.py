@@ -40,7 +40,7 @@ class Fit(Enum):
 
     PLAUSIBLE = "the residuals agree with the stated noise"
     HIGH = "more than noise explains"
-    IMPLAUSIBLE = "wrong sigmas, outliers, or a point that is stationary but no minimum"
+    IMPLAUSIBLE = "wrong sigmas, outliers, a local minimum, or a stationary point that is no minimum"
 
 
 def fit(chi2: float, dof: int, robust: bool = False) -> Fit:
@@ -245,9 +245,10 @@ class Result:
 
     @property
     def rises(self) -> int:
-        """Steps that raised chi2, of an optimization that did not converge."""
+        """Steps that raised chi2, of an optimization that ended by itself and did not converge."""
         chi2 = [iteration.chi2 for iteration in self.history]
-        return 0 if self.converged else sum(b > a for a, b in pairwise(chi2))
+        ended = self.status in (Status.CONVERGED, Status.STOPPED, Status.INTERRUPTED)
+        return 0 if ended else sum(b > a for a, b in pairwise(chi2))
 
     @property
     def iterations(self) -> int:

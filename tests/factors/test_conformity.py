@@ -197,6 +197,7 @@ def test_a_noise_of_another_size_is_refused_when_a_factor_is_made() -> None:
                         sample.factor(z, sizes(1, other))
 
 
+@pytest.mark.filterwarnings("ignore:.* nothing to compare:nls.GraphWarning")
 def test_check_jacobians_accepts_every_factor() -> None:
     for sample in {str(sample).split("-")[0]: sample for sample in SAMPLES}.values():
         X, z = situation(sample, "large innovation", 3, 1)

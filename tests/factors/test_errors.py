@@ -15,7 +15,7 @@ from factors.base import Jacobians
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, Manifold, R
 from models.algebra import Array
-from models.errors import EvaluationError, GraphError, JacobianError, NoiseModelError, OptionError
+from models.errors import EvaluationError, GraphError, GraphWarning, JacobianError, NoiseModelError, OptionError
 from models.sensors import point_in_frame
 from nls import FactorGraph, Values, kinds
 from tests.combinations import for_all
@@ -231,7 +231,7 @@ def test_spaces_and_slots_that_are_none() -> None:
         slots = ()
 
     forgetful = Forgetful(R(3), lambda X: (X, None))
-    refused(lambda: PLANE.gather(forgetful), GraphError, "Forgetful: .* 0 spaces, it has 1")
+    refused(lambda: PLANE.gather(forgetful), GraphError, "Forgetful.*: .* 0 spaces, it has 1")
 
 
 @for_all(
@@ -358,6 +358,23 @@ def test_check_jacobians_names_a_transposed_rotation(noise: Noise) -> None:
     assert check_jacobians(right, values) < 1e-6
     cause = "it is transposed" if isinstance(noise, Isotropic) else "a rotation in it is transposed"
     refused(lambda: check_jacobians(wrong, values), JacobianError, f"of l[01]: analytic .*; likely: {cause}$")
+
+
+def test_check_jacobians_says_where_it_compares_nothing() -> None:
+    factor = Factor.from_function(lambda X: X[:, :2], l[0], 2)
+    with pytest.warns(GraphWarning, match="predict returns no Jacobians, so .* there is nothing to compare"):
+        check_jacobians(factor, PLANE)
+
+
+def test_slots_of_one_space_without_a_comma_are_refused() -> None:
+    class Anchor(Prior):
+        slots = R(2)  # type: ignore[assignment]
+
+    refused(
+        lambda: FactorGraph([Anchor(l[0], [0.0, 0.0], Isotropic(1))]).chi2(PLANE),
+        GraphError,
+        r"slots is one space, expected a tuple: slots = \(R\(2\),\)",
+    )
 
 
 def test_check_jacobians_of_a_graph_names_the_worst_factor() -> None:

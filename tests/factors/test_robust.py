@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import factors as f
-from factors import Cauchy, Covariance, Diagonal, Huber, Isotropic, Prior, Robust, Tukey
+from factors import Cauchy, Covariance, Diagonal, Huber, Isotropic, Prior, Robust, Tukey, check_jacobians
 from factors.robust import KERNELS, kernel_from_text
 from models import SE2, R
-from models.errors import NoiseModelError, OptionError, UnderconstrainedError
+from models.algebra import Array
+from models.errors import GraphError, NoiseModelError, OptionError, UnderconstrainedError
 from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import refused
@@ -148,3 +149,19 @@ def test_everything_rejected_is_said() -> None:
     for optimizer in (GaussNewton(), LevenbergMarquardt(), Dogleg()):
         with pytest.raises(UnderconstrainedError, match="q0"):
             graph.optimize(Values({q: (R(1), [[50.0]])}), optimizer)
+
+
+class Halved(Cauchy):
+    """A weight that is another derivative than that of its rho."""
+
+    def weight(self, s: Array) -> Array:
+        return 0.5 * super().weight(s)
+
+
+def test_check_jacobians_checks_the_weight_of_a_kernel() -> None:
+    factor, at = Prior(q[0], [1.0, 2.0], Isotropic(0.1)), Values({q: (R(2), [0.0, 0.0])})
+    for kernel in KERNELS.values():
+        assert check_jacobians(factor.robust(kernel(1.5)), at) < 1e-6
+    refused(
+        lambda: check_jacobians(factor.robust(Halved(2)), at), GraphError, r"Halved\(2\): weight is .* d rho / ds is"
+    )

@@ -79,6 +79,8 @@ def test_others_still_offer_them() -> None:
     with pytest.raises(UnderconstrainedError, match=r"keep twice the digits: linear_solver=nls.QR\(\)"):
         nls.gauss_newton_step(graph.linearize(values))
     assert np.isfinite(nls.gauss_newton_step(graph.linearize(values), nls.DenseQR())).all()
+    with pytest.raises(nls.OptionError, match=r"expected a LinearSystem, graph.linearize\(values\)$"):
+        nls.gauss_newton_step(graph, values)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("method", ["levenberg-marquardt", "dogleg", "gauss-newton", None])

@@ -13,9 +13,11 @@ ROOT = Path(__file__).parents[2]
 WAYS_OUT = ("Rename the other one", "python -P", "virtual environment")
 
 
-def run(folder: Path, program: str, *options: str, path: str = "") -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, program: str, *options: str, path: str = "", name: str = "run.py"
+) -> subprocess.CompletedProcess[str]:
     """A script in a folder, which is then the first place where Python looks for packages."""
-    script = folder / "run.py"
+    script = folder / name
     script.write_text(program)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [path, str(ROOT)]))}
     command = [sys.executable, "-W", "error", *options, str(script)]
@@ -51,6 +53,12 @@ def test_the_file_in_the_way_is_named_with_the_ways_out(tmp_path: Path, file: st
 def test_every_package_beside_nls_is_checked(tmp_path: Path, name: str) -> None:
     (tmp_path / f"{name}.py").touch()
     assert f"In the way: {tmp_path / name}.py (comes first on sys.path)" in refusal(run(tmp_path, "import nls"))
+
+
+@pytest.mark.parametrize("first", ["import nls\nimport factors", "from factors import Between"])
+def test_a_script_called_nls_is_named(tmp_path: Path, first: str) -> None:
+    message = refusal(run(tmp_path, first, name="nls.py"))
+    assert message.startswith(f"\nImportError: {tmp_path / 'nls.py'} has the name of the package 'nls' of leadline")
 
 
 def test_the_ways_out_lead_out(tmp_path: Path) -> None:

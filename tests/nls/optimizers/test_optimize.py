@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,19 @@ def test_interrupted_in_a_residual(name: str) -> None:
     assert result.chi2_final == min(it.chi2 for it in result.history)
     assert 0 < result.values[p[0]][0] < 3000.0
     assert np.array_equal(start[p], [[3000.0]])
+
+
+def test_an_interrupted_factorization_has_its_seconds_and_no_rise(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(*_: object) -> None:
+        time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nls.optimizers.problem.Problem._counted", slow)
+    graph, start = circle()
+    result = graph.optimize(start, GaussNewton())
+    assert (result.status, result.timings["factorize"] > 0.05) == (Status.INTERRUPTED, True)
+    risen = replace(result, history=[Iteration(0, 1.0), Iteration(1, 2.0)])
+    assert (risen.rises, replace(risen, status=Status.CYCLING).rises) == (0, 1)
 
 
 @ALL
