@@ -11,7 +11,7 @@ from models.advice import Advice, listed
 from models.listing import several
 from nls.cli.graph_file import GraphFile
 from nls.cli.run import Problem, Solved, iteration_table, peak_rss_mb, time_rows, time_table
-from nls.gauge import choose_gauge, component_labels, fixed_variables
+from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
@@ -95,7 +95,8 @@ def _findings(solved: Solved) -> list[str]:
     if component_labels(pattern).any():  # several parts: the first one begins with the first variable
         from nls.explanation.explanation import separate_parts
 
-        gauge = choose_gauge("first", pattern, result.values, fixed_variables(graph.fixed, result.values))
+        fixed = fixed_variables(graph.fixed, result.values) | ~touched_variables(pattern)  # warned of before
+        gauge = choose_gauge("first", pattern, result.values, fixed)
         notes += separate_parts(pattern, gauge)
     shown = result.converged and (options.covariance or options.view or options.report)
     if shown and result.ratio < 1 and not result.robust:

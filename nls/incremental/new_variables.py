@@ -111,8 +111,7 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
     X = [np.zeros((1, space.size)) if k == slot else known.value(keys) for k, keys in enumerate(first.keys)]
     z = first.relative_poses(model)
     if z is not None and isinstance(space, LieGroup) and spaces[1 - slot] is space:
-        step = z if slot == 1 else space.inverse(z)
-        return np.asarray(space.compose(X[1 - slot], step)[0])
+        return np.asarray(space.compose(X[1 - slot], z if slot == 1 else space.inverse(z))[0])
     if isinstance(first, Sighting) and first.locates and slot == 1 and isinstance(spaces[0], LieGroup):
         return np.asarray(first.locate(spaces[0], first.sensor_pose(spaces[0], X[0], *X[2:]), model.z)[0])
     return None

@@ -3,6 +3,8 @@
 `NormalEquations` are the solvers of A'A dx = A'b by a sparse factorization of H = A'A.
 """
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from time import perf_counter
 from typing import ClassVar, NamedTuple

@@ -16,6 +16,8 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
 - One thread: see `nls.sparse.threads`.
 """
 
+from __future__ import annotations
+
 from functools import cache
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Sparse LU of A'A by SciPy's SuperLU: needs nothing but SciPy."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -59,9 +59,8 @@ def before_after(
     for axes, values in ((left, before), (middle, result.values)):
         named = _map(graph, values, axes, rejected)
     times = one_scale(graph, (left, before), (middle, result.values))
-    without = f",\nwithout the {len(rejected):,} rejected" * bool(rejected)
-    left.set_title(f"before: chi2 = {number(chi2)}{without}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
-    middle.set_title(f"after: chi2 = {number(result.chi2_final)}{without}")
+    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
+    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
     convergence(result, right, chi2)
     if title:
         figure.suptitle(title)
@@ -117,7 +116,7 @@ def convergence(result: Result, axes: Axes | None = None, before: float | None =
     axes.xaxis.set_major_formatter(lambda k, _: f"{k:.0f}" if k >= 0 else "")
     axes.yaxis.set_minor_formatter(NullFormatter())
     ended = f"{result.status.name.lower().replace('_', ' ')} after {several(result.iterations, 'iteration')}"
-    axes.set_title(ended if result.iterations or not result.converged else "the start was the optimum: 0 iterations")
+    axes.set_title(ended if result.iterations or not result.converged else "0 more iterations")
     return figure_of(axes)
 
 
@@ -185,7 +184,8 @@ def _map(graph: FactorGraph, values: Values, axes: Axes, rejected: Sequence[Reje
         else:
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if rejected:
-        mark(axes, values, [measurement.keys for measurement in rejected], linestyle="--", label=in_words(rejected))
+        label = f"{in_words(rejected)}, not in chi2"
+        mark(axes, values, [measurement.keys for measurement in rejected], linestyle="--", label=label)
     if dim == 3:
         space_box(axes, _points(graph, values), is_down(graph))
     else:
@@ -196,7 +196,7 @@ def _map(graph: FactorGraph, values: Values, axes: Axes, rejected: Sequence[Reje
 def in_words(rejected: Sequence[Rejected]) -> str:
     """How many loop closures were rejected, or measurements where some are of another kind."""
     closing = all(len({key.kind for key in measurement.keys}) == 1 < len(measurement.keys) for measurement in rejected)
-    return f"{len(rejected):,} {'loop closure' if closing else 'measurement'}{'s' * (len(rejected) > 1)} rejected"
+    return f"{several(len(rejected), 'loop closure' if closing else 'measurement')} rejected"
 
 
 def mark(

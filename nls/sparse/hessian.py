@@ -11,6 +11,8 @@ pairs of slots, one for every measurement. Sums over measurements by variable ar
 batch, whatever the width of its parts.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, cached_property
 from itertools import combinations

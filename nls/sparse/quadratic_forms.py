@@ -6,6 +6,8 @@ elimination tree. Matrices that begin near one another in that tree share most o
 Source: T. A. Davis, "Direct Methods for Sparse Linear Systems", 2006, section 3.2: the reach of a sparse right side.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy import sparse as sp
 

@@ -30,6 +30,8 @@ W. F. Tinney, "On computing certain elements of the inverse of a sparse matrix",
 backward pass of the multifrontal method, I. Duff, J. Reid, ACM TOMS 9 (1983).
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from importlib import import_module
 

@@ -95,8 +95,7 @@ class Pairs(NamedTuple):
         rows = np.flatnonzero(np.abs(d - crossings.closest) > CLOSE)  # nan is not
         crossings = ray_range(self.b[rows], s[rows], self.z[rows, 0])
         Sigma = crossings.covariance(self.J_b[rows], self.Sigma_uv[rows], self.sigma_r[rows], near=nearer[rows])
-        p = SE3.act(self.C[rows], d[rows, None] * self.b[rows])
-        return rows, p, np.trace(Sigma, axis1=1, axis2=2) / 3
+        return rows, SE3.act(self.C[rows], d[rows, None] * self.b[rows]), np.trace(Sigma, axis1=1, axis2=2) / 3
 
     def _nearer(self, O: Array, crossings: RayRange) -> Mask:
         """Which (n,) of the pairs with two points in front have the azimuth of the near one."""

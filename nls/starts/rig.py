@@ -154,5 +154,4 @@ def _far_apart(v: Array) -> list[int]:
     """Three of the points (n, 3): the farthest from their mean, the farthest from that, the farthest from the two."""
     a = int(np.argmax(np.linalg.norm(v - v.mean(axis=0), axis=1)))
     b = int(np.argmax(np.linalg.norm(v - v[a], axis=1)))
-    c = int(np.argmax(np.linalg.norm(np.cross(v - v[a], v[b] - v[a]), axis=1)))
-    return [a, b, c]
+    return [a, b, int(np.argmax(np.linalg.norm(np.cross(v - v[a], v[b] - v[a]), axis=1)))]

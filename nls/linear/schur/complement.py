@@ -16,6 +16,8 @@ there are few stacked products however many lengths there are. Variables p that 
 count as one with both their columns. So there are a fourth of the pairs, and half of the numbers to be gathered.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -17,6 +17,8 @@ Source: D. C. Brown, "The bundle adjustment: progress and prospects", 1976; B. T
 A. Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.1.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import combinations
 

@@ -202,8 +202,7 @@ class Chart:
     def intervals(self) -> Index:
         """Poses at equal distances along the track, the first and the last among them: those with an ellipse."""
         way = self.way
-        at = np.searchsorted(way, np.linspace(0, way[-1], ELLIPSES))
-        return np.unique(np.append(at, len(way) - 1))
+        return np.unique(np.append(np.searchsorted(way, np.linspace(0, way[-1], ELLIPSES)), len(way) - 1))
 
     @property
     def ellipses(self) -> Iterator[tuple[str, int, Array]]:

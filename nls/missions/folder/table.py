@@ -390,5 +390,4 @@ def csv_text(names: Sequence[str], *columns: npt.ArrayLike | Sequence[str]) -> b
             raise GraphError(f"{names[len(cells)]}: a number is not finite; a file holds finite ones only")
         entries = array.reshape(len(array), -1).T.tolist()
         cells += [[item if isinstance(item, str) else repr(item) for item in column] for column in entries]
-    rows = [",".join(row) for row in zip(*cells, strict=True)]
-    return ("\n".join([",".join(names), *rows]) + "\n").encode()
+    return ("\n".join([",".join(names), *map(",".join, zip(*cells, strict=True))]) + "\n").encode()

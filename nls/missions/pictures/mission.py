@@ -216,11 +216,10 @@ def plan_before_after(
         ax.plot(*_positions(before)[:, rows].T, color=BEFORE, linewidth=1.4, linestyle="--", label=label)
         if rejected:
             wrong = [measurement.keys for measurement in rejected]
-            mark(ax, values, wrong, rows, linestyle="--", linewidth=0.8, label=in_words(rejected))
+            mark(ax, values, wrong, rows, linestyle="--", linewidth=0.8, label=f"{in_words(rejected)}, not in chi2")
     _plan(panels, values)
     chi2 = graph.chi2(before)
-    without = f"\n(both without the {len(rejected):,} rejected)" * bool(rejected)
-    panels[0].set_title(f"chi2 = {number(chi2)} before, {number(result.chi2_final)} after{without}")
+    panels[0].set_title(f"chi2 = {number(chi2)} before, {number(result.chi2_final)} after")
     convergence(result, figure.add_subplot(grid[:, 1], box_aspect=0.9), chi2)
     if title:
         figure.suptitle(title)
