@@ -36,8 +36,8 @@ class Between(Factor):
     Notes
     -----
     Only differences are measured: with no other factor the whole group of motions is free (gauge). A difference of
-    points determines headings, too: beside poses a shift alone is free. G. Grisetti et al., "A tutorial on graph-based
-    SLAM", 2010.
+    points that is not 0 determines headings, too: beside poses a shift alone is free. G. Grisetti et al., "A tutorial
+    on graph-based SLAM", 2010.
 
     Examples
     --------
@@ -57,6 +57,9 @@ class Between(Factor):
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         super().__init__([i, j], z, noise, convention)
+
+    def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
+        return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         if manifolds[0] is not manifolds[1]:

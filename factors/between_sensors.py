@@ -82,6 +82,9 @@ class BetweenSensors(Factor):
                 f"{self!r}: expected a pair of offsets or one variable, got {offset!r:.60}", keys, self.name
             )
 
+    def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
+        return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction
+
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         group = manifolds[0]
         if manifolds[1] is not group or not isinstance(group, LieGroup):

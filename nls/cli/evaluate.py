@@ -194,8 +194,7 @@ def _consistency(estimate: Poses, rows: Index, error: TrajectoryError) -> dict[s
     known = np.isfinite(squares)
     if not known.any(axis=0).all():
         return None
-    means = np.where(known, squares, 0.0).sum(axis=0) / known.sum(axis=0)
-    return dict(zip("xyz", means.tolist(), strict=True))
+    return dict(zip("xyz", (np.where(known, squares, 0.0).sum(axis=0) / known.sum(axis=0)).tolist(), strict=True))
 
 
 def lines(record: dict[str, Any]) -> list[str]:

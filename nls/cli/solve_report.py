@@ -58,7 +58,7 @@ def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:
         "written": written,
         "unwritten": [error.message for error in solved.failed],
         **findings,
-        "notes": [*report.notes, *_findings(solved), *doubtful(kind, result, written, cures)],
+        "notes": [*report.notes, *_findings(kind, solved), *doubtful(kind, result, written, cures)],
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -88,7 +88,7 @@ def _additions(kind: GraphFile, solved: Solved) -> dict[str, Any]:
     return record
 
 
-def _findings(solved: Solved) -> list[str]:
+def _findings(kind: GraphFile, solved: Solved) -> list[str]:
     """Notes on parts that no measurement joins, and on sigmas that are too large where covariances are written."""
     graph, options, result, notes = solved.graph, solved.options, solved.result, list[nls.Finding]()
     pattern = graph.pattern(result.values)
@@ -99,7 +99,7 @@ def _findings(solved: Solved) -> list[str]:
         gauge = choose_gauge("first", pattern, result.values, fixed)
         notes += separate_parts(pattern, gauge)
     shown = result.converged and (options.covariance or options.view or options.report)
-    if shown and result.ratio < 1 and not result.robust:
+    if shown and result.ratio < 1 and not (result.robust or kind.rejects):  # there --sigmas estimate is refused
         from nls.explanation.doubts import large_sigmas
 
         notes += large_sigmas("all measurements", *result.believed)

@@ -54,8 +54,7 @@ def axes(
     if frame is None and manifold.body_axes:
         which = f"say along which axes the covariance of {keys.kind} in {manifold} is"
         raise OptionError("frame", None, f'frame="body" or frame="world": {which}')
-    J = manifold.world_axes(X) if frame == "world" and manifold.body_axes else None
-    return J, manifold.components
+    return manifold.world_axes(X) if frame == "world" and manifold.body_axes else None, manifold.components
 
 
 def turned(J: Array | None, Sigma: Array) -> Array:

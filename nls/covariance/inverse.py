@@ -72,8 +72,10 @@ class SelectedInverse:
 
     def lacks(self, u: Index, v: Index) -> Mask:
         """Which pairs (n,) of variables share no block, and neither is held."""
-        key, place = self._places(self._number[u], self._number[v])
-        return np.asarray((self._key[place] != key) & self._free[u] & self._free[v])
+        apart = self._free[u] & self._free[v]
+        key, place = self._places(self._number[u[apart]], self._number[v[apart]])
+        apart[apart] = self._key[place] != key
+        return apart
 
     def blocks(self, u: Index, v: Index, d: int, e: int) -> Array:
         """Blocks (n, d, e) of pairs (n,) of variables of these sizes: all u are of one kind, and all v."""

@@ -169,7 +169,7 @@ def _turn(f: Finding) -> str:
 
 def _unverified(f: Finding) -> str:
     n, (first, *others) = f.numbers, f.numbers["factors"]
-    accepted = f"and {several(len(others), 'more closure')} agree with each other" if others else "is accepted"
+    accepted = f"and {several(len(others), 'more closure')} join the same stretches" if others else "is accepted"
     moves = f"the map moves {n['meters']:.3g} m ({n['sigmas']:.2g} sigmas)"
     motion = moves if isfinite(n["meters"]) else "the graph falls apart"
     which = _pronoun(len(n["factors"]))

@@ -95,8 +95,8 @@ class BoundedText:
         if b"#" in before or b"#" in chunk:
             text = COMMENT.sub(b"", before + chunk).removeprefix(b"x")
         dark = np.frombuffer(text, dtype=np.uint8) > 0x20
-        commas = text.count(b",") if b"," in text else 0  # the search takes a tenth of the time
-        return int(np.count_nonzero(dark)) - commas
+        # the search for a comma takes a tenth of the time
+        return int(np.count_nonzero(dark)) - (text.count(b",") if b"," in text else 0)
 
 
 def _words(chunk: bytes) -> int:

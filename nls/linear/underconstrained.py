@@ -263,6 +263,11 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
     return some([text for _, text in named], 6, "; ", " variables")
 
 
+def _poses(pattern: Pattern, variables: Index) -> bool:
+    """Whether poses are among some variables."""
+    return any(pattern.manifolds[pattern.key(int(v)).kind].body_axes for v in variables)
+
+
 def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, list[Advice]]:
     """The moving variables in words, and cures: an anchor for whole components, another view for single variables."""
     label = component_labels(pattern)
@@ -271,8 +276,11 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
     parts = []
     for k in np.unique(label[moving]):
         members = free[label[free] == k]
-        if not np.isin(members, moving).all() or (label[pattern.held] == k).any():
-            return _listed(named), [Advice("view", ("a landmark",)), Advice("prior", ("the variables",))]
+        held = np.flatnonzero(pattern.held & (label == k))
+        if len(held) or not np.isin(members, moving).all():
+            turns = len(held) > 0 and not _poses(pattern, held) and _poses(pattern, moving[label[moving] == k])
+            cure = Advice("fix", ("a pose",)) if turns else Advice("view", ("a landmark",))
+            return _listed(named), [cure, Advice("prior", ("the variables",))]
         _, names = texts[int(members[0])].split(": ", 1)
         size = f"all {len(members)} variables connected to" if len(members) > 1 else "the variable"
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")

@@ -258,8 +258,30 @@ def test_points_that_know_the_axes_turn_a_map_that_grows(group: LieGroup, lag: i
 def test_one_difference_in_space_leaves_a_turn_about_itself_free() -> None:
     seen, L, start = turned_start(SE3)
     differences, free = along_world("difference", L)
-    with pytest.raises(UnderconstrainedError, match="leave 1 direction free"):
-        FactorGraph([*seen, differences[[0]], free]).optimize(start)
+    graph = FactorGraph([*seen, differences[[0]], free])
+    with pytest.raises(UnderconstrainedError, match="leave 1 direction free") as caught:
+        graph.optimize(start)
+    assert str(caught.value.advice[0]) == "fix a pose"
+    graph.fix(x[0])  # the cure
+    assert graph.optimize(start).converged
+
+
+@in_plane_and_space
+def test_a_difference_of_zero_has_no_direction(group: LieGroup) -> None:
+    """Two names of one point: everything turns about it, and the pose is fixed."""
+    seen, L, start = turned_start(group)
+    same = Between(l[0], l[1], np.zeros_like(L[0]), Isotropic(100.0))
+    result = FactorGraph([*seen, same, Prior(p[0], [0.0], Isotropic(1.0))]).optimize(start)
+    assert (result.gauge, result.converged) == ("x0 fixed", True)
+    np.testing.assert_array_equal(result.values[x[0]], start[x[0]])
+
+
+def test_a_graph_that_is_fixed_as_a_whole_has_no_covariance_but_zero() -> None:
+    sample = pose_graph(SE2)
+    sample.graph.fix(x[sample.values.stack(x).numbers])
+    marginals = Marginals(sample.graph, sample.values)
+    i, j = sample.graph.factors[0].keys
+    assert not marginals.cross(i, j, frame="body").any()
 
 
 def test_a_calibration_that_walks_is_not_held() -> None:

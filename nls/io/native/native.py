@@ -70,8 +70,7 @@ def native_bytes(
     if form == "json":
         return (json_of(plain) + "\n").encode(), []
     arrays: dict[str, Any] = {}
-    structure = json_of(without_arrays(plain, arrays))
-    return archived({STRUCTURE: np.array(structure), **arrays}), []
+    return archived({STRUCTURE: np.array(json_of(without_arrays(plain, arrays))), **arrays}), []
 
 
 def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:

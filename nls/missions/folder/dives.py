@@ -35,7 +35,7 @@ from nls.missions.starts.placing import turn_to
 from nls.values import Values
 
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
-FEW = 10  # shared landmarks, of which neighbors say nothing
+FEW = 50  # shared landmarks; fewer may agree with others by chance
 (x,) = kinds("x")
 Read = tuple[FactorGraph, Values, MissionReport]
 
@@ -155,23 +155,21 @@ def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
 
 
 def _refuse_other_landmarks(dives: Sequence[Read], names: Sequence[str]) -> None:
-    """Refuse equal numbers of other landmarks: neighbors in one dive are as far apart in the other as any two.
+    """Refuse equal numbers of other landmarks: no shift and turn of one dive explains where they are in the other.
 
-    Dead reckoning that drifts does not change which landmarks are neighbors.
+    The share of their spread that is left is 0.7 to 1 of 50 other landmarks or more; drift and noise seldom leave half.
     """
-    from scipy.spatial import cKDTree
-
     for (k, (_, first, _)), (_, (_, second, report)) in combinations(enumerate(dives), 2):
         p, q = _shared(first, second, SHARED[:1])
         if len(p) < FEW:
             continue
-        neighbors = np.median(np.linalg.norm(q - q[cKDTree(p).query(p, k=2)[1][:, 1]], axis=1))
-        any_two = np.sqrt(2 * q.var(axis=0).sum())
-        if neighbors > 0.5 * any_two:  # 0.03 to 0.1 of landmarks that are the same, 0.7 to 0.9 of others
-            name = names[k]
-            beside = f"neighbors in {name} are {neighbors:.2g} m apart here, any two landmarks {any_two:.2g} m"
+        a, b = p - p.mean(axis=0), q - q.mean(axis=0)
+        turned = abs(np.vdot(a @ [1, 1j], b @ [1, 1j]))  # by the best angle
+        left = 1 - 2 * turned / (np.square(a).sum() + np.square(b).sum())
+        if left > 0.7:
+            spread = f"the best shift and turn leaves {100 * left:.0f} % of their spread"
             cure = "give different landmarks different numbers, or solve the dives one by one"
-            message = f"{len(p)} of its landmarks have numbers of {name} but other places: {beside}; {cure}"
+            message = f"{len(p)} of its landmarks have numbers of {names[k]} but other places: {spread}; {cure}"
             raise GraphFileError(message, report.path)
 
 

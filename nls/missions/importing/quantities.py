@@ -280,8 +280,7 @@ def _cure(section: Section, texts: Sequence[str], k: int, day: str) -> str:
     where = f"in [{section.table}] of the mapping"
     for words in (texts, texts[k : k + 1]):
         if fitting := formats(words, day):
-            lines = [f'`time_format = "{form}"`' for form in fitting]
-            return f"write {' or '.join(lines)} {where}"
+            return "write " + " or ".join(f'`time_format = "{form}"`' for form in fitting) + f" {where}"
         if formats(words, "" if day else ONE_DAY):
             other = f'write `date = "{EXAMPLE}"`, the day of the first row, {where}'
             return f"it has a date; leave date out of [{section.table}]" if day else f"it has no date; {other}"

@@ -319,7 +319,7 @@ def test_the_choice_its_report_and_its_record_have_the_group_that_nothing_verifi
     assert group.names == same.names
     assert carried.unverified is carried.unverified
     numbers = f"(redundancy 0.00); without them the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas)"
-    agree = "Between(x0, x50) and 9 more closures agree with each other"
+    agree = "Between(x0, x50) and 9 more closures join the same stretches"
     assert f"{agree}, but nothing else checks them {numbers}" in carried.report()
     (entry,) = record(carried, [Source("a.g2o", np.zeros(len(w), np.intp)) for w in carried.weights])["unverified"]
     assert entry["factors"] == [f"Between(x{k}, x{k + 50})" for k in range(10)]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from models import euler
 from nls import FactorGraph, GraphFileError, kinds
 from nls.cli import main
 from nls.missions import write_mission
+from nls.missions.folder import dives as dives_module
 from tests.nls.missions.folder.mission_files import TINY, folder, raw
 
 x, l = kinds("x", "l")
@@ -82,6 +85,20 @@ def test_dives_with_other_landmarks_of_equal_numbers_are_refused(dives: list[Pat
     (other / "anchor.csv").write_text((dives[0] / "anchor.csv").read_text().replace("\n0,", "\n113,"))
     with pytest.raises(GraphFileError, match=r"other: \d+ of its landmarks have numbers of first but other places"):
         nls.load([dives[0], other])
+
+
+def test_the_same_landmarks_are_not_refused_however_small_their_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixty piles in a square of two meters, off by half a meter, and turned by a compass that is wrong."""
+    rng = np.random.default_rng(0)
+    at = rng.uniform(-1, 1, (60, 2))
+    turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+    pairs = [at + rng.normal(0, 0.3, at.shape), at @ turn + rng.normal(0, 0.3, at.shape)]
+    monkeypatch.setattr(dives_module, "_shared", lambda *_: pairs)
+    reads: Any = [(None, None, None), (None, None, SimpleNamespace(path="b"))]
+    dives_module._refuse_other_landmarks(reads, ["a", "b"])
+    pairs[1] = rng.permutation(pairs[1])
+    with pytest.raises(GraphFileError, match="60 of its landmarks have numbers of a but other places"):
+        dives_module._refuse_other_landmarks(reads, ["a", "b"])
 
 
 def test_refusals(tmp_path: Path) -> None:
