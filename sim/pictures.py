@@ -14,6 +14,7 @@ import numpy as np
 from factors.keys import Keys
 from models import SE3
 from models.alignment import align
+from models.errors import OptionError
 from nls.plot.picture import add_lines, full_legend, new_figure
 from nls.plot.style import BEFORE, BELOW, CLOSURE, ESTIMATE, SERIES, SIGHT, TRUE
 from nls.plot.trajectory import closures
@@ -48,6 +49,11 @@ def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Val
     -------
     matplotlib.figure.Figure
 
+    Raises
+    ------
+    OptionError
+        The truth has no poses.
+
     Examples
     --------
     >>> import numpy as np
@@ -58,18 +64,22 @@ def against_truth(graph: FactorGraph, truth: Values, estimates: Mapping[str, Val
     >>> [axes.get_title() for axes in figure.axes]
     ['dead reckoning: 1.7 m off', 'solution: 0.12 m off']
     """
+    shapes = {kind: np.shape(stack.manifold.position(stack.X))[1] for kind, stack in truth.stacks.items()}
+    poses = [kind for kind, stack in truth.stacks.items() if 0 < shapes[kind] < stack.manifold.dim and len(stack)]
+    if not poses:
+        raise OptionError("truth", truth, "values with poses")
+    colors = (BEFORE, ESTIMATE, *SERIES[2:])
     # a map is 5.2 inches wide and high
     figure = new_figure(5.2 * len(estimates), 5.2)
     panels = figure.subplots(1, len(estimates), squeeze=False, sharex=True, sharey=True)[0]
-    for axes, (name, values), color in zip(panels, estimates.items(), (BEFORE, ESTIMATE, *SERIES[2:]), strict=False):
+    for k, (axes, (name, values)) in enumerate(zip(panels, estimates.items(), strict=True)):
+        color = colors[k % len(colors)]
         segments, _ = closures(graph, values, {*truth.stacks})
         add_lines(axes, segments[:, :, :2], color=CLOSURE, linewidth=1.2, alpha=0.8, label="loop closures")
         errors = []
-        for kind, stack in truth.stacks.items():
-            keys = Keys(kind, np.sort(stack.numbers))
-            p, q = (np.asarray(stack.manifold.position(poses[keys])) for poses in (values, truth))
-            if p.shape[1] == stack.manifold.dim:  # a point
-                continue
+        for stack in map(truth.stack, poses):
+            keys = Keys(stack.kind, np.sort(stack.numbers))
+            p, q = (np.asarray(stack.manifold.position(those[keys])) for those in (values, truth))
             axes.plot(*q[:, :2].T, color=BELOW, linewidth=7.0, zorder=0, label="truth")
             axes.plot(*p[:, :2].T, color=color, linewidth=2.0)
             axes.plot(*p[0, :2], "o", color=color, markersize=9)

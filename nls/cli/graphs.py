@@ -1,6 +1,7 @@
 """``nls info``, ``plot``, ``view`` and ``convert``: a graph as it was read, in numbers, drawn, in another format."""
 
 import argparse
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
 from nls.cli.outputs import PAGES, PICTURES, refuse_name, refuse_unwritable, say, write_json
 from nls.io import files
-from nls.io.formats import format_of
+from nls.io.formats import FORMATS, format_of
 
 LABELS = {  # where the identifier of a program says too little
     "components": "connected parts",
@@ -73,7 +74,8 @@ def view(options: argparse.Namespace) -> int:
     """Read, draw the page, write; returns the exit status."""
     name = "stdin" if options.file == "-" else files.title_of(options.file)
     remark = "poses and residuals as read, before any solve; nls solve --view shows the solution"
-    output = options.output or f"{name.partition('.')[0]}-view.html"
+    known = "|".join(re.escape(suffix) for row in FORMATS.values() for suffix in row.suffixes)
+    output = options.output or re.sub(rf"(?i)({known})?(\.gz)?\Z", "-view.html", name, count=1)
     return _drawn(options, output, PAGES, lambda kind, read, output: kind.view(read, remark).save(output))
 
 

@@ -271,7 +271,7 @@ class Mission(Folder):
         mission = self.mission(report)
         times, points = bottom(values, mission)
         clouds = {"sea floor below the track": (points, times)} if len(points) else {}
-        truth = {"truth": mission.truth} if mission.truth.stacks else {}
+        truth = {"truth": mission.truth} if any(key in values for key in mission.truth) else {}
         return {"tracks": truth, "clouds": clouds, "down": True}
 
     def made(self, solved: Solved) -> MissionFiles:

@@ -175,12 +175,11 @@ def joint_of(
             for block, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
         ]
         Sigma = np.concatenate(rows).T
-    single = tuple(key for batch in batches for key in batch)
-    names = [f"{k!r}: {name}" for b, (_, names) in zip(batches, shown, strict=True) for k in b for name in names]
-    widths = [len(names) for batch, (_, names) in zip(batches, shown, strict=True) for _ in batch]
-    ends = np.cumsum(widths, dtype=np.intp)
-    parts = [slice(int(end) - width, int(end)) for end, width in zip(ends, widths, strict=True)]
-    return Joint((Sigma + Sigma.T) / 2, tuple(names), single, parts)
+    single = [(key, names) for batch, (_, names) in zip(batches, shown, strict=True) for key in batch]
+    ends = np.cumsum([len(names) for _, names in single]).tolist()
+    parts = list(map(slice, [0, *ends], ends))
+    names = tuple(f"{key!r}: {name}" for key, names in single for name in names)
+    return Joint((Sigma + Sigma.T) / 2, names, tuple(key for key, _ in single), parts)
 
 
 def outlines(Sigma: Array, probability: float = 0.95) -> Array:

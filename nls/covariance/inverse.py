@@ -243,8 +243,7 @@ def anchored_factorization(
                 raise error from None
             continue
         undetermined = Undetermined(_cleaned(free), error)
-        owner, _ = pattern.column_owner()
-        if len(np.unique(owner[undetermined.moved])) == int((~pattern.held).sum()):
+        if len(np.unique(pattern.column_owner()[0][undetermined.moved])) == int((~pattern.held).sum()):
             raise error
         return anchored, factorization, undetermined
     raise error
@@ -320,9 +319,8 @@ def free_part(
     """
     gauge, complement = gauge_columns(held, free)
     count = len(gauge) + (0 if others is None else others.shape[1])
-    needed = 6 * 8.0 * free.n * count
     words = f"gauge 'free': {count} free directions of {free.n} unknowns need"
-    refuse_larger(needed, memory_limit, "free gauge", words, "use gauge 'first'")
+    refuse_larger(6 * 8.0 * free.n * count, memory_limit, "free gauge", words, "use gauge 'first'")
     A = LinearSystem.at(free, values).A
     try:
         unheld = factorization.solve((A[:, complement].T @ A[:, gauge]).toarray())

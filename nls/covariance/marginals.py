@@ -39,7 +39,7 @@ from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
 from nls.linear.factorization import SingularSystemError
 from nls.linear.limits import checked_limit
-from nls.sparse.pattern import Pattern
+from nls.sparse.pattern import Pattern, measuring
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
@@ -152,12 +152,11 @@ class Marginals:
             unheld = decided.pattern.holding(decided.fixed)
             others = None if self._undetermined is None else self._undetermined.N
             self._free = free_part(pattern, unheld, self._factorization, values, self.memory_limit, others)
-        zero = decided.fixed if decided.free else decided.held
         moved = np.zeros(len(fixed), dtype=bool)
         if self._undetermined is not None:
             moved[pattern.column_owner()[0][self._undetermined.moved]] = True
         words = ["fixed", "unmeasured", "gauge", "free"]  # the first that holds
-        self._status = np.select([fixed, decided.fixed, zero, moved], words, "estimated")
+        self._status = np.select([fixed, decided.fixed, decided.held & (not decided.free), moved], words, "estimated")
         self._first = np.cumsum(pattern.dims) - pattern.dims  # column of every variable, held or not
         self._column = np.full(int(pattern.dims.sum()), -1)  # column of A of each of these
         self._column[pattern.expand(np.ones(pattern.n)) > 0] = np.arange(pattern.n)
@@ -242,11 +241,7 @@ class Marginals:
             k = int(np.argmax(apart))
             text = f"{i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or Marginals(..., pairs=[(i, j)])"
             raise GraphError(f"Marginals.cross: {text}", [i[[k]], j[[k]]])
-        columns_i, columns_j = self._columns(i), self._columns(j)
-        Sigma = self._selected.blocks(u, v, columns_i.shape[1], columns_j.shape[1])
-        if self._free is not None:
-            Sigma = self._free.moved(Sigma, columns_i, columns_j)
-        Sigma = Sigma if J_i is None else J_i @ Sigma
+        Sigma = self._blocks(i, j) if J_i is None else J_i @ self._blocks(i, j)
         return Sigma if J_j is None else Sigma @ J_j.mT
 
     def relative(self, i: Keys, j: Keys) -> Array:
@@ -310,7 +305,8 @@ class Marginals:
         Raises
         ------
         GraphError
-            A factor of the graph, whose estimate has used the measurements.
+            A factor of the graph, whose estimate has used the measurements; one that measures nothing, as limits do, or
+            different counts of numbers, as with zeros in some of its information matrices.
         UnderconstrainedError
             One of the variables has no covariance, see `status`.
 
@@ -333,12 +329,20 @@ class Marginals:
         if any(batch.model.factor is factor for batch in self._pattern.batches):
             cure = "take it out of the graph and optimize, then ask"
             raise GraphError(f"Marginals.gate: {factor!r:.80} is in the graph, and the estimate has used it; {cure}")
+        d2, model = self.distances(factor), self.values.gather(factor)[0]
+        m = sorted({*measuring(model).tolist()}) or [model.dim]
+        if len(m) > 1 or not m[0]:
+            cure = "a limit is for one such count, 1 or more: ask for factor[rows] of one"
+            raise GraphError(f"Marginals.gate: {factor!r:.80} measures {' or '.join(map(str, m))} numbers; {cure}")
+        return Gate(d2, chi2_gate(m[0], probability))
+
+    def distances(self, factor: Factor) -> Array:
+        """The d2 (n,) of `gate`, also where it has no limit."""
         for keys in factor.keys:
             self._axes(keys, "body", None)
         model, X = self.values.gather(factor)
         columns = np.concatenate([self._columns(keys) for keys in factor.keys], axis=1)
-        d2 = predicted_distances(*model.linearize(*X), columns, self._dense)
-        return Gate(d2, chi2_gate(model.dim - factor.eliminated, probability))
+        return predicted_distances(*model.linearize(*X), columns, self._dense)
 
     def status(self, kind: Kind | str) -> list[str]:
         """The status of every variable of a kind, in the order of the values.
@@ -346,9 +350,8 @@ class Marginals:
         ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: no measurement touches it,
         ``free``: the measurements leave it free in some direction. These two have no covariance.
         """
-        name = kind.name if isinstance(kind, Kind) else kind
-        size, start = len(self.values.stack(name)), self._pattern.offsets[name]
-        return [str(word) for word in self._status[start : start + size]]
+        stack = self.values.stack(kind)
+        return [str(word) for word in self._status[self._pattern.offsets[stack.kind] :][: len(stack)]]
 
     @cached_property
     def _selected(self) -> SelectedInverse:
@@ -357,16 +360,15 @@ class Marginals:
     @cached_property
     def _diagonal(self) -> dict[str, Array]:
         """Diagonal blocks (n, d, d) of every kind, axes of the tangent space."""
-        out = {}
-        for kind, stack in self.values.stacks.items():
-            variables, d = self._pattern.offsets[kind] + np.arange(len(stack)), stack.manifold.dim
-            Sigma = self._selected.blocks(variables, variables, d, d)
-            if self._free is not None:
-                columns = self._first[variables][:, None] + np.arange(d)
-                Sigma = self._free.moved(Sigma, columns, columns)
-                Sigma = (Sigma + Sigma.mT) / 2
-            out[kind] = Sigma
-        return out
+        keys = {kind: Keys(kind, stack.numbers) for kind, stack in self.values.stacks.items() if len(stack)}
+        blocks = {kind: self._blocks(these, these) for kind, these in keys.items()}
+        return {kind: (Sigma + Sigma.mT) / 2 for kind, Sigma in blocks.items()}
+
+    def _blocks(self, i: Keys, j: Keys) -> Array:
+        """Blocks (n, d_i, d_j) of pairs that share a block of H, axes of the tangent spaces."""
+        rows, columns = self._columns(i), self._columns(j)
+        Sigma = self._selected.blocks(self._variables(i), self._variables(j), rows.shape[1], columns.shape[1])
+        return Sigma if self._free is None else self._free.moved(Sigma, rows, columns)
 
     def _dense(self, columns: Index) -> Array:
         """Rows and columns (k,) of Sigma, axes of the tangent spaces."""

@@ -1,7 +1,7 @@
 """A map to turn, zoom and ask: a figure of plotly with a layer for every kind of thing, and the page that holds it.
 
 Lines have a color by chance: a measurement of m numbers is off by s = |b| sigmas, and s^2 is below the quantile p of
-chi-squared with m degrees of freedom with probability p, if its sigmas are right.
+chi-squared with m degrees of freedom with probability p, if its sigmas are right. Limits have m = 0: none is beyond.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.keys import Keys
-from models.chi_squared import chi2_gate
-from models.errors import EvaluationError, OptionError, SingularGeometryError
+from models.chi_squared import chi2_tail
+from models.errors import EvaluationError, GraphError, OptionError, SingularGeometryError
 from models.visible import visible
 from nls.covariance.frames import outlines
 from nls.gauge import placeless_kinds
@@ -28,6 +28,7 @@ from nls.plot.report.page import Page
 from nls.plot.style import BEFORE, CLOSURE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, SERIES, SIGHT, TRUE
 from nls.plot.trajectory import is_down
 from nls.posegraph import closures, places
+from nls.sparse.pattern import measuring
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -46,7 +47,7 @@ MOST = 10_000  # elements of a layer that are drawn: 60,000 poses with their clo
 MOST_IN_LINE = 20_000  # poses in the line of a track, points of a cloud: nothing is said of each
 FEW = 3_000  # elements: more are drawn thin
 WIDER = 1.25  # times the width of the map: wider tracks are switched off at first
-CHANCES = (0.95, 0.999)  # with which a right measurement is not beyond
+TAILS = np.array([[0.05], [0.001]])  # chances of a right measurement to be beyond
 COLORS = {"within 95 %": CLOSURE, "beyond 95 %": "#e3a008", "beyond 99.9 %": "#e8590c"}  # of measurements
 DARK = {ESTIMATE: "#6cc3e8", TRUE: "#f2f2f2", BEFORE: "#f0a060", REJECTED: "#ff5d73", ELLIPSE: "#d38add"}  # on black
 
@@ -72,7 +73,8 @@ def view(
     graph : its measurements are drawn, colored by their residuals at the values; of `nls.gnc` the graph that was kept.
     values : the variables; kinds without positions are left out.
     report : of the graph: times of the poses, file and line of every measurement.
-    tracks : further values by what they are called, such as ``truth`` or ``dead reckoning``.
+    tracks : further values by what they are called, such as ``truth`` or ``dead reckoning``; of the variables of the
+        graph, others are left out.
     clouds : further points by what they are called: (n, 2 or 3), m, and for each when it was seen: the time where the
         report has times of the poses, the number of the pose elsewhere.
     rejected, lines : measurements that `nls.gnc` has rejected, dashed and red; and the file and line of each.
@@ -90,6 +92,8 @@ def view(
     ------
     OptionError
         The package plotly is not installed.
+    GraphError
+        No variable has a position; a track has no variable of the map.
 
     Examples
     --------
@@ -163,14 +167,16 @@ class Scene:
         self.report = report if lines == [len(factor) for factor in graph.factors] else None  # else of another graph
         self.graph, self.values = graph, values
         self.pattern = graph.pattern(values)
-        stacks = [stack for kind, stack in values.stacks.items() if kind not in placeless_kinds(self.pattern)]
-        self.dim = max((_positions(stack).shape[1] for stack in stacks), default=2)
+        stacks = [s for kind, s in values.stacks.items() if len(s) and kind not in placeless_kinds(self.pattern)]
+        self.dim = max((_positions(stack).shape[1] for stack in stacks), default=0)
+        if not self.dim:
+            raise GraphError("view: no kind of the values has positions; nls.plot.factor_graph(graph) draws the graph")
         self.stacks = {stack.kind: stack for stack in stacks if _positions(stack).shape[1] == self.dim}
         self.poses = [kind for kind, stack in self.stacks.items() if stack.manifold.dim > self.dim]
         given = {} if report is None else report.vertex_times
         times = {kind: given[kind] for kind in self.poses if kind in given}
-        for kind in [k for k, t in times.items() if (np.diff(t[np.argsort(self.stacks[k].numbers)]) < 0).any()]:
-            del times[kind]  # those of several dives
+        # without those of several dives
+        times = {k: t for k, t in times.items() if not (np.diff(t[np.argsort(self.stacks[k].numbers)]) < 0).any()}
         self.timed, self.order, V = bool(times), places(self.pattern), len(self.pattern.dims)
         self.place, when = np.full((V, self.dim), np.nan), np.full(V, -np.inf)
         for kind, stack in self.stacks.items():
@@ -230,12 +236,11 @@ class Scene:
                 line = {"color": ELLIPSE if pose else LANDMARK, "width": 1.5}
                 yield self._layer(f"95 % ellipses of {kind}", known, rings, since[rows], not pose, line=line)
             name = f"landmarks {kind}" if not pose else f"track {kind}" if len(self.poses) > 1 else "track"
-            dot: dict[str, Any] = {"color": LANDMARK, "size": 9 - 2 * self.dim}
+            dot = {"size": 6, "opacity": 0.0} if pose else {"color": LANDMARK, "size": 9 - 2 * self.dim}
             if pose:
                 color = (ESTIMATE, *SERIES[5:])[self.poses.index(kind) % 4]  # no color of another thing
                 line = {"color": color, "width": 1 + self.dim if len(P) < FEW else 1.5}
                 yield self._layer(name, P, *_line(P, since, self.part[self._rows(kind)], MOST_IN_LINE), line=line)
-                dot = {"size": 6, "opacity": 0.0}
             rows = _rows(since)
             numbers = np.column_stack([stack.numbers, since, np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))])[rows]
             words = "<br>".join(lines) + "<extra></extra>"
@@ -244,13 +249,16 @@ class Scene:
 
     def others(self, tracks: Mapping[str, Values]) -> Iterator[Layer]:
         """Further tracks and points; points, and tracks that make the map much wider, are switched off at first."""
-        width = np.ptp(self.place[~np.isnan(self.place[:, 0])], axis=0).max(initial=0.0)
+        own, width = self.stacks, np.ptp(self.place[~np.isnan(self.place[:, 0])], axis=0).max(initial=0.0)
         for name, values in tracks.items():
             color = TRUE if name == "truth" else BEFORE
-            for kind in self.stacks.keys() & values.stacks.keys():
-                own, stack, pose = self.stacks[kind], values.stacks[kind], kind in self.poses
-                stack = stack.only(np.isin(stack.numbers, own.numbers))
-                P, rows = _positions(stack), self.pattern.offsets[kind] + own.index(Keys(kind, stack.numbers))
+            stacks = [s.only(np.isin(s.numbers, own[k].numbers)) for k, s in values.stacks.items() if k in own]
+            stacks = [s for s in stacks if len(s) and _positions(s).shape[1] == self.dim]
+            if not stacks:
+                raise GraphError(f"view: track {name!r} has no variable of the {self.dim}-D map; leave it out")
+            for stack in stacks:
+                P, kind, pose = _positions(stack), stack.kind, stack.kind in self.poses
+                rows = self.pattern.offsets[kind] + own[kind].index(Keys(kind, stack.numbers))
                 line = {"line": {"color": color, "width": 2, "dash": "dot" if self.dim == 2 else "solid"}}
                 style: dict[str, Any] = line if pose else {"marker": {"color": color, "size": 4, "symbol": "cross"}}
                 near = pose and bool(np.ptp(P, axis=0).max(initial=0.0) <= WIDER * width)
@@ -303,7 +311,7 @@ class Scene:
             except (EvaluationError, SingularGeometryError):  # as for a bearing to the place of the sensor
                 s = np.full(len(batch), np.nan)
             i, j = placed[0], placed[1 % len(placed)]
-            chance = np.searchsorted([chi2_gate(batch.model.dim, p) for p in CHANCES], s)
+            chance = (~(chi2_tail(s, measuring(batch.model)) >= TAILS)).sum(axis=0)  # nan is beyond
             apart = (np.abs(self.order[i] - self.order[j]) > 1) | (batch.kinds[0] != batch.kinds[len(placed) - 1])
             sight = apart & (len(placed) > 1 and not batch.model.factor.sequential)
             layer = np.select([closes, sight], [chance, 4], 5)

@@ -126,7 +126,7 @@ class Truncated:
         for k, (bound, c2) in enumerate(zip(self.least_distances(choice, marginals), self.c2, strict=True)):
             if len(near := np.flatnonzero(bound <= c2)):
                 inliers[k] = inliers[k].copy()
-                inliers[k][near] = marginals.gate(self.graph.factors[k][near]).d2 <= c2
+                inliers[k][near] = marginals.distances(self.graph.factors[k][near]) <= c2
         if self.rejected(inliers) == self.rejected(choice.inliers):
             return choice
         other = self.settled(self.optimum(choice.values, inliers).values)

@@ -16,6 +16,7 @@ from models.algebra import Array
 from models.sensors import Camera
 from nls import Values
 from sim.pictures import rig_before_after
+from tests.factors.evaluated import refused
 from tests.nls.graphs import pose_graph
 
 x, l = nls.kinds("x", "l")
@@ -95,3 +96,13 @@ def test_each_estimate_is_drawn_over_the_truth_with_its_error(group: LieGroup) -
         truth, estimate, _ = axes.get_lines()
         np.testing.assert_array_equal(truth.get_xydata(), sample.truth[x][:, :2])
         np.testing.assert_array_equal(estimate.get_xydata(), positions[:, :2])
+
+
+def test_any_number_of_estimates_is_drawn_and_a_truth_without_poses_refused() -> None:
+    sample = pose_graph(SE2)
+    figure = sim.against_truth(sample.graph, sample.truth, {f"{k}": sample.truth for k in range(9)})
+    assert [axes.get_title() for axes in figure.axes] == [f"{k}: 0 m off" for k in range(9)]
+    points = Values({l: (R(2), [[0.0, 0.0]])})
+    refused(
+        lambda: sim.against_truth(sample.graph, points, {"a": points}), nls.OptionError, "expected values with poses"
+    )

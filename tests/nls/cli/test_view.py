@@ -12,9 +12,9 @@ import pytest
 
 import nls.plot
 import sim
-from factors import Between, Isotropic
-from models import SE2
-from nls import FactorGraph, Values, kinds
+from factors import Between, Information, Isotropic, Prior
+from models import SE2, SE3, SO2
+from nls import FactorGraph, GraphError, Values, kinds
 from nls.io.report import LoadReport
 from tests.nls.cli.shell import SPOILED, Shell
 from tests.nls.cli.test_wrong_contacts import mission, written
@@ -72,6 +72,10 @@ def test_a_mission_has_its_layers(shell: Shell) -> None:
     for text in layers["rejected"]["text"][:5]:
         pose, landmark, line = re.search(r"x(\d+), l(\d+)\).*contacts.csv:(\d+)", text).groups()  # type: ignore[union-attr]
         assert rows[int(line) - 1].startswith(f"{pose},{landmark},")
+    (shell / "m/truth.csv").unlink()
+    (shell / "m/landmarks.csv").write_text("landmark,x_m,y_m,z_m\n987,1,1,1\n")  # a truth of nothing that was seen
+    shell("view m -o page.html")
+    assert not [name for name in figure_of((shell / "page.html").read_text()) if "truth" in name]
 
 
 def test_a_scan_mission_has_its_points_and_its_times(shell: Shell) -> None:
@@ -80,6 +84,35 @@ def test_a_scan_mission_has_its_points_and_its_times(shell: Shell) -> None:
     layers = figure_of((shell / "page.html").read_text())
     assert {"scans", "truth", "dead reckoning", "loop closures within 95 %"} <= set(layers)
     assert layers["track"]["meta"]["since"][3] == 11.0
+
+
+def test_what_has_no_place_on_the_map_is_refused() -> None:
+    turn = FactorGraph([Prior(x[0], [0.0], Isotropic(0.1))])
+    for graph, values in ((turn, Values({x: (SO2, [[0.0]])})), (FactorGraph(), Values())):
+        with pytest.raises(GraphError, match=r"no kind of the values has positions; nls.plot.factor_graph\(graph\)"):
+            nls.plot.view(graph, values)
+    nls.plot.factor_graph(turn)
+    pose = Values({x: (SE2, [[0, 0, 0]])})
+    for truth in (Values({x: (SE2, [[0, 0, 0]], [7])}), Values({x: (SE3, SE3.identity())}), Values()):
+        with pytest.raises(GraphError, match="track 'truth' has no variable of the 2-D map; leave it out"):
+            nls.plot.view(FactorGraph(), pose, tracks={"truth": truth})
+
+
+def test_colors_count_what_is_measured() -> None:
+    """|b|^2 = 7 is beyond 95 % of two numbers, not of three."""
+    values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])})
+    steps = Between(x[[0, 1]], x[[1, 2]], [1, 0, 0], Isotropic(0.1))
+    for yaw, layer in ((0.0, "beyond 95 %"), (100.0, "within 95 %")):
+        closure = Between(x[0], x[2], [2 + 0.1 * 7**0.5, 0, 0], Information(np.diag([100, 100, yaw])))
+        first, *_ = nls.plot.view(FactorGraph([steps, closure]), values).data
+        assert first.name == f"loop closures {layer} (1)"
+
+
+def test_each_file_has_its_own_page(shell: Shell) -> None:
+    for name in ("run.1.g2o", "run.2.G2O", "run.3"):
+        shell.file(SPOILED, name)
+        shell(f"view {name}")
+    assert sorted(page.name for page in shell.folder.glob("*.html")) == [f"run.{k}-view.html" for k in (1, 2, 3)]
 
 
 def test_the_slider_knows_since_when() -> None:

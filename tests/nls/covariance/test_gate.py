@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Between, Diagonal, EpipolarArc, Isotropic, Landmark, Range, Robust, Tukey
+from factors import (
+    Between,
+    Diagonal,
+    ElevationHinge,
+    EpipolarArc,
+    Information,
+    Isotropic,
+    Landmark,
+    Range,
+    Robust,
+    Tukey,
+)
 from models import SE2, SE3, R
 from models.chi_squared import chi2_gate
 from models.errors import GraphError, OptionError, UnderconstrainedError
@@ -44,6 +55,22 @@ def test_numbers_that_a_measurement_has_spent_are_no_degrees_of_freedom() -> Non
     arc = EpipolarArc(x[0], x[1], [4.0, -0.2, 3.676, -0.263], Isotropic(0.01), limit=0.12)
     known = FactorGraph([Between(x[0], x[1], poses[x[1]], Isotropic(0.1))])
     assert Marginals(known, poses).gate(arc, 0.5).limit == chi2_gate(1, 0.5)
+
+
+def test_the_limit_counts_what_is_measured() -> None:
+    poses = Values({x: (SE3, SE3.exp(np.zeros((2, 6)))), l: (R(3), [[1.0, 0.1, 0.0]])})
+    known = [Between(x[0], x[1], SE3.identity(), Isotropic(0.1)), Landmark(x[0], l[0], [1, 0.1, 0], Isotropic(0.1))]
+    marginals = Marginals(FactorGraph(known), poses)
+    W = np.array([np.diag([1.0, 1, 1, 1, 0, 0]), np.eye(6)])
+    both = Between(x[[0, 0]], x[[1, 1]], SE3.exp(np.zeros((2, 6))), Information(W))
+    assert [marginals.gate(both[[k]], 0.5).limit for k in (0, 1)] == [chi2_gate(m, 0.5) for m in (4, 6)]
+    refused(
+        lambda: marginals.gate(both),
+        GraphError,
+        r"Between\(.*measures 4 or 6 numbers; .* ask for factor\[rows\] of one$",
+    )
+    assert marginals.distances(both).shape == (2,)
+    refused(lambda: marginals.gate(ElevationHinge(x[0], l[0], 0.1)), GraphError, "ElevationHinge.* measures 0 numbers")
 
 
 def test_what_has_no_gate_is_refused() -> None:
