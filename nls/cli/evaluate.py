@@ -156,9 +156,8 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
             )
         rows, P, Q, out["matched_by"] = np.arange(len(truth.X)), estimate.X, truth.X, "row"
     if tolerance is not None and out["matched_by"] != "time":
-        raise nls.OptionError(
-            "--tolerance", tolerance, f"nothing: the poses are matched by {out['matched_by']}, not by time"
-        )
+        nothing = f"nothing: the poses are matched by {out['matched_by']}, not by time"
+        raise nls.OptionError("--tolerance", tolerance, nothing)
     return {**out, "matched": len(rows)}, rows, P, Q
 
 
@@ -221,10 +220,8 @@ def lines(record: dict[str, Any]) -> list[str]:
     for pair in record["rpe"]:
         errors = f"{pair['translation_percent']:.3g} %, {pair['rotation_deg_m']:.3g} deg/m ({pair['pairs']} pairs"
         longer = f", {pair['way_m']:.4g} m in the mean)" if pair["way_m"] > 1.05 * pair["distance_m"] else ")"
-        out.append(
-            f"RPE         over {pair['distance_m']:g} m: "
-            + (errors + longer if pair["pairs"] else "the track is shorter")
-        )
+        words = errors + longer if pair["pairs"] else "the track is shorter"
+        out.append(f"RPE         over {pair['distance_m']:g} m: {words}")
     if record["rpe_unknown"]:
         out.append(f"RPE         none: {record['rpe_unknown']}")
     if (ratio := record["squared_error_over_variance"]) is not None:

@@ -42,11 +42,8 @@ def info(options: argparse.Namespace) -> int:
     write_json(head | {"tags": report.tags, "notes": report.notes} | facts, options.json)
     if options.json != "-":
         say(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
-        say(
-            "\n".join(
-                f"  {LABELS.get(name, name.replace('_', ' ')):26s} {_shown(value)}" for name, value in facts.items()
-            )
-        )
+        for name, value in facts.items():
+            say(f"  {LABELS.get(name, name.replace('_', ' ')):26s} {_shown(value)}")
     return 0
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -219,9 +220,8 @@ def iteration_table(history: Sequence[nls.Iteration]) -> list[str]:
     lines = ["iteration " + "".join(f"{stage:>11s}" for stage in parts) + "          ms"]
     for iteration in history:
         seconds = [iteration.seconds.get(stage, 0.0) for stage in parts]
-        lines.append(
-            f"{iteration.number:9d} " + "".join(f"{1e3 * s:11.2f}" for s in seconds) + f"{1e3 * sum(seconds):12.2f}"
-        )
+        columns = "".join(f"{1e3 * s:11.2f}" for s in seconds)
+        lines.append(f"{iteration.number:9d} {columns}{1e3 * sum(seconds):12.2f}")
     return lines
 
 
@@ -231,11 +231,9 @@ def _shares(seconds: float, whole: float) -> str:
 
 def peak_rss_mb() -> float:
     """The most memory this process has held, MB; 0 where the system does not count it."""
-    try:  # Linux hands the peak of the parent process down to ru_maxrss, but not to VmHWM
+    with suppress(OSError, IndexError):  # Linux hands the peak of the parent down to ru_maxrss, but not to VmHWM
         status = Path("/proc/self/status").read_text()
         return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
-    except (OSError, IndexError):
-        pass
     try:
         import resource
     except ImportError:  # no such count on Windows

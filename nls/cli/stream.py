@@ -208,10 +208,8 @@ class _Reader:
         self._keyed |= set(report.gtsam_kinds)
         self._plain |= set(values.stacks) - set(report.gtsam_kinds)
         if both := self._keyed & self._plain:
-            raise nls.GraphFileError(
-                f"uses {min(both)} as an id and as a key of GTSAM; give the file, not a pipe",
-                self.name,
-            )
+            two = f"uses {min(both)} as an id and as a key of GTSAM; give the file, not a pipe"
+            raise nls.GraphFileError(two, self.name)
         self._refuse_two_things(graph, report)
         yield from self._arriving(graph, values, report)
 
@@ -239,9 +237,8 @@ class _Reader:
     def _refuse_held(self, count: int) -> None:
         """Refuse a file that holds several variables."""
         if count > 1:
-            raise nls.GraphFileError(
-                f"fixes {count} variables; a stream fixes its first pose alone, so give the others priors", self.name
-            )
+            held = f"fixes {count} variables; a stream fixes its first pose alone, so give the others priors"
+            raise nls.GraphFileError(held, self.name)
 
     def _arriving(
         self, graph: nls.FactorGraph, values: nls.Values, report: nls.LoadReport

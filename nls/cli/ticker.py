@@ -9,6 +9,7 @@ nothing of the library.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from contextlib import suppress
 from time import monotonic, sleep
@@ -32,7 +33,9 @@ class Ticker:
         if sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             from subprocess import PIPE, Popen
 
+            heard = _hear_interrupt(False)  # the process inherits it, until it has an answer
             self._process = Popen([sys.executable, "-I", "-S", __file__], stdin=PIPE, stdout=PIPE, bufsize=0)
+            _hear_interrupt(heard)
 
     def say(self, stage: str, step: str = "") -> None:
         """A stage, and its latest step; without a stage wait until the line is erased, for half a second."""
@@ -73,21 +76,36 @@ class _Line:
             self.show(text[: (os.get_terminal_size(2).columns or 80) - 1])
 
     def show(self, text: str = "") -> None:
-        """Replace what is shown."""
-        if text or self.shown:
+        """Replace what is shown; nothing while the shell or another command has the terminal."""
+        if (text or self.shown) and _in_foreground():
             sys.stderr.write(f"\r{text.ljust(len(self.shown))}" + "\r" * (not text))
             sys.stderr.flush()
             self.shown = text
 
 
+def _in_foreground() -> bool:
+    """Whether the terminal is the command's: it is no job in the background (``&``)."""
+    with suppress(OSError):  # the terminal of no session, which has no jobs
+        return sys.platform == "win32" or os.tcgetpgrp(2) == os.getpgrp()
+    return True
+
+
+def _hear_interrupt(hear: bool) -> bool:
+    """Let Ctrl-C arrive, or wait until it may; whether it arrived before. On Windows it never waits."""
+    if sys.platform == "win32":
+        return True
+    how = signal.SIG_UNBLOCK if hear else signal.SIG_BLOCK
+    return signal.SIGINT not in signal.pthread_sigmask(how, [signal.SIGINT])
+
+
 def _tick() -> None:
     """Draw until the other end closes."""
-    import signal
     from threading import Lock, Thread
 
     line, lock = _Line(), Lock()
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as for a command in the background
         signal.signal(signal.SIGINT, lambda *_: line.presses.append(monotonic()))
+    _hear_interrupt(True)
 
     def draw() -> None:
         while True:

@@ -216,8 +216,7 @@ class LoopGraph:
 
     def spanned(self, accepted: Mask) -> int:
         """How many steps of odometry lie between the two ends of an accepted closure."""
-        closures = self.closures[accepted]
-        n = self.poses.n
+        closures, n = self.closures[accepted], self.poses.n
         begins = np.bincount(np.minimum(closures.i, closures.j), minlength=n)
         ends = np.bincount(np.maximum(closures.i, closures.j), minlength=n)
         return int((np.cumsum(begins - ends) > 0).sum())

@@ -54,8 +54,7 @@ class Preselection:
     def doubts(self) -> list[Doubt]:
         """Reasons not to trust the choice, see `nls.robust.verdict`."""
         of_choice = self.problem, self.loops, self.choice, self.rivals, self.tried, self.variance
-        evidence = Evidence(*of_choice, self._witnesses(self.choice), self.moved)
-        return verdict.preselected(evidence, self.probability)
+        return verdict.preselected(Evidence(*of_choice, self._witnesses(self.choice), self.moved), self.probability)
 
     def _explained(self) -> tuple[Choice, float] | None:
         """All closures but a few, where noise explains the optimum of all; None where it does not."""

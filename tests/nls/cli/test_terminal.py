@@ -7,6 +7,8 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 
@@ -20,6 +22,7 @@ import ctypes, sys, time
 from nls.cli.phase import Phase
 phase = Phase("nls")
 phase.ticker.start()
+phase.ticker._process.send_signal(2)  # Ctrl-C while the ticker starts
 phase.begin("while reading a\\x1b.g2o")
 phase.step("numbers")
 ctypes.PyDLL(None).usleep(2_500_000)  # no other thread of Python runs meanwhile, as in a factorization
@@ -28,6 +31,13 @@ print("input", flush=True)
 phase.ticker.close()
 print("result")
 """
+
+
+def arriving(here: int) -> Iterator[str]:
+    """What is written to a pseudo-terminal, until nobody has it open."""
+    with suppress(OSError):  # how its end is told
+        while piece := os.read(here, 4096):
+            yield piece.decode()
 
 
 def terminal(*words: str, **env: str) -> list[tuple[float, str]]:
@@ -39,12 +49,9 @@ def terminal(*words: str, **env: str) -> list[tuple[float, str]]:
     ) as process:
         os.close(there)
         pieces, last = [], monotonic()
-        try:
-            while piece := os.read(here, 4096):
-                pieces.append((monotonic() - last, piece.decode()))
-                last = monotonic()
-        except OSError:  # how the end of a pseudo-terminal is told
-            pass
+        for piece in arriving(here):
+            pieces.append((monotonic() - last, piece))
+            last = monotonic()
         os.close(here)
     assert process.returncode == 0, pieces
     return pieces
@@ -57,6 +64,16 @@ def test_a_stage_is_shown_while_the_process_is_busy() -> None:
     assert max(seconds for seconds, _ in pieces[1:]) < 2
     assert text.endswith("\rinput\r\nresult\r\n")
     assert "\x1b" not in text
+
+
+def test_a_job_in_the_background_leaves_the_terminal_to_the_shell() -> None:
+    child, here = pty.fork()
+    if not child:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm"}
+        job = subprocess.run([sys.executable, "-c", BUSY], env=environment, process_group=0, check=False)
+        os._exit(job.returncode)
+    assert "".join(arriving(here)) == "input\r\nresult\r\n"
+    assert os.waitpid(child, 0)[1] == 0
 
 
 DEAF = """
@@ -81,14 +98,11 @@ def test_ctrl_c_within_a_step_is_answered(presses: int, busy: int, status: int) 
         os.environ |= {"PYTHONPATH": str(ROOT), "TERM": "xterm"}
         os.execv(sys.executable, [sys.executable, "-c", DEAF.format(busy * 1_000_000)])
     text, sent, began = "", 0, monotonic()
-    try:
-        while piece := os.read(here, 4096):
-            text += piece.decode()
-            if sent < presses and ("iteration 3" if not sent else "Ctrl-C again") in text:
-                sent += 1
-                os.write(here, b"\x03")
-    except OSError:
-        pass
+    for piece in arriving(here):
+        text += piece
+        if sent < presses and ("iteration 3" if not sent else "Ctrl-C again") in text:
+            sent += 1
+            os.write(here, b"\x03")
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == status, text
     assert ("interrupted within a step: solving a.g2o: iteration 3" in text) == (presses == 2)
     assert monotonic() - began < 8

@@ -18,6 +18,7 @@ from nls.analysis import unverified_groups
 from nls.cli.outliers import record
 from nls.io.report import Source
 from nls.robust import DoubtKind, Robustified, preselection, verdict
+from nls.robust.accepted_closures import witnesses
 from nls.robust.loop_graph import loop_graph
 from nls.robust.preselection import exchanged
 from nls.robust.truncated_least_squares import Truncated
@@ -202,6 +203,61 @@ def test_a_closure_far_off_an_uncertain_map_is_taken_back_where_it_fits(meters: 
     marginals = nls.Marginals(rejected.graph, rejected.values)
     bound = problem.least_distances(rejected, marginals)[1]
     assert (0 < bound <= marginals.gate(graph.factors[1]).d2).all()
+
+
+def test_a_choice_has_the_closure_that_graduation_loses() -> None:
+    """The only one of the last place, 59 m away, among too many wrong ones to exchange each."""
+    rng, k, i, j = np.random.default_rng(2), np.arange(59), np.r_[:4, 0], np.r_[10:14, 59]
+    truth = sim.chain(SE2, np.zeros(3), np.tile([1.0, 0.0, 0.0], (59, 1)))
+    loose, tight = np.full(3, 0.02), np.full(3, 0.003)
+    odometry = Between(x[k], x[k + 1], noisy(SE2.between(truth[:-1], truth[1:]), loose, rng), Diagonal(loose))
+    right = Between(x[i], x[j], noisy(SE2.between(truth[i], truth[j]), tight, rng), Diagonal(tight))
+    w = rng.integers(0, 30, 65)
+    far = Between(x[w], x[w + rng.integers(20, 30, 65)], rng.normal(size=(65, 3)) * [50, 50, 1], Diagonal(tight))
+    graph, values = FactorGraph([odometry, right, far]), Values({x: (SE2, truth)})
+    problem = Truncated(graph, [np.full(len(f), f is not odometry) for f in graph.factors], [11.3] * 3)
+    preselected = preselection.Preselection(problem, loop_graph(graph, values), "tls", 0.99)
+    choice, lost = preselected.rivals[:2]
+    assert [mask.tolist() for mask in (choice.inliers[1], lost.inliers[1])] == [[True] * 5, [True] * 4 + [False]]
+    assert preselected.choice is choice
+
+
+def test_closures_that_only_make_a_choice_dearer_are_not_taken_back() -> None:
+    """Either fits the uncertain map; both at once, five sigmas apart, cost more than to reject both."""
+    step, two = (
+        Between(x[0], x[1], [0.0], Diagonal([10.0])),
+        Between(x[0], x[[1, 1]], [[24.0], [24.5]], Diagonal([0.1])),
+    )
+    problem = Truncated(FactorGraph([step, two]), [np.zeros(1, bool), np.ones(2, bool)], [6.6, 6.6])
+    rejected = problem.optimum(Values({x: (R(1), np.zeros((2, 1)))}), [np.ones(1, bool), np.zeros(2, bool)])
+    both = problem.settled(problem.optimum(rejected.values, [np.ones(1, bool), np.ones(2, bool)]).values)
+    assert (both.inliers[1].all(), both.cost > rejected.cost) == (True, True)
+    assert (nls.Marginals(rejected.graph, rejected.values).gate(two).d2 <= 6.6).all()
+    assert problem.taken_back(rejected) is rejected
+
+
+def test_noise_of_a_group_that_repeats_itself_is_no_doubt() -> None:
+    """Twenty closures agree: the distance of the map without them is chi2 of 57 numbers, by noise alone."""
+    k, i, all_ = np.arange(59), np.arange(20), np.ones(20, bool)
+    steps, group = (Between(x[a], x[a + n], np.tile([n, 0, 0], (len(a), 1)), SIGMAS) for a, n in ((k, 1), (i, 40)))
+    graph, values = FactorGraph([steps, group]), Values({x: (SE2, np.c_[np.arange(60.0), np.zeros((60, 2))])})
+    problem, loops = Truncated(graph, [np.zeros(59, bool), all_], [11.3, 11.3]), loop_graph(graph, values)
+    judged, choice = list(witnesses(loops, values, all_)), problem.settled(values)
+    evidence = verdict.Evidence(problem, loops, choice, [choice], True, 1.0, judged, 0.0)
+    none, usual, rare = (verdict._odds(evidence, all_, all_, 57 + n * 114**0.5, 1_000_000) for n in (-1, 1, 4))
+    assert 0 < none == usual < 0.005 < 1 < rare
+
+
+def test_the_chance_of_a_rejected_closure_does_not_depend_on_the_unit_of_the_sigmas(laps: sim.World) -> None:
+    """Stated ones five times and ten times too large: sigma0 makes up for that."""
+    z, found = SE2.compose(SE2.between(laps.truth[x][5:6], laps.truth[x][65:66]), [1.6, 1.6, 0.0]), []
+    for times in (5.0, 10.0):
+        wide = Diagonal(x=0.05 * times, y=0.05 * times, yaw=0.01 * times)
+        factors = [Between(*factor.keys, factor.z, wide) for factor in laps.graph.factors]
+        found.append(nls.gnc(FactorGraph([*factors, Between(x[[5]], x[[65]], z, wide)]), laps.truth))
+    assert found[0].sigma0 == pytest.approx(2 * found[1].sigma0)
+    assert [r.chance for r in found[0].rejected] == pytest.approx([r.chance for r in found[1].rejected], rel=1e-3)
+    assert 0.01 < found[0].rejected[0].chance < 0.1
 
 
 @pytest.mark.parametrize("space", [SE2, SE3])
