@@ -243,7 +243,7 @@ def gnc(
     problem = Truncated(graph, masks, c2, landmarks)
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
-        choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.typical
+        choice, variance, local = preselected.kept, preselected.variance, preselected.loops.neighbors.typical
         doubts = preselected.doubts()
         off = problem.least_distances(choice, Marginals(choice.graph, choice.result.values))
     else:

@@ -31,7 +31,8 @@ class Preselection:
 
     Attributes
     ----------
-    choice : of measurements, and its optimum.
+    choice : of measurements, and its optimum; it is compared with its rivals.
+    kept : the choice, with right closures that the uncertainty of its map explains.
     variance : factor on the squares of the stated sigmas for the threshold.
     """
 
@@ -41,15 +42,15 @@ class Preselection:
         self.tried = False
         self._judged: tuple[Choice | None, list[Witness]] = None, []
         explained = self._explained()
-        choice, self.variance = explained or self._grown()
-        self.choice = problem.scaled(self.variance).taken_back(choice)
-        self.rivals[:1] = [self.choice]
+        self.choice, self.variance = explained or self._grown()
         self.moved = 0.0
         for _ in range(0 if explained else 3):
             other, self.moved = self._without_contradicted(self.choice)
             if self.moved <= verdict.SAME_MAP:
                 break
             self.choice = other
+        taken = problem.scaled(self.variance).taken_back(self.choice)
+        self.kept = taken if self._without_contradicted(taken)[1] <= verdict.SAME_MAP else self.choice
 
     def doubts(self) -> list[Doubt]:
         """Reasons not to trust the choice, see `nls.robust.verdict`."""

@@ -217,9 +217,9 @@ def test_a_choice_has_the_closure_that_graduation_loses() -> None:
     graph, values = FactorGraph([odometry, right, far]), Values({x: (SE2, truth)})
     problem = Truncated(graph, [np.full(len(f), f is not odometry) for f in graph.factors], [11.3] * 3)
     preselected = preselection.Preselection(problem, loop_graph(graph, values), "tls", 0.99)
-    choice, lost = preselected.rivals[:2]
-    assert [mask.tolist() for mask in (choice.inliers[1], lost.inliers[1])] == [[True] * 5, [True] * 4 + [False]]
-    assert preselected.choice is choice
+    kept, choice = preselected.kept, preselected.choice
+    assert [mask.tolist() for mask in (kept.inliers[1], choice.inliers[1])] == [[True] * 5, [True] * 4 + [False]]
+    assert nls.gnc(graph, values).weights[1].all()
 
 
 def test_closures_that_only_make_a_choice_dearer_are_not_taken_back() -> None:
