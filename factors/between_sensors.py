@@ -83,7 +83,8 @@ class BetweenSensors(Factor):
             )
 
     def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
-        return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction
+        O_i, O_j = (0.0, 0.0) if isinstance(self.offset, Keys) else self.offset  # one offset of both cancels
+        return super().knows_axes(manifolds) and bool(np.any(self.z + O_i - O_j))  # a difference of 0 has no direction
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         group = manifolds[0]

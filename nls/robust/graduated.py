@@ -46,7 +46,6 @@ from models.chi_squared import chi2_gate, chi2_tail
 from models.errors import GraphError, OptionError, SingularGeometryError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.redundancy import Unverified, unverified_groups
-from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.posegraph import closures, says_poses
@@ -156,8 +155,7 @@ class Robustified:
         """Lines: how many were rejected, how many by chance, doubts, unverified groups, and the first rejected ones."""
         from nls.explanation.doubts import of_choice, unverified
 
-        lines = [finding.says for finding in of_choice(self)]
-        lines += [f"doubtful: {doubt}" for doubt in self.doubts]
+        lines = [*(finding.says for finding in of_choice(self)), *(f"doubtful: {doubt}" for doubt in self.doubts)]
         lines += [unverified(group).says for group in self.unverified]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + ([f"  and {len(self.rejected) - most} more"] if len(self.rejected) > most else [])
@@ -239,13 +237,12 @@ def gnc(
         raise GraphError(message, advice=[Advice.robust("Cauchy", 1), Advice("doubt")])
     landmarks = landmarks_of(graph, values, masks)
     dims = [values.gather(factor)[0].dim for factor in graph.factors]
-    c2 = [chi2_gate(dim, probability) for dim in dims]
-    problem = Truncated(graph, masks, c2, landmarks)
+    problem = Truncated(graph, masks, [chi2_gate(dim, probability) for dim in dims], landmarks)
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
-        choice, variance, local = preselected.kept, preselected.variance, preselected.loops.neighbors.typical
         doubts = preselected.doubts()
-        off = problem.least_distances(choice, Marginals(choice.graph, choice.result.values))
+        choice, variance, local = preselected.kept(), preselected.variance, preselected.loops.neighbors.typical
+        off = problem.least_distances(choice)
     else:
         if preselect and doubted_contacts(graph, values, masks):
             choice = problem.softened(*selected(graph, values, landmarks))

@@ -32,7 +32,6 @@ class Preselection:
     Attributes
     ----------
     choice : of measurements, and its optimum; it is compared with its rivals.
-    kept : the choice, with right closures that the uncertainty of its map explains.
     variance : factor on the squares of the stated sigmas for the threshold.
     """
 
@@ -49,8 +48,11 @@ class Preselection:
             if self.moved <= verdict.SAME_MAP:
                 break
             self.choice = other
-        taken = problem.scaled(self.variance).taken_back(self.choice)
-        self.kept = taken if self._without_contradicted(taken)[1] <= verdict.SAME_MAP else self.choice
+
+    def kept(self) -> Choice:
+        """The choice, with right closures that the uncertainty of its map explains, if they contradict no group."""
+        taken = self.problem.scaled(self.variance).taken_back(self.choice)
+        return taken if self._without_contradicted(taken)[1] <= verdict.SAME_MAP else self.choice
 
     def doubts(self) -> list[Doubt]:
         """Reasons not to trust the choice, see `nls.robust.verdict`."""
@@ -68,12 +70,11 @@ class Preselection:
             return step.number >= 3 and step.chi2 > 2.0 * rows  # clean graphs have 0.5 then
 
         first = graph.optimize(chordal(graph, loops.values), Automatic(callback=hopeless))
-        noise = verdict.noise(first)
         if not first.converged or first.dof < 1 or first.chi2_final > chi2_gate(first.dof, 1 - verdict.UNLIKELY):
             return None
         if verdict.strain(loops, first) > verdict.STRAIN:
             return None
-        variance = min(HEAVY_TAILS**2 * noise, 1.0)
+        variance = min(HEAVY_TAILS**2 * verdict.noise(first), 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
         if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > verdict.SAME_MAP:

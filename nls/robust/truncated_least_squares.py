@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -49,6 +50,11 @@ class Choice:
     s: list[Array]
     cost: float
     values: Values
+
+    @cached_property
+    def marginals(self) -> Marginals:
+        """Covariances of the optimum."""
+        return Marginals(self.graph, self.result.values)
 
 
 @dataclass(frozen=True)
@@ -122,24 +128,23 @@ class Truncated:
 
         Their residual may be large because the map is uncertain; their distance d2 from its prediction is not.
         """
-        marginals, inliers = Marginals(choice.graph, choice.result.values), list(choice.inliers)
-        for k, (bound, c2) in enumerate(zip(self.least_distances(choice, marginals), self.c2, strict=True)):
+        inliers = [mask.copy() for mask in choice.inliers]
+        for k, (bound, c2) in enumerate(zip(self.least_distances(choice), self.c2, strict=True)):
             if len(near := np.flatnonzero(bound <= c2)):
-                inliers[k] = inliers[k].copy()
-                inliers[k][near] = marginals.distances(self.graph.factors[k][near]) <= c2
+                inliers[k][near] = choice.marginals.distances(self.graph.factors[k][near]) <= c2
         if self.rejected(inliers) == self.rejected(choice.inliers):
             return choice
         other = self.settled(self.optimum(choice.values, inliers).values)
         return other if other.cost < choice.cost else choice
 
-    def least_distances(self, choice: Choice, marginals: Marginals) -> list[Array]:
+    def least_distances(self, choice: Choice) -> list[Array]:
         """Per factor (n,) a lower bound of d2 of what was rejected, nan of what was kept: Sigma <= 2 diag(Sigma_kk)."""
         bounds = [np.full(len(factor), np.nan) for factor in self.graph.factors]
         for factor, bound, mask, kept in zip(self.graph.factors, bounds, self.masks, choice.inliers, strict=True):
             if len(rows := np.flatnonzero(mask & ~kept)):
                 model, X = choice.values.gather(factor[rows])
                 A, b = model.linearize(*X)
-                Sigma = [marginals.covariance(keys[rows], frame="body") for keys in factor.keys]
+                Sigma = [choice.marginals.covariance(keys[rows], frame="body") for keys in factor.keys]
                 C = sum((congruence(A_k, Sigma_k) for A_k, Sigma_k in zip(A, Sigma, strict=True)), np.zeros(()))
                 bound[rows] = innovation_distances(b, 2 * C)
         return bounds

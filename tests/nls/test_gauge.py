@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Bearing, Between, DriftingStep, Factor, Isotropic, Landmark, Position, Prior, Shifted
+from factors import (
+    Bearing,
+    Between,
+    BetweenSensors,
+    DriftingStep,
+    Factor,
+    Isotropic,
+    Landmark,
+    Position,
+    Prior,
+    Shifted,
+)
 from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
 from models.sensors import direction
@@ -274,6 +285,14 @@ def test_a_difference_of_zero_has_no_direction(group: LieGroup) -> None:
     result = FactorGraph([*seen, same, Prior(p[0], [0.0], Isotropic(1.0))]).optimize(start)
     assert (result.gauge, result.converged) == ("x0 fixed", True)
     np.testing.assert_array_equal(result.values[x[0]], start[x[0]])
+
+
+def test_a_difference_of_zero_between_two_offsets_has_a_direction() -> None:
+    seen, L, start = turned_start(SE2)
+    sensors = BetweenSensors(l[0], l[1], np.zeros(2), Isotropic(0.1), (L[1] - L[0], np.zeros(2)))
+    result = FactorGraph([*seen, sensors, Prior(p[0], [0.0], Isotropic(1.0))]).optimize(start)
+    assert (result.gauge, result.converged) == ("l0 fixed", True)
+    np.testing.assert_allclose(result.values[l[1]] - result.values[l[0]], L[1] - L[0], atol=0.01)
 
 
 def test_a_graph_that_is_fixed_as_a_whole_has_no_covariance_but_zero() -> None:

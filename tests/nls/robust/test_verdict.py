@@ -201,7 +201,7 @@ def test_a_closure_far_off_an_uncertain_map_is_taken_back_where_it_fits(meters: 
     choice = problem.taken_back(rejected)
     assert (choice.inliers[1].all(), choice.cost < rejected.cost) == (kept, kept)
     marginals = nls.Marginals(rejected.graph, rejected.values)
-    bound = problem.least_distances(rejected, marginals)[1]
+    bound = problem.least_distances(rejected)[1]
     assert (0 < bound <= marginals.gate(graph.factors[1]).d2).all()
 
 
@@ -217,7 +217,7 @@ def test_a_choice_has_the_closure_that_graduation_loses() -> None:
     graph, values = FactorGraph([odometry, right, far]), Values({x: (SE2, truth)})
     problem = Truncated(graph, [np.full(len(f), f is not odometry) for f in graph.factors], [11.3] * 3)
     preselected = preselection.Preselection(problem, loop_graph(graph, values), "tls", 0.99)
-    kept, choice = preselected.kept, preselected.choice
+    kept, choice = preselected.kept(), preselected.choice
     assert [mask.tolist() for mask in (kept.inliers[1], choice.inliers[1])] == [[True] * 5, [True] * 4 + [False]]
     assert nls.gnc(graph, values).weights[1].all()
 
