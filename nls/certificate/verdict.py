@@ -12,13 +12,13 @@ from nls.certificate.optimum import BOUND, Optimum, Spectrum, negligible, newton
 from nls.certificate.problem import Problem, certifiable
 from nls.graph import FactorGraph
 from nls.optimizers import Result, Stop, default_optimizer
-from nls.optimizers.step import Thresholds
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values, refuse_other
 
 WORST = "the measurements with the largest errors: remove wrong ones, then a proof may be possible"
-LEFT_BY_STOP = 10.0  # times chi2_rtol: what a step may still promise of chi2 where the optimizer stops, see `Stop`
+CHI2_RTOL, POSES_TOL = 1e-6, 1e-6  # relative fall of chi2 that is none; poses that are the same (meters, radians)
+LEFT_BY_STOP = 10.0  # times CHI2_RTOL: what two ends of an optimization may differ by, see `Stop`
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,9 @@ def certify(graph: FactorGraph, values: Values, stop: Stop | None = None) -> Cer
     -----
     The global optimum of chi2 is another one, near that of the SE-Sync cost where residuals are small. So chi2 is
     optimized from there, until a step brings less than 0.1. It ends at the values given if it has the same chi2 within
-    10 `chi2_rtol`, that much a step may still promise where the optimizer stops, and within 1. Where 10 `chi2_rtol` is
+    a part of 1e-5, that much two ends of an optimization may differ by, and within 1. Where 1e-5 of chi2 is
     wider than 1, chi2 is optimized from the values given, too, and has to end there. chi2 of exact measurements is
-    rounding; then the poses have to agree within `update_tol`. D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync:
+    rounding; then the poses have to agree within 1e-6. D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync:
     a certifiably correct algorithm for synchronization over the special Euclidean group", IJRR 38(2-3), 2019.
 
     Where there is a `better`, ``graph.optimize(certificate.better)`` goes on; certify its values in turn.
@@ -216,27 +216,26 @@ def _same(problem: Problem, graph: FactorGraph, values: Values, end: Result, sto
     """
     if _agree(problem, graph, values, end):
         return True
-    given, rtol = graph.chi2(values), max(Thresholds().chi2_rtol, stop.in_force.chi2_rtol)
-    is_loose = abs(given - end.chi2_final) <= LEFT_BY_STOP * rtol * given
+    given = graph.chi2(values)
+    is_loose = abs(given - end.chi2_final) <= LEFT_BY_STOP * max(CHI2_RTOL * given, stop.sigmas(given, end.dof) ** 2)
     return is_loose and _agree(problem, graph, _optimized(graph, values).values, end)
 
 
 def _agree(problem: Problem, graph: FactorGraph, values: Values, end: Result) -> bool:
     """Whether values have the chi2 at which an optimization ended."""
-    given, tol = graph.chi2(values), Thresholds()
+    given = graph.chi2(values)
     gap = abs(given - end.chi2_final)
-    if gap > BOUND or gap <= LEFT_BY_STOP * tol.chi2_rtol * given:
+    if gap > BOUND or gap <= LEFT_BY_STOP * CHI2_RTOL * given:
         return gap <= BOUND
     M, M_end = (problem.matrices(problem.graph.stack(at)) for at in (values, end.values))
     apart = np.max(_apart(M, placed(M_end, M, problem.held)))
-    return bool(apart <= tol.update_tol and gap <= LEFT_BY_STOP * tol.chi2_rtol * len(problem.W))  # exact measurements
+    return bool(apart <= POSES_TOL and gap <= LEFT_BY_STOP * CHI2_RTOL * len(problem.W))  # exact measurements
 
 
 def _optimized(graph: FactorGraph, values: Values) -> Result:
     """The optimum of chi2 from values."""
-    tol, chi2 = Thresholds(), graph.chi2(values)
     # a step that brings less of chi2 than 0.1 is the last one, however high chi2 is
-    stop = Stop(*tol._replace(chi2_rtol=min(tol.chi2_rtol, BOUND / LEFT_BY_STOP / max(chi2, BOUND))))
+    stop = Stop(chi2_rtol=min(CHI2_RTOL, BOUND / LEFT_BY_STOP / max(graph.chi2(values), BOUND)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
         return graph.optimize(values, default_optimizer(graph.factors, stop))

@@ -19,7 +19,7 @@ SHOWN = 12  # free directions in the table
 OF_RESULT = "method linear_solver chi2_initial chi2_final gauge dof ratio doubt iterations converged rule reused"
 OF_CERTIFICATE = "verdict chi2_given chi2_reached reached lower_chi2 cost_given cost proved lowest converged steps"
 OF_KIND = "measurements numbers redundancy scale known"
-OF_ITERATION = "chi2 update gradient seconds reused"
+OF_ITERATION = "chi2 update sigmas seconds reused"
 
 
 def record_of(kind: GraphFile, solved: Solved) -> dict[str, Any]:

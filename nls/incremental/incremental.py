@@ -245,7 +245,7 @@ class Incremental:
         result = self.graph.optimize(self.values, LevenbergMarquardt(LIMIT))
         self._system.put(result.values)
         _, fall = self._system.step(self._allowed(SETTLED) / FALL_BOUND)
-        self.gap = self._system.bound(min(fall, LIMIT.in_force.chi2_rtol * self.chi2) if result.converged else fall)
+        self.gap = self._system.bound(min(fall, LIMIT.sigmas(self.chi2, result.dof) ** 2) if result.converged else fall)
 
     def remove(self, factors: Factor | Sequence[Factor]) -> None:
         """Take out measurements that were given, all or none of them, and settle.

@@ -3,11 +3,12 @@
 from collections.abc import Iterable
 
 from factors.base import Factor
+from nls.optimizers.automatic import Automatic
 from nls.optimizers.base import Optimizer
-from nls.optimizers.gauss_newton import Automatic, GaussNewton
+from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.problem import gauss_newton_step
 from nls.optimizers.result import Attempt, Callback, Fit, Iteration, Result, Status
-from nls.optimizers.step import Stop
+from nls.optimizers.stop import Stop
 from nls.optimizers.trust_region import Dogleg, LevenbergMarquardt
 
 __all__ = [

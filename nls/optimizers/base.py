@@ -18,7 +18,8 @@ from nls.linear.underconstrained import underconstrained
 from nls.optimizers import stop
 from nls.optimizers.problem import Problem, Undamped
 from nls.optimizers.result import Callback, Iteration, Status
-from nls.optimizers.step import Record, Step, Stop
+from nls.optimizers.step import Record, Step
+from nls.optimizers.stop import Stop
 from nls.stages import announce, inside_stage
 from nls.system import LinearSystem
 from nls.values import Values
@@ -43,18 +44,18 @@ class Watch(Record):
     def __init__(
         self, settings: Stop, callback: Callback | None, values: Values, system: LinearSystem, seconds: dict[str, float]
     ) -> None:
-        super().__init__(settings, values, system.chi2, seconds)
+        super().__init__(settings, values, system, seconds)
         self.callback, self.after_a_step = callback, stop.AFTER_A_STEP
         self.latest: Step | None = None
         self.halted = False
         announce(f"iteration 0, chi2 {system.chi2:.6g}")
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
-    def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
-        """Whether the run is over at the current point, without the step dx."""
-        step = Step(self, values, system, dx)
-        self.history[-1] = self.history[-1]._replace(gradient=step.slope)
-        return self._ask(stop.BEFORE_A_STEP, step)
+    def flat(
+        self, values: Values, system: LinearSystem, dx: Array, promised: float, undamped: Undamped | None = None
+    ) -> bool:
+        """Whether the run is over at the current point, without the step dx; the rest as for `step`."""
+        return self._ask(stop.BEFORE_A_STEP, Step(self, values, system, dx, promised, undamped=undamped))
 
     def step(
         self,
@@ -63,6 +64,7 @@ class Watch(Record):
         dx: Array,
         promised: float,
         seconds: dict[str, float],
+        sigmas: float | None = None,
         damping: float = 0.0,
         undamped: Undamped | None = None,
         reused: bool = False,
@@ -73,20 +75,23 @@ class Watch(Record):
         ----------
         values, system : where it led, and the linearization there.
         dx, promised : the step, and the fall of the linear model's chi2.
+        sigmas : |A dx| of the undamped step where dx is another one.
         seconds, damping, reused : for the record.
         undamped : for methods that shorten their steps.
         """
-        step = Step(self, values, system, dx, promised, undamped=undamped)
+        step = Step(self, values, system, dx, promised, sigmas, undamped=undamped)
+        turned = self.latest is not None and step.longer and step.undoes(self.latest)
+        self.turns = self.turns + 1 if turned else 0
         self.note(step, seconds, damping, reused)
-        level = step.ending and step.longer and (undamped is None or not step.short)
-        self.level_steps, self.fall = self.level_steps + 1 if level else 0, step.fall
+        level = step.ending and step.fall >= 0 and step.longer and (undamped is None or not step.short)
+        self.level_steps = self.level_steps + 1 if level else 0
         self._ask(self.after_a_step, step)
         self.call_back()
 
     def note(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
         """Record a step that was taken."""
         self.latest = step
-        self.take(Iteration(0, step.chi2, step.update, damping=damping, seconds=seconds, reused=reused), step.values)
+        self.take(Iteration(0, step.chi2, step.update, step.sigmas, damping, seconds, reused), step.values)
 
     @property
     def last_update(self) -> str:
@@ -109,10 +114,18 @@ class Watch(Record):
             self._ask(stop.LIMITS, self.latest)
 
     def refuse(
-        self, values: Values, system: LinearSystem, dx: Array, promised: float, fall: float, undamped: Undamped
+        self,
+        values: Values,
+        system: LinearSystem,
+        dx: Array,
+        promised: float,
+        sigmas: float,
+        fall: float,
+        undamped: Undamped,
     ) -> None:
         """A trial step from the current point was not taken."""
-        self._ask(stop.AFTER_A_REFUSAL, Step(self, values, system, dx, promised, fall=fall, undamped=undamped))
+        step = Step(self, values, system, dx, promised, sigmas, fall=fall, undamped=undamped)
+        self._ask(stop.AFTER_A_REFUSAL, step)
 
     def stall(self, values: Values, system: LinearSystem, chi2: float, led: str) -> None:
         """No shorter step from the current point is left to try.

@@ -162,7 +162,7 @@ class Iteration(NamedTuple):
     number : 0 is the start.
     chi2 : after the step.
     update : max |dx| of the step; nan for the start.
-    gradient : largest cosine between b and a column of A, after the step; nan where no other was computed from there.
+    sigmas : |A dx| of the undamped step: its length in units of its own uncertainty; nan for the start.
     damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
     seconds : by part: linearize, assemble, factorize, solve, retract.
     reused : whether the step was solved with the factorization of the one before.
@@ -171,7 +171,7 @@ class Iteration(NamedTuple):
     number: int
     chi2: float
     update: float = float("nan")
-    gradient: float = float("nan")
+    sigmas: float = float("nan")
     damping: float = 0.0
     seconds: Mapping[str, float] = MappingProxyType({})
     reused: bool = False

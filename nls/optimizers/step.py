@@ -1,95 +1,22 @@
-"""Thresholds, the record of a run, and a step: the subjects of the stop rules (`nls.optimizers.stop`)."""
+"""A step and the run it belongs to: what the stop rules ask about (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from numbers import Integral, Real
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.algebra import Array
-from models.errors import OptionError
 from nls.optimizers.problem import Undamped
 from nls.optimizers.result import Attempt, Iteration, Status
 from nls.system import LinearSystem
 from nls.values import Values
 
-
-class Thresholds(NamedTuple):
-    """The thresholds in force; 0 for a rule that is off. These are the ones of a `Stop` to which none is given."""
-
-    update_tol: float = 1e-6
-    chi2_rtol: float = 1e-6
-    gradient_tol: float = 1e-10
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Thresholds and limits that end an optimization; each threshold is documented by its inequality.
-
-    A threshold that is given is the one that stops: the other two are off. Where none is given, all three are in force,
-    with the numbers below. An optimization that has reached the last digits of chi2 ends in any case, see
-    `nls.optimizers.stop`.
-
-    Parameters
-    ----------
-    update_tol : converged when max |dx| < update_tol (meters, radians); 1e-6.
-    chi2_rtol : converged when four things hold. A step lowers chi2 by no more than chi2_rtol * chi2. The promised
-        decrease was at most ten times that. The step was shorter than the one before. The falls, continued as the
-        geometric series of the last two, add up to no more than chi2_rtol * chi2 either. 1e-6.
-    gradient_tol : converged when the largest cosine between b and a column of A is not above it; 1e-10.
-    max_iterations : at most so many steps. When omitted 100; and 1000 in all where no method is named either: the
-        default then goes on, damped, from the lowest point of the first 100 (`Automatic`).
-    max_seconds : no further step after so many seconds.
-
-    Raises
-    ------
-    OptionError
-        A threshold that is negative or not a number.
-
-    Examples
-    --------
-    >>> from nls import Stop
-    >>> Stop(update_tol=1e-12).in_force
-    Thresholds(update_tol=1e-12, chi2_rtol=0.0, gradient_tol=0.0)
-    >>> Stop(max_iterations=20).in_force
-    Thresholds(update_tol=1e-06, chi2_rtol=1e-06, gradient_tol=1e-10)
-    """
-
-    update_tol: float | None = None
-    chi2_rtol: float | None = None
-    gradient_tol: float | None = None
-    max_iterations: int | None = None
-    max_seconds: float = math.inf
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value is None and f.name != "max_seconds":
-                continue
-            if not isinstance(value, Real) or value != value or value < 0:
-                raise OptionError(f.name, value, "a number of at least 0")
-            if value == math.inf and f.name in Thresholds._fields:
-                raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
-        if not isinstance(self.max_iterations, Integral | None):
-            raise OptionError("max_iterations", self.max_iterations, "a whole number")
-
-    @property
-    def patient(self) -> Stop:
-        """Thresholds as they are; with the limit of all steps of the default where none is given."""
-        return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
-
-    @property
-    def in_force(self) -> Thresholds:
-        """Thresholds that are given, the others off; all three where none is given."""
-        tolerances = self.update_tol, self.chi2_rtol, self.gradient_tol
-        if tolerances == (None, None, None):
-            return Thresholds()
-        return Thresholds(*(threshold or 0.0 for threshold in tolerances))
+if TYPE_CHECKING:
+    from nls.optimizers.stop import Stop
 
 
 class Record:
@@ -97,29 +24,30 @@ class Record:
 
     Parameters
     ----------
-    settings : thresholds and limits.
-    values, chi2, seconds : the start.
+    stop : thresholds and limits.
+    values, system, seconds : the start.
 
     Attributes
     ----------
-    stop, tol, limit, began : the settings; the thresholds in force; steps at most; when it began.
+    limit, began, dof : steps at most; when it began; measurements minus unknowns.
+    chi2_initial : of the start.
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
     start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
-    fall, level_steps : of the last step; steps in a row that ran along a plateau.
+    level_steps, turns : steps in a row that ran along a plateau; that undid the one before.
     free : a damped method or the shortest step ended on this singular system; None when nothing is free, or nobody
         looked.
     """
 
-    def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
-        self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
+    def __init__(self, stop: Stop, values: Values, system: LinearSystem, seconds: dict[str, float]) -> None:
+        self.stop, self.began, self.dof = stop, perf_counter(), system.pattern.measured_rows - system.pattern.n
         # pose graphs that converge take up to 15, a slow public one of 50 poses 145
-        self.limit = 100 if settings.max_iterations is None else settings.max_iterations
+        self.limit = 100 if stop.max_iterations is None else stop.max_iterations
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
-        self.history = [Iteration(0, chi2, seconds=seconds)]
-        self.best, self.lowest = values, chi2
+        self.history = [Iteration(0, system.chi2, seconds=seconds)]
+        self.best, self.lowest, self.chi2_initial = values, system.chi2, system.chi2
         self.status: Status | None = None
         self.reason = self.rule = ""
         self.free: LinearSystem | None = None
@@ -127,7 +55,7 @@ class Record:
 
     def _begin(self) -> None:
         """Nothing is known but the best point."""
-        self.start, self.since_best, self.fall, self.level_steps = self.best.coordinates, 0, math.inf, 0
+        self.start, self.since_best, self.level_steps, self.turns = self.best.coordinates, 0, 0, 0
         self._longest: Array | float = 0.0  # column of A of each unknown
 
     @property
@@ -185,6 +113,7 @@ class Step:
     watch : the optimization so far; its last record is the point before the step.
     values, system : where the step led; where it was refused or is still to be taken, the point it starts from.
     dx, promised : the step, and the fall of the linear model's chi2.
+    sigmas : |A dx| of the undamped step; the root of what is promised when omitted, as without damping they are equal.
     chi2 : where the step led; that of the system when omitted.
     fall : of chi2; from the record before to chi2 when omitted.
     undamped : for methods that shorten their steps: a short one proves nothing, this has to agree.
@@ -198,6 +127,7 @@ class Step:
         system: LinearSystem,
         dx: Array,
         promised: float = 0.0,
+        sigmas: float | None = None,
         chi2: float | None = None,
         fall: float | None = None,
         undamped: Undamped | None = None,
@@ -205,9 +135,15 @@ class Step:
     ) -> None:
         self.watch, self.values, self.system, self.dx, self.promised = watch, values, system, dx, promised
         self.chi2, self.undamped, self.words = system.chi2 if chi2 is None else chi2, undamped, words
-        self.old, self.old_fall, self.tol = watch.history[-1], watch.fall, watch.tol
+        self.sigmas = math.sqrt(max(promised, 0.0)) if sigmas is None else sigmas
+        self.old = watch.history[-1]
         self.update = float(np.abs(dx).max(initial=0.0))
         self.fall = self.old.chi2 - self.chi2 if fall is None else fall
+
+    @cached_property
+    def tolerance(self) -> float:
+        """The largest |A dx| that ends it."""
+        return self.watch.stop.sigmas(self.old.chi2, self.watch.dof)
 
     @cached_property
     def largest(self) -> str:
@@ -227,34 +163,25 @@ class Step:
         """Whether max|dx| is not below that of the step before; False for the first one, too."""
         return self.update >= SHORTER * self.old.update
 
+    def undoes(self, before: Step) -> bool:
+        """Whether dx leads back where the step before began: max|dx + dx_before| <= 0.1 max|dx|."""
+        return bool(np.abs(self.dx + before.dx).max(initial=0.0) <= 0.1 * self.update)
+
     @property
     def still(self) -> bool:
         """max|dx| < update_tol."""
-        return self.update < self.tol.update_tol
-
-    @property
-    def little(self) -> float:
-        """The fall of chi2 that counts as none."""
-        return self.tol.chi2_rtol * self.old.chi2
+        return self.update < (self.watch.stop.update_tol or 0.0)
 
     @cached_property
     def missed(self) -> bool:
-        """Whether an undamped step promised a much larger fall than it brought."""
-        # a step that promised 10 times the fall it brought has not converged, it has missed
-        return self.undamped is None and self.promised > 10 * max(self.fall, self.little) and not self.invisible
+        """Whether an undamped step promised ten times the fall that it brought."""
+        return self.undamped is None and self.promised > 10 * max(self.fall, 0.0) and not self.invisible
 
-    @cached_property
+    @property
     def ending(self) -> bool:
-        """Whether the fall, and all that follow it as a geometric series, are no more than little."""
-        level = 0 <= self.fall <= self.little and not self.missed
-        return level and (
-            self.fall <= ROUNDING * self.chi2 or self.fall <= self.little * ((self.old_fall - self.fall) / self.fall)
-        )
-
-    @cached_property
-    def slope(self) -> float:
-        """The scaled gradient of the system."""
-        return self.system.scaled_gradient
+        """Whether |A dx|, and all steps that follow as a geometric series of the last two, are within the tolerance."""
+        s, before = self.sigmas, self.old.sigmas
+        return s <= self.tolerance and s * s <= self.tolerance * (before - s)
 
     @cached_property
     def invisible(self) -> bool:
@@ -295,15 +222,14 @@ class Step:
             return self.agreed
         update = float(np.abs(self._full).max(initial=0.0))
         # an undamped step of a damped method may lead 10 times as far
-        return (self.undamped is None or update <= 10 * self.tol.update_tol) and self._short(self._full)
+        return (self.undamped is None or update <= 10 * (self.watch.stop.update_tol or 0.0)) and self._short(self._full)
 
-    @property
+    @cached_property
     def agreed(self) -> bool:
         """Whether the undamped step promises no fall worth it and leads nowhere else."""
         if self.undamped is not None:
             promised = float(self._full @ self.system.gradient)
-            # the undamped step may promise 10 times the fall that counts as none
-            if promised > 10 * self.tol.chi2_rtol * self.system.chi2 and not self.rounds(promised):
+            if promised > self.tolerance**2 and not self.rounds(promised):
                 return False
         return self.free or self._short(self._full)
 
@@ -318,5 +244,6 @@ class Step:
 
     def _short(self, dx: Array) -> bool:
         D = self.watch.scale(self.system)
-        length, start = np.linalg.norm(D * dx), D * self.system.pattern.restrict(self.watch.start)
-        return bool(length <= SHORT_OF_ESTIMATE * max(np.linalg.norm(start), np.linalg.norm(D * self._coordinates)))
+        start = self.system.pattern.restrict(self.watch.start)
+        sizes = (np.linalg.norm(D * x) for x in (start, self._coordinates))
+        return bool(np.linalg.norm(D * dx) <= SHORT_OF_ESTIMATE * max(sizes))

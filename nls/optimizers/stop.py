@@ -1,21 +1,91 @@
-"""When an optimization is over: one rule a function, in lists in the order in which they are asked.
+"""When an optimization is over: its thresholds, and one rule a function, in the order in which they are asked.
 
 A rule takes a `Step` and returns a `Verdict`, or None where it does not apply; the first verdict ends the optimization.
-Each rule is documented by its inequality. The thresholds are those in force, `Stop.in_force`; 0 is one that is off.
+Each rule is documented by its inequality. One of them is the stop rule: `update_sigmas`. The others end what it cannot.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from numbers import Integral, Real
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
+from models.errors import OptionError
 from nls.optimizers.result import Status
 from nls.optimizers.step import ROUNDING, Step
 
 CHECK = "check the Jacobians with factors.check_jacobians"
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Thresholds and limits that end an optimization.
+
+    The update is measured in sigmas: |A dx| is its length in units of its own uncertainty, and |A dx|^2 is what chi2
+    falls by. dx is the undamped step. A threshold that is given is the one that stops: the others are off. Where chi2
+    has no digits left an optimization ends in any case, see `nls.optimizers.stop`.
+
+    Parameters
+    ----------
+    update_sigmas : converged when |A dx| <= update_sigmas sqrt(min(chi2, max(dof, 1))), and when the steps to come,
+        continued as the geometric series of the last two, add up to no more than that either. 1e-3 where no threshold
+        is given. Source: D. Bates, D. Watts, "A relative offset orthogonality convergence criterion for nonlinear least
+        squares", Technometrics 23(2), 1981.
+    update_tol : converged when max |dx| < update_tol (meters, radians).
+    chi2_rtol : converged when |A dx|^2 <= chi2_rtol chi2, and the steps to come likewise.
+    max_iterations : at most so many steps. When omitted 100; and 1000 in all where no method is named either: the
+        default then goes on, damped, from the lowest point of the first 100 (`Automatic`).
+    max_seconds : no further step after so many seconds.
+
+    Raises
+    ------
+    OptionError
+        A threshold that is negative or not a number.
+
+    Examples
+    --------
+    >>> from nls import Stop
+    >>> Stop().sigmas(chi2=400.0, dof=100)
+    0.01
+    >>> Stop(chi2_rtol=1e-4).sigmas(chi2=400.0, dof=100)
+    0.2
+    >>> Stop(update_tol=1e-9).sigmas(chi2=400.0, dof=100)
+    0.0
+    """
+
+    update_sigmas: float | None = None
+    update_tol: float | None = None
+    chi2_rtol: float | None = None
+    max_iterations: int | None = None
+    max_seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None and f.name != "max_seconds":
+                continue
+            if not isinstance(value, Real) or value != value or value < 0:
+                raise OptionError(f.name, value, "a number of at least 0")
+            if value == math.inf and f.name in ("update_sigmas", "update_tol", "chi2_rtol"):
+                raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
+        if not isinstance(self.max_iterations, Integral | None):
+            raise OptionError("max_iterations", self.max_iterations, "a whole number")
+
+    @property
+    def patient(self) -> Self:
+        """Thresholds as they are; with the limit of all steps of the default where none is given."""
+        return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
+
+    def sigmas(self, chi2: float, dof: int) -> float:
+        """The largest |A dx| of a step that ends it; 0 where only `update_tol` does."""
+        share, rtol = self.update_sigmas or 0.0, self.chi2_rtol or 0.0
+        if (self.update_sigmas, self.update_tol, self.chi2_rtol) == (None, None, None):
+            share = 1e-3
+        return max(share * math.sqrt(min(chi2, max(dof, 1))), math.sqrt(rtol * chi2))
 
 
 class Verdict(NamedTuple):
@@ -58,21 +128,27 @@ def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
     )
 
 
-def zero(step: Step) -> Verdict | None:
-    """chi2 = 0; or A'b = 0, and dx is short."""
-    if step.system.chi2 == 0.0:
-        return Verdict(Status.CONVERGED, "chi2 is 0")
-    if step.slope == 0.0 and step.short:
-        return Verdict(Status.CONVERGED, "the scaled gradient is 0")
-    return None
+def rounding(step: Step) -> Verdict | None:
+    """|A dx|^2 is within the rounding of chi2, and dx short; not while shorter steps serve `update_tol` or leave a saddle.
+
+    A damped method may leave a saddle by steps that chi2 does not show.
+    """
+    last = step.sigmas == 0 or step.longer or (step.tolerance > 0 and step.undamped is None)
+    return hidden(step) if last and step.invisible and step.agreed else None
 
 
-def scaled_gradient(step: Step) -> Verdict | None:
-    """max_k |A_k'b| / (|A_k| |b|) <= gradient_tol, and dx is short."""
-    size, most = step.slope, step.tol.gradient_tol
-    if not (0 < size <= most and step.short):
+def exact_fit(step: Step) -> Verdict | None:
+    """|b| <= 1e-12 |b| of the start, and dx is short: nothing is left over of what did not fit."""
+    if not (step.system.chi2 <= 1e-24 * step.watch.chi2_initial and step.short):
         return None
-    return Verdict(Status.CONVERGED, f"scaled gradient {size:.1e}, below {most:g} (gradient_tol)")
+    return Verdict(Status.CONVERGED, f"exact fit: of chi2 {step.watch.chi2_initial:.3g} only {step.chi2:.1e} is left")
+
+
+def hidden(step: Step) -> Verdict:
+    """CONVERGED, as chi2 has no digits left."""
+    return Verdict(
+        Status.CONVERGED, f"noise floor of 16 digits: chi2 changes by rounding, |A dx| is {step.sigmas:.1e} sigmas"
+    )
 
 
 # ---- after a step
@@ -93,6 +169,18 @@ def grown(step: Step) -> Verdict:
     return Verdict(Status.DIVERGED, f"chi2 {step.old.chi2:.3g} -> {step.chi2:.3g} by an update of {step.update:.3g}")
 
 
+def update_sigmas(step: Step) -> Verdict | None:
+    """|A dx| and the steps to come <= update_sigmas sqrt(min(chi2, max(dof, 1))); dx is shorter than before."""
+    return small(step) if step.ending and step.fall >= 0 and step.shorter and step.agreed else None
+
+
+def small(step: Step) -> Verdict:
+    """CONVERGED, with |A dx| and its threshold."""
+    stop = step.watch.stop
+    name = f"chi2_rtol {stop.chi2_rtol:g}" if stop.chi2_rtol else f"update_sigmas {stop.update_sigmas or 1e-3:g}"
+    return Verdict(Status.CONVERGED, f"|A dx| {step.sigmas:.1e} sigmas, at most {step.tolerance:.1e} ({name})")
+
+
 def promise_missed(step: Step) -> Verdict | None:
     """max|dx| < update_tol, but chi2 fell by less than a tenth of the promise of the linear model."""
     if not (step.still and step.missed):
@@ -105,28 +193,11 @@ def update_norm(step: Step) -> Verdict | None:
     """max|dx| < update_tol, and 10 update_tol for the undamped step of a damped method."""
     if not (step.still and step.near):
         return None
-    return Verdict(Status.CONVERGED, f"max|dx| {step.largest}, below {step.tol.update_tol:g} (update_tol)")
-
-
-def relative_decrease(step: Step) -> Verdict | None:
-    """fall <= chi2_rtol chi2, and the sum of falls to come; dx is shorter than before; the undamped step agrees."""
-    if not (step.tol.chi2_rtol > 0 and step.ending and step.shorter and step.agreed):
-        return None
-    ratio = step.fall / step.old.chi2
-    return Verdict(Status.CONVERGED, f"relative decrease of chi2 {ratio:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)")
-
-
-def noise_floor(step: Step) -> Verdict | None:
-    """max|dx| >= 0.99 of the step before, its promise is within the rounding of chi2, and dx is short."""
-    if not (step.undamped is None and step.longer and step.invisible and step.short):
-        return None
-    return Verdict(
-        Status.CONVERGED, f"noise floor of 16 digits: chi2 changes by rounding, max|dx| {step.largest} falls no further"
-    )
+    return Verdict(Status.CONVERGED, f"max|dx| {step.largest}, below {step.watch.stop.update_tol:g} (update_tol)")
 
 
 def plateau(step: Step) -> Verdict | None:
-    """fall <= chi2_rtol chi2 and dx no shorter, 6 times in a row; or a long step that chi2 cannot show."""
+    """|A dx| is small and dx no shorter, 6 times in a row; or a long step that chi2 cannot show."""
     if step.watch.level_steps >= PLATEAU or (not step.short and step.invisible and step.leaves):  # the cheapest first
         return levels_off(step)
     return None
@@ -160,27 +231,13 @@ def level_refused(step: Step) -> Verdict | None:
     return levels_off(step) if step.rounds(abs(step.fall)) and step.leaves else None
 
 
-def promise_small(step: Step) -> Verdict | None:
-    """promise <= chi2_rtol chi2, and the undamped step agrees."""
-    ratio = step.promised / step.system.chi2
-    if not (step.tol.chi2_rtol > 0 and ratio <= step.tol.chi2_rtol and step.agreed):
+def refused_small(step: Step) -> Verdict | None:
+    """|A dx| is small, or chi2 cannot show it, and the undamped step agrees."""
+    if not ((step.sigmas <= step.tolerance or step.invisible) and step.agreed):
         return None
     if step.watch.level_steps >= PLATEAU:
         return levels_off(step)
-    reason = f"promised relative decrease of chi2 {ratio:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)"
-    return Verdict(Status.CONVERGED, reason)
-
-
-def promise_invisible(step: Step) -> Verdict | None:
-    """The promise is within the rounding of chi2, and the undamped step agrees."""
-    if not (step.invisible and step.agreed):
-        return None
-    if step.watch.level_steps >= PLATEAU:
-        return levels_off(step)
-    ratio = step.promised / step.system.chi2
-    return Verdict(
-        Status.CONVERGED, f"noise floor of 16 digits: no step promises a relative decrease of chi2 above {ratio:.1e}"
-    )
+    return hidden(step) if step.invisible else small(step)
 
 
 # ---- no shorter step is left to try
@@ -193,7 +250,7 @@ def no_rise(step: Step) -> Verdict | None:
 
 def stationary(step: Step) -> Verdict | None:
     """max_k |A_k'b| / (|A_k| |b|) <= 1e-6."""
-    size = step.slope
+    size = step.system.scaled_gradient
     if size > 1e-6:  # more than chi2 of 16 digits can hide
         return None
     return Verdict(Status.CONVERGED, f"noise floor of 16 digits: no step lowers chi2; scaled gradient {size:.1e}")
@@ -247,14 +304,13 @@ def above_the_best(step: Step, verdict: Verdict) -> Verdict | None:
 
 
 def pulled(step: Step) -> Verdict | None:
-    """|A_k'b| / |A_k| > 5 for an unknown k, where the linear solver is not exact; and its square > 10 chi2_rtol chi2.
+    """|A_k'b| / |A_k| > 5 for an unknown k, where the linear solver is not exact; and > 3 times the threshold.
 
     That is the pull of b on unknown k, in sigmas; chi2 would fall by its square along k alone. Noise pulls an unknown
     that is left alone by one or two (0.02 as a gradient on `hauv_hull`). So a small gradient cannot be asked for.
     """
-    size = step.slope
-    pull = size * math.sqrt(step.system.chi2)
-    if not (pull > 5.0 and size > math.sqrt(10 * step.tol.chi2_rtol)):
+    pull = step.system.scaled_gradient * math.sqrt(step.system.chi2)
+    if not pull > max(5.0, 3 * step.tolerance):
         return None
     return Verdict(
         Status.STALLED,
@@ -265,10 +321,10 @@ def pulled(step: Step) -> Verdict | None:
 
 Rules = tuple[Rule, ...]
 LIMITS: Rules = (up_and_down, iteration_limit, time_limit)
-BEFORE_A_STEP: Rules = (unknown_lost, zero, scaled_gradient)
-OUTCOMES: Rules = (chi2_unbounded, promise_missed, update_norm, relative_decrease, noise_floor, plateau, cycle)
+BEFORE_A_STEP: Rules = (unknown_lost, exact_fit, rounding)
+OUTCOMES: Rules = (chi2_unbounded, update_sigmas, promise_missed, update_norm, plateau, cycle)
 AFTER_A_STEP = OUTCOMES + LIMITS
-AFTER_A_REFUSAL: Rules = (level_refused, promise_small, promise_invisible, *LIMITS)
+AFTER_A_REFUSAL: Rules = (level_refused, refused_small, *LIMITS)
 NO_STEP_LEFT: Rules = (no_rise, stationary, every_step_refused)
 AT_THE_END: Rules = (pulled,)
 GUARDS = (unknown_lost, above_the_best)

@@ -86,10 +86,11 @@ class TrustRegion(Optimizer):
         while watch.status is None:
             D = watch.scale(system)
             gn = undamped.step(system, D)
-            if watch.flat(X, system, gn):
+            decrease = max(float(gn @ system.gradient), 0.0)
+            if watch.flat(X, system, gn, decrease, undamped):
                 break
             dx, damping = self.within(undamped, system, D, radius, damping)
-            length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
+            length, promised, sigmas = float(np.linalg.norm(D * dx)), system.promised(dx), math.sqrt(decrease)
             Y, trial, led = problem.attempt(X, dx)
             fall = -math.inf if trial is None else system.chi2 - trial.chi2
             if trial is not None and fall > max(1e-4 * promised, 0.0):  # it falls by a part of the promise
@@ -98,12 +99,12 @@ class TrustRegion(Optimizer):
                 elif fall > good * promised:
                     radius = max(radius, grown * length)
                 X, system = Y, trial
-                watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
+                watch.step(X, system, dx, promised, problem.lap(), sigmas, damping, undamped)
             else:
                 size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
                 # a step as long as |D x| ends at 0
                 radius = min(0.6 * radius, shrunk * length, 0.99 * size or math.inf)
-                watch.refuse(X, system, dx, promised, fall, undamped)
+                watch.refuse(X, system, dx, promised, sigmas, fall, undamped)
                 # where no step is left to try, chi2 is looked at a tenth of |D x| along the undamped one
                 if not 1e-16 * (size or length) <= radius < math.inf and watch.status is None:
                     _, chi2 = problem.glance(X, gn * (0.1 * (size or length) / float(np.linalg.norm(D * gn))))
@@ -117,7 +118,7 @@ class TrustRegion(Optimizer):
             watch.reopen()
             if watch.status is None:
                 Y, trial, dx = lower
-                watch.step(Y, trial, dx, system.promised(dx), problem.lap(), 0.0, undamped)
+                watch.step(Y, trial, dx, system.promised(dx), problem.lap(), math.inf, 0.0, undamped)
                 self.iterate(problem, Y, trial, watch)
 
 

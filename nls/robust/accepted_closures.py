@@ -57,7 +57,7 @@ from models.chi_squared import chi2_gate, mahalanobis
 from nls.covariance import Marginals
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
-from nls.optimizers import GaussNewton, Result, Stop
+from nls.optimizers import Automatic, Result, Stop
 from nls.posegraph import Edges
 from nls.robust.loop_graph import LoopGraph, Neighbors, loop_graph, unit_variance
 from nls.starts.chordal import chordal
@@ -176,8 +176,7 @@ def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, A
     start = chordal(subgraph, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
     if subgraph.chi2(start) < subgraph.chi2(values):
         values = start
-    brief = GaussNewton(Stop(1e-6, 1e-3, 1e-10, max_iterations=4), reuse=True)
-    values = subgraph.optimize(values, brief).values
+    values = subgraph.optimize(values, Automatic(Stop(chi2_rtol=1e-3, max_iterations=4))).values
     s = np.concatenate([batch.model.factor.chi2(values) for batch in loops.poses.batches])
     return values, s[loops.poses.closures]
 

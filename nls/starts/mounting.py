@@ -238,7 +238,7 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     subgraph, within = Parts(distances, values).take([*masks, np.ones(len(axes), dtype=bool)], held, values)
     message, advice = f"rig: pixels and ranges do not determine {unknown}", (Advice("move rig"), Advice("guess"))
     try:
-        stop = Stop(1e-6, 1e-3, 1e-10)  # more digits are the business of the solve from this start
+        stop = Stop(chi2_rtol=1e-3)  # more digits are the business of the solve from this start
         result = subgraph.optimize(within, LevenbergMarquardt(stop))
     except UnderconstrainedError as error:
         message, free = f"{message}: {error.message}", error.components

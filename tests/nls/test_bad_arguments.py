@@ -125,7 +125,7 @@ CALLS: dict[str, tuple[Callable[..., object], dict[str, Any]]] = {
     "Kind[:]": (lambda start, stop, step: x[start:stop:step], {"start": 0, "stop": 3, "step": 1}),
     "kinds": (lambda name: kinds(name), {"name": "x"}),
     "SE2.stack": (SE2.stack, {"X": [POSE]}),
-    "Stop": (Stop, dict.fromkeys(("update_tol", "chi2_rtol", "gradient_tol", "max_iterations", "max_seconds"), 1)),
+    "Stop": (Stop, dict.fromkeys(("update_sigmas", "update_tol", "chi2_rtol", "max_iterations", "max_seconds"), 1)),
     **{solver.__name__: (solver, {"memory_limit": 1e9}) for solver in (Cholesky, LU, QR, DenseQR, DenseCholesky)},
     "Pinv": (Pinv, {"rtol": 1e-12, "memory_limit": 1e9}),
     "LevenbergMarquardt": (LevenbergMarquardt, {}),

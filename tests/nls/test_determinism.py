@@ -36,7 +36,7 @@ def digest(solver):
             result = graph.optimize(values, optimizer, solver())
             for stack in result.values.stacks.values():
                 h.update(stack.X.tobytes("C"))
-            h.update(repr([(it.chi2, it.update, it.gradient) for it in result.history]).encode())
+            h.update(repr([(it.chi2, it.update, it.sigmas) for it in result.history]).encode())
         h.update(nls.Marginals(graph, result.values).all(x, frame="body").tobytes())
     return h.hexdigest()
 

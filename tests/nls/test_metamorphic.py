@@ -13,7 +13,7 @@ from models import SE2, SE3, SO3, LieGroup, R
 from nls import FactorGraph, GaussNewton, Result, Stop, Values
 from tests.nls.graphs import Sample, distance, pose_graph, x, y
 
-TIGHT = GaussNewton(Stop(update_tol=1e-11, chi2_rtol=0.0, gradient_tol=0.0))
+TIGHT = GaussNewton(Stop(update_tol=1e-11))
 SAMPLES = ((R(2), True), (SE2, True), (SE2, False), (SO3, False), (SE3, True))  # with a prior, or held by the gauge
 Poses = npt.NDArray[np.float64]
 

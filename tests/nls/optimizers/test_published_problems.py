@@ -234,12 +234,12 @@ REGRESSIONS = (
 )
 TIGHT = {
     "default": Stop(max_iterations=1000),
-    "update": Stop(1e-12, 0.0, 0.0, 1000),
-    "fall": Stop(0.0, 1e-12, 0.0, 1000),
-    "gradient": Stop(0.0, 0.0, 1e-10, 1000),
-    "none": Stop(0.0, 0.0, 0.0, 1000),
+    "sigmas": Stop(1e-8, max_iterations=1000),
+    "update": Stop(update_tol=1e-12, max_iterations=1000),
+    "fall": Stop(chi2_rtol=1e-12, max_iterations=1000),
+    "none": Stop(0.0, max_iterations=1000),
 }
-TURN = ("update", "fall", "gradient", "none")
+TURN = ("update", "fall", "sigmas", "none")
 SECOND = 13787.061  # chi2 of another minimum of Thurber's: the gradient is zero there, and all curvature positive
 # From far away by default, from nearby with one threshold alone or none.
 CASES = [case for k, q in enumerate(REGRESSIONS) for case in ((q, 0, "default"), (q, 1, TURN[k % 4]))]

@@ -15,12 +15,13 @@ from models.algebra import Array
 from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Pinv, Status, Stop, Values
 from nls.linear import default_solver
 from nls.linear.factorization import SingularSystemError
+from nls.optimizers.automatic import Reusing
 from nls.optimizers.problem import FAINT, Problem, Undamped
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, p, pose_graph, scalar, x
 from tests.nls.solving import make
 
-KEEPING = GaussNewton(reuse=True)
+KEEPING = Reusing()
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
@@ -95,7 +96,7 @@ def test_slow_convergence_is_followed_to_its_end() -> None:
     for c in (-0.8, -0.95):
         residual = partial(lambda c, X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), c)
         graph, start = scalar(residual, 0.5, dim=3)
-        result = graph.optimize(start, GaussNewton(Stop(max_iterations=500), reuse=True))
+        result = graph.optimize(start, Reusing(Stop(max_iterations=500)))
         assert result.converged
         assert result.chi2_final - 1 < 2e-6
 
