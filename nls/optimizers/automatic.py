@@ -59,12 +59,13 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
 
 
 def _nearly(watch: Watch, tolerance: float) -> bool:
-    """Whether |A dx| of the next step, as the last two continue, is hardly more than its threshold.
+    """Whether |A dx| of the next step is hardly more than its threshold, if it gets shorter as the latest did.
 
     After a first step that was short there is less to gain: it began near the optimum.
     """
-    before, s = (record.sigmas for record in ([*watch.history[:1], *watch.history][-2:]))
-    return s <= 10 * tolerance or (s < before and s * s <= 10 * tolerance * before)
+    s, update = watch.history[-1].sigmas, watch.history[-1].update
+    rate = update / watch.history[-2].update if len(watch.history) > 2 else 1.0
+    return s * min(rate, 1.0) <= 10 * tolerance  # ten times is not worth a factorization
 
 
 def _ends(step: Step, problem: Problem, watch: Watch) -> bool:
