@@ -91,7 +91,7 @@ def chi2_rises(step: Step) -> stop.Verdict | None:
 
 
 def turns_back(step: Step) -> stop.Verdict | None:
-    """max|dx + dx_before| <= 0.1 max|dx|, and dx no shorter, twice in a row: it jumps between two points."""
+    """max|dx + dx_before| <= 0.2 max|dx|, twice in a row: it jumps between two points."""
     if step.watch.turns < 2 or step.invisible:
         return None
     words = f"chi2 goes back and forth between {step.old.chi2:.6g} and {step.chi2:.6g}"

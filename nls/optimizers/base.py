@@ -80,7 +80,7 @@ class Watch(Record):
         undamped : for methods that shorten their steps.
         """
         step = Step(self, values, system, dx, promised, sigmas, undamped=undamped)
-        turned = self.latest is not None and step.longer and step.undoes(self.latest)
+        turned = self.latest is not None and step.undoes(self.latest)
         self.turns = self.turns + 1 if turned else 0
         self.note(step, seconds, damping, reused)
         level = step.ending and step.fall >= 0 and step.longer and (undamped is None or not step.short)

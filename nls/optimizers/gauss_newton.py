@@ -5,10 +5,10 @@ r"""Gauss-Newton: linearize, solve, retract, until the update is small.
     X    = X retract dx
     until |A dx| <= 1e-3 sqrt(min(chi2, max(dof, 1)))
 
-|A dx| is the length of the update in sigmas (`nls.optimizers.stop`). No damping, no line search, and nothing is kept from
-one iteration to the next: a step may raise chi2 on the way to a lower one (the Intel graph does, and converges). The
-best point met is what is returned, and a rise is never called converged. Source: F. Dellaert, M. Kaess, Factor Graphs
-for Robot Perception, 2017, section 2.5; the page on least squares in the documentation.
+|A dx| is the length of the update in sigmas (`nls.optimizers.stop`). There is no damping and no line search, and
+nothing is kept from one iteration to the next. A step may raise chi2 on the way to a lower one (the Intel graph does,
+and converges). The best point met is what is returned, and a rise is never called converged. Source: F. Dellaert, M.
+Kaess, Factor Graphs for Robot Perception, 2017, section 2.5; the page on least squares in the documentation.
 """
 
 from dataclasses import dataclass

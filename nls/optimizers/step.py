@@ -164,8 +164,8 @@ class Step:
         return self.update >= SHORTER * self.old.update
 
     def undoes(self, before: Step) -> bool:
-        """Whether dx leads back where the step before began: max|dx + dx_before| <= 0.1 max|dx|."""
-        return bool(np.abs(self.dx + before.dx).max(initial=0.0) <= 0.1 * self.update)
+        """Whether dx leads back nearly to where the step before began: max|dx + dx_before| <= 0.2 max|dx|."""
+        return bool(np.abs(self.dx + before.dx).max(initial=0.0) <= 0.2 * self.update)
 
     @property
     def still(self) -> bool:

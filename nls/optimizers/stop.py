@@ -129,9 +129,10 @@ def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
 
 
 def rounding(step: Step) -> Verdict | None:
-    """|A dx|^2 is within the rounding of chi2, and dx short; not while shorter steps serve `update_tol` or leave a saddle.
+    """|A dx|^2 is within the rounding of chi2, and dx short.
 
-    A damped method may leave a saddle by steps that chi2 does not show.
+    Not while shorter steps serve `update_tol`. Nor while those of a damped method get shorter: near a saddle chi2 does
+    not show the first of those that leave it.
     """
     last = step.sigmas == 0 or step.longer or (step.tolerance > 0 and step.undamped is None)
     return hidden(step) if last and step.invisible and step.agreed else None

@@ -200,8 +200,8 @@ class _Growth:
 class _Falls:
     """A callback that stops when a step lowers chi2 by less than a part of it.
 
-    `Stop.update_sigmas` would confirm that by an undamped solve and name what is free, such as the elevation of a landmark
-    that was seen once so far: half of the time of a mission.
+    `Stop.update_sigmas` would confirm that by an undamped solve and name what is free, such as the elevation of a
+    landmark that was seen once so far: half of the time of a mission.
     """
 
     def __init__(self, fraction: float) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -93,12 +94,13 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
 
 def test_slow_convergence_is_followed_to_its_end() -> None:
     """Gauss-Newton shortens x by the factor -c from step to step: many small falls."""
-    for c in (-0.8, -0.95):
+    for c, optimizer in product((-0.8, -0.95), (GaussNewton, LevenbergMarquardt, Dogleg, Reusing)):
         residual = partial(lambda c, X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), c)
         graph, start = scalar(residual, 0.5, dim=3)
-        result = graph.optimize(start, Reusing(Stop(max_iterations=500)))
-        assert result.converged
+        result = graph.optimize(start, optimizer(Stop(max_iterations=500)))
+        assert (result.converged, result.rule) == (True, "update_sigmas")
         assert result.chi2_final - 1 < 2e-6
+        assert np.abs(result.values[p[0]][0]) * abs(1 + c) ** 0.5 < 2e-3
 
 
 @pytest.mark.parametrize("mid", [1.0, 1.2])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Between, Information, Isotropic, Prior
+from factors import Between, Cauchy, Huber, Information, Isotropic, Noise, Prior, Robust
 from models import SE2, SE3
 from models.algebra import Array
 from models.errors import EvaluationError, UnderconstrainedError
@@ -29,8 +29,9 @@ from nls import (
     gauss_newton_step,
 )
 from nls.cli import main
+from nls.linear import LU, PCG, LinearSolver
 from nls.optimizers import OPTIMIZERS, Automatic, stop
-from tests.nls.graphs import GROUPS, WrongSign, circle, never_worse, p, pose_graph, scalar
+from tests.nls.graphs import GROUPS, WrongSign, circle, never_worse, p, pose_graph, scalar, x
 
 ALL = pytest.mark.parametrize("name", OPTIMIZERS)
 
@@ -81,6 +82,43 @@ def test_the_update_in_sigmas(name: str) -> None:
         assert (result.converged, result.rule in ("rounding", "refused_small")) == (True, True), result.reason
         assert "noise floor of 16 digits" in result.reason
         assert result.history[-1].update < 1e-6
+
+
+LEFT: dict[str, tuple[Noise | None, LinearSolver]] = {
+    "gaussian": (None, LU()),
+    "huber": (Robust(Isotropic(0.05), Huber(1.0)), LU()),
+    "cauchy": (Robust(Isotropic(0.05), Cauchy(1.0)), LU()),
+    "inexact": (None, PCG()),
+}
+
+
+@pytest.mark.parametrize("case", LEFT)
+@pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg", None])
+def test_what_is_left_of_chi2_is_below_the_threshold(name: str | None, case: str) -> None:
+    """Also under kernels, which converge linearly, and where a linear solver stops early."""
+    noise, solver = LEFT[case]
+    sample = pose_graph(SE2, n=40, seed=4, start=0.1)
+    graph = FactorGraph(sample.graph.factors)
+    if noise:  # closures that are ten sigmas off
+        i, j = [0, 5, 9], [30, 21, 39]
+        z = SE2.between(sample.truth[x][i], sample.truth[x][j]) + np.array([0.5, -0.5, 0.2])
+        graph.add(Between(x[i], x[j], z, noise))
+    optimizer = OPTIMIZERS[name]() if name else None
+    result = graph.optimize(sample.values, optimizer, solver)
+    lowest = graph.optimize(result.values, LevenbergMarquardt(Stop(1e-9, max_iterations=500))).chi2_final
+    assert (result.converged, result.rule in ("update_sigmas", "refused_small")) == (True, True), result.reason
+    assert 0 <= result.chi2_final - lowest + 1e-9 <= 2 * Stop().sigmas(lowest, result.dof) ** 2
+
+
+@ALL
+def test_an_exact_fit_is_named(name: str) -> None:
+    """As many measurements as unknowns, fewer, or without noise: A dx is as long as b to the end."""
+    for residual, dim in ((lambda X: X**3 - 8.0, 1), (lambda X: np.concatenate([X**3 - 8.0, X - 2.0], axis=1), 2)):
+        graph, start = scalar(residual, 5.0, dim=dim)
+        result = graph.optimize(start, OPTIMIZERS[name]())
+        assert (result.converged, result.dof) == (True, dim - 1)
+        assert dim == 2 or result.rule in ("exact_fit", "rounding", "refused_small")
+        assert result.values[p[0]][0] == pytest.approx(2.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("optimizer", [None, GaussNewton(), LevenbergMarquardt(), Dogleg()])
@@ -189,6 +227,11 @@ def test_the_default_goes_on_where_gauss_newton_is_slow_and_no_limit_is_given(ca
     assert (result.status, result.method) == (Status.CONVERGED, "gauss-newton, then dogleg")
     assert result.chi2_final == pytest.approx(1.0, rel=1e-5)
     (attempt,) = result.attempts
+    if case == "swings":  # each step undoes the one before it
+        assert (attempt.status, attempt.iterations) == (Status.CYCLING, 4)
+        assert "3 steps undo each other" in attempt.reason
+        assert result.iterations < 20
+        return
     assert attempt == ("gauss-newton", Status.MAX_ITERATIONS, "after 100 iterations", 100)
     assert "gauss-newton ended as MAX_ITERATIONS after 100 iterations; dogleg continued" in str(result)
     for limit in (100, 101):
