@@ -46,9 +46,9 @@ class Between(Factor):
     >>> from nls import FactorGraph, Values, kinds
     >>> (x,) = kinds("x")
     >>> graph = FactorGraph()
-    >>> _ = graph.add(Between(x[0], x[1], [1.0, 0.0, 0.5], Diagonal([0.1, 0.1, 0.01])))
+    >>> _ = graph.add(Between(x[0], x[1], [1.0, 0.2, 0.5], Diagonal([0.1, 0.1, 0.01])))
     >>> graph.optimize(Values({x: (SE2, [[0, 0, 0], [0, 0, 0]])})).values[x[1]].round(6)
-    array([1. , 0. , 0.5])
+    array([1. , 0.2, 0.5])
     """
 
     slots = (None, None)

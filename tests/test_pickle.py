@@ -31,7 +31,7 @@ from tests.sent import contents, received, things
 
 (x,) = kinds("x")
 # none leaves its call
-INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SpentError", "SparseSolver", "_Dense"}
+INTERNAL = {"Automatic", "Bending", "Reusing", "FreeGauge", "NoOptimumError", "SpentError", "SparseSolver", "_Dense"}
 SPLINES = {"SurveyLog"}  # those of SciPy take protocol 2 and above: tests/sim/test_survey.py
 COPIES: dict[str, Callable[[Any], Any]] = {
     **{

@@ -8,7 +8,7 @@ from nls.optimizers.base import Optimizer
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.problem import gauss_newton_step
 from nls.optimizers.result import Attempt, Callback, Fit, Iteration, Result, Status
-from nls.optimizers.stop import Stop
+from nls.optimizers.step import Stop
 from nls.optimizers.trust_region import Dogleg, LevenbergMarquardt
 
 __all__ = [

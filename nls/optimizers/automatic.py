@@ -16,6 +16,10 @@ Of the two damped methods dogleg is the one with the shorter way from a failure:
 names a method gets that method alone. The limits of a `Stop` are those of both together.
 """
 
+from itertools import pairwise
+
+import numpy as np
+
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
 from nls.optimizers.base import Optimizer, Watch
@@ -91,13 +95,14 @@ def chi2_rises(step: Step) -> stop.Verdict | None:
 
 
 def turns_back(step: Step) -> stop.Verdict | None:
-    """max|dx + dx_before| <= 0.2 max|dx|, twice in a row: it jumps between two points."""
-    if step.watch.turns < 2 or step.invisible:
+    """|A (dx + dx_before)| <= 0.2 |A dx|, twice in a row: it jumps between two points."""
+    updates = step.watch.updates
+    if len(updates) < 3 or step.sigmas < 0.8 * step.old.sigmas or step.invisible:
         return None
-    words = f"chi2 goes back and forth between {step.old.chi2:.6g} and {step.chi2:.6g}"
-    return stop.Verdict(
-        Status.CYCLING, f"{words}: {step.watch.turns + 1} steps undo each other, max|dx| {step.largest}"
-    )
+    if any(np.linalg.norm(step.system.times(a + b)) > 0.2 * step.sigmas for a, b in pairwise(updates)):
+        return None
+    reason = f"three steps of {step.sigmas:.2g} sigmas undo each other; max|dx| {step.largest}"
+    return stop.Verdict(Status.CYCLING, reason)
 
 
 def no_new_best(step: Step) -> stop.Verdict | None:
@@ -112,22 +117,24 @@ def no_new_best(step: Step) -> stop.Verdict | None:
 class Automatic(Optimizer):
     """Gauss-Newton, with reuse, and dogleg where that fails or does not arrive.
 
-    Parameters
-    ----------
-    stop : thresholds, and limits of both methods together.
-    callback : called with every `Iteration`; returning True stops.
+        Parameters
+        ----------
+        stop : thresholds, and limits of both methods together.
+        callback : called with every `Iteration`; returning True stops.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from factors import Factor
-    >>> from models import R
-    >>> from nls import FactorGraph, Values, kinds
-    >>> (p,) = kinds("p")
-    >>> graph = FactorGraph([Factor.from_function(lambda X: np.arctan(X), p[0], dim=1)])
-    >>> result = graph.optimize(Values({p: (R(1), [2.0])}))
-    >>> result.method, result.converged
-    ('gauss-newton, then dogleg', True)
+        Examples
+        --------
+        >>> from itertools import pairwise
+
+    import numpy as np
+        >>> from factors import Factor
+        >>> from models import R
+        >>> from nls import FactorGraph, Values, kinds
+        >>> (p,) = kinds("p")
+        >>> graph = FactorGraph([Factor.from_function(lambda X: np.arctan(X), p[0], dim=1)])
+        >>> result = graph.optimize(Values({p: (R(1), [2.0])}))
+        >>> result.method, result.converged
+        ('gauss-newton, then dogleg', True)
     """
 
     name = "auto"

@@ -18,8 +18,7 @@ from nls.linear.underconstrained import underconstrained
 from nls.optimizers import stop
 from nls.optimizers.problem import Problem, Undamped
 from nls.optimizers.result import Callback, Iteration, Status
-from nls.optimizers.step import Record, Step
-from nls.optimizers.stop import Stop
+from nls.optimizers.step import Record, Step, Stop
 from nls.stages import announce, inside_stage
 from nls.system import LinearSystem
 from nls.values import Values
@@ -80,8 +79,6 @@ class Watch(Record):
         undamped : for methods that shorten their steps.
         """
         step = Step(self, values, system, dx, promised, sigmas, undamped=undamped)
-        turned = self.latest is not None and step.undoes(self.latest)
-        self.turns = self.turns + 1 if turned else 0
         self.note(step, seconds, damping, reused)
         level = step.ending and step.fall >= 0 and step.longer and (undamped is None or not step.short)
         self.level_steps = self.level_steps + 1 if level else 0
@@ -91,6 +88,7 @@ class Watch(Record):
     def note(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
         """Record a step that was taken."""
         self.latest = step
+        self.updates.append(step.dx)
         self.take(Iteration(0, step.chi2, step.update, step.sigmas, damping, seconds, reused), step.values)
 
     @property

@@ -1,22 +1,89 @@
-"""A step and the run it belongs to: what the stop rules ask about (`nls.optimizers.stop`)."""
+"""Thresholds, the record of a run, and a step: the subjects of the stop rules (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from numbers import Integral, Real
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.algebra import Array
+from models.errors import OptionError
 from nls.optimizers.problem import Undamped
 from nls.optimizers.result import Attempt, Iteration, Status
 from nls.system import LinearSystem
 from nls.values import Values
 
-if TYPE_CHECKING:
-    from nls.optimizers.stop import Stop
+
+@dataclass(frozen=True)
+class Stop:
+    """Thresholds and limits that end an optimization.
+
+    The update is measured in sigmas: |A dx| is its length in units of its own uncertainty, and |A dx|^2 is what chi2
+    falls by. dx is the undamped step. A threshold that is given is the one that stops: the others are off. Where chi2
+    has no digits left an optimization ends in any case, see `nls.optimizers.stop`.
+
+    Parameters
+    ----------
+    update_sigmas : converged when |A dx| <= update_sigmas sqrt(min(chi2, max(dof, 1))), and when the steps to come,
+        continued as the geometric series of the last two, add up to no more than that either. 1e-3 where no threshold
+        is given. Source: D. Bates, D. Watts, "A relative offset orthogonality convergence criterion for nonlinear least
+        squares", Technometrics 23(2), 1981.
+    update_tol : converged when max |dx| < update_tol (meters, radians).
+    chi2_rtol : converged when |A dx|^2 <= chi2_rtol chi2, and the steps to come likewise.
+    max_iterations : at most so many steps. When omitted 100; and 1000 in all where no method is named either: the
+        default then goes on, damped, from the lowest point of the first 100 (`Automatic`).
+    max_seconds : no further step after so many seconds.
+
+    Raises
+    ------
+    OptionError
+        A threshold that is negative or not a number.
+
+    Examples
+    --------
+    >>> from nls import Stop
+    >>> Stop().sigmas(chi2=400.0, dof=100)
+    0.01
+    >>> Stop(chi2_rtol=1e-4).sigmas(chi2=400.0, dof=100)
+    0.2
+    >>> Stop(update_tol=1e-9).sigmas(chi2=400.0, dof=100)
+    0.0
+    """
+
+    update_sigmas: float | None = None
+    update_tol: float | None = None
+    chi2_rtol: float | None = None
+    max_iterations: int | None = None
+    max_seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None and f.name != "max_seconds":
+                continue
+            if not isinstance(value, Real) or value != value or value < 0:
+                raise OptionError(f.name, value, "a number of at least 0")
+            if value == math.inf and f.name in ("update_sigmas", "update_tol", "chi2_rtol"):
+                raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
+        if not isinstance(self.max_iterations, Integral | None):
+            raise OptionError("max_iterations", self.max_iterations, "a whole number")
+
+    @property
+    def patient(self) -> Stop:
+        """Thresholds as they are; with the limit of all steps of the default where none is given."""
+        return self if self.max_iterations is not None else replace(self, max_iterations=1000)  # in all
+
+    def sigmas(self, chi2: float, dof: int) -> float:
+        """The largest |A dx| of a step that ends it; 0 where only `update_tol` does."""
+        share, rtol = self.update_sigmas or 0.0, self.chi2_rtol or 0.0
+        if (self.update_sigmas, self.update_tol, self.chi2_rtol) == (None, None, None):
+            share = 1e-3
+        return max(share * math.sqrt(min(chi2, max(dof, 1))), math.sqrt(rtol * chi2))
 
 
 class Record:
@@ -36,7 +103,8 @@ class Record:
     methods, attempts, earlier : names so far; those that failed, and their records.
     start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
-    level_steps, turns : steps in a row that ran along a plateau; that undid the one before.
+    level_steps : steps in a row that ran along a plateau.
+    updates : dx of the last three steps.
     free : a damped method or the shortest step ended on this singular system; None when nothing is free, or nobody
         looked.
     """
@@ -55,7 +123,8 @@ class Record:
 
     def _begin(self) -> None:
         """Nothing is known but the best point."""
-        self.start, self.since_best, self.level_steps, self.turns = self.best.coordinates, 0, 0, 0
+        self.start, self.since_best, self.level_steps = self.best.coordinates, 0, 0
+        self.updates = deque[Array](maxlen=3)
         self._longest: Array | float = 0.0  # column of A of each unknown
 
     @property
@@ -162,10 +231,6 @@ class Step:
     def longer(self) -> bool:
         """Whether max|dx| is not below that of the step before; False for the first one, too."""
         return self.update >= SHORTER * self.old.update
-
-    def undoes(self, before: Step) -> bool:
-        """Whether dx leads back nearly to where the step before began: max|dx + dx_before| <= 0.2 max|dx|."""
-        return bool(np.abs(self.dx + before.dx).max(initial=0.0) <= 0.2 * self.update)
 
     @property
     def still(self) -> bool:

@@ -198,7 +198,7 @@ def test_the_default_converges_where_gauss_newton_diverges(data: Path) -> None:
         assert (default.status, default.method) == (Status.CONVERGED, "gauss-newton, then dogleg")
         assert default.chi2_final == pytest.approx(618334.2, rel=2e-6)
         assert [(attempt.method, attempt.status) for attempt in default.attempts] == [("gauss-newton", Status.DIVERGED)]
-        assert default.attempts[0].iterations < 10 < default.iterations < 25
+        assert default.attempts[0].iterations < 10 < default.iterations < 30
         assert "gauss-newton ended as DIVERGED" in str(default)
     undamped = graph.optimize(start, GaussNewton())
     assert (undamped.status, undamped.method, undamped.attempts) == (Status.DIVERGED, "gauss-newton", ())

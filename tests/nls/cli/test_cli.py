@@ -46,7 +46,7 @@ def test_the_report_for_programs(text: str, counts: tuple[str, int, int], shell:
     first, history = report["history"][0], report["history"]
     assert [step["iteration"] for step in history] == list(range(report["iterations"] + 1))
     assert (first["update"], first["chi2"]) == (None, report["chi2_initial"])
-    assert all("gradient" in step and step["lambda"] == 0.0 for step in history)
+    assert all("sigmas" in step and step["lambda"] == 0.0 for step in history)
     graph, values, _ = nls.load("graph.g2o")
     start, name, tried = nls.initialize(graph, values)
     result = graph.optimize(start)

@@ -26,13 +26,13 @@ def looked(**changes: Any) -> Any:
         "began": perf_counter(),
         "stop": Stop(),
         "limit": 100,
-        "turns": 0,
+        "updates": [np.array([1.0, 0.0]), np.array([-1.1, 0.0]), np.array([1.0, 0.1])],
         "chi2_initial": 100.0,
         "reason": "small",
         "scaled": lambda system: np.ones(2),
     }
     system: dict[str, Any] = {"chi2": 50.0, "column_norms": np.ones(2), "column": lambda index: ("p0", "xy"[index])}
-    system["scaled_gradient"] = 0.5
+    system |= {"scaled_gradient": 0.5, "times": lambda dx: 8.0 * dx}
     step: dict[str, Any] = {
         "old": Iteration(0, 100.0, 1.0, 30.0),
         "sigmas": 8.0,
@@ -112,7 +112,16 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
         {"chi2": 1e6, "old": Iteration(1, 1e6, 1.0)},
         [{"chi2": 0.9e6}, {"old": Iteration(1, 0.9e6, 1.0)}, {"rounds": lambda change: True}],
     ),
-    automatic.turns_back: (Status.CYCLING, {"turns": 2}, [{"turns": 1}, {"invisible": True}]),
+    automatic.turns_back: (
+        Status.CYCLING,
+        {"old": Iteration(0, 100.0, 1.0, 9.0)},
+        [
+            {"old": Iteration(0, 100.0, 1.0, 11.0)},
+            {"times": lambda dx: 12.0 * dx},
+            {"updates": []},
+            {"invisible": True},
+        ],
+    ),
     automatic.no_new_best: (Status.CYCLING, {"since_best": 10}, [{"since_best": 9}, {"invisible": True}]),
 }
 
