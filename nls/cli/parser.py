@@ -134,8 +134,10 @@ def parser() -> Parser:
     better = "--certify first, and continue from each better optimum it finds"
     _flag(more, "--improve", better)
     add("--max-iterations", type=int, metavar="N", help="at most N iterations (default: 100; 1000 with --method auto)")
+    uncertainty = f"converged when an update is below X of its own uncertainty (default: 1e-3); {ALONE}"
+    add("--update-sigmas", type=float, metavar="X", help=uncertainty)
     add("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
-    decrease = f"converged when the relative decrease of chi2 is below X; {ALONE}"
+    decrease = f"converged when an update lowers chi2 by a part below X; {ALONE}"
     add("--chi2-rtol", type=float, metavar="X", help=decrease)
     _flag(more, "--allow-unconverged", "exit with 0 at an iteration limit too")
     _flag(more, "--allow-doubtful", "exit with 0 for a doubtful result too")

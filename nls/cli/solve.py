@@ -49,7 +49,7 @@ def _checked(kind: GraphFile) -> Run:
     refuse_absent(file for file in kind.files if file != "-")
     clock = Clock(options.began, options.startup)
     solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
-    stop = nls.Stop(None, options.update_tol, options.chi2_rtol, options.max_iterations)
+    stop = nls.Stop(options.update_sigmas, options.update_tol, options.chi2_rtol, options.max_iterations)
     others = ("covariance", "write_graph", "plot", "view", "report", "json")
     files = {"-o": kind.output_file, **{f"--{name.replace('_', '-')}": getattr(options, name) for name in others}}
     refuse_unwritable(files, *kind.files)

@@ -134,6 +134,7 @@ def test_rounding_of_large_measurements_is_no_rise_of_chi2(optimizer: Optimizer 
 @pytest.mark.parametrize(
     ("options", "rules"),
     [
+        (["--update-sigmas", "1e-4"], ("update_sigmas",)),
         (["--update-tol", "1e-12"], ("update_norm", "rounding")),
         (["--chi2-rtol", "1e-2"], ("update_sigmas",)),
         (["--update-tol", "1e-30", "--chi2-rtol", "1e-6"], ("update_sigmas",)),
