@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import nls
@@ -55,6 +56,7 @@ class GraphFile:
         (NO_FOLDER, ("crs",)),
         ("-o writes another graph than that of a mission", ("write_graph",)),
     )
+    READERS: tuple[str, ...] = ("nls.io.graph_files", "nls.io.read")  # modules that read it
     explains = True  # whether measurements have lines to explain
     unnumbered = "no output"  # for which --renumber is refused
     read_values = "file"  # the name of the start where it was read
@@ -116,6 +118,15 @@ class GraphFile:
             check_renumber(form or self.unnumbered)
 
     # --- reading
+
+    def import_modules(self) -> None:
+        """Import what reads and solves the input, so that the clocks of both count their work alone."""
+        modules = [*self.READERS, "nls.starts"] + ["scipy.special"] * (self.robust is not None)
+        modules += ["nls.cli.outliers", "nls.robust"] * self.rejects + ["nls.analysis"] * (
+            self.options.sigmas != "stated"
+        )
+        for module in modules:
+            import_module(module)
 
     def read(self, stage: Callable[[Read], Read] = lambda read: read) -> Read:
         """The graph, start and report of the file, folder or stream; a trajectory has no measurements.

@@ -34,6 +34,7 @@ class Folder(GraphFile):
     """A folder whose solution is a folder."""
 
     MEANINGLESS: Meaningless = (("the solution of a mission is a folder with files of their own", ("to",)),)
+    READERS = ("nls.io.graph_files", "nls.missions.folder.read")
     unnumbered = "mission"
     read_values = values_before = "dead reckoning"
 

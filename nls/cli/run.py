@@ -65,15 +65,11 @@ class Clock:
 
         ``solved`` is from the file to the optimum, ``total`` adds the outputs, ``process`` the start-up.
         """
-        seconds = dict(self.seconds)
+        seconds, process = dict(self.seconds), sum(self.seconds.values())
         whole = seconds.pop("optimize")
-        out = {"read": seconds["read"], "init": seconds["init"], **optimize}
-        out["other"] = whole - sum(optimize.values())
-        out["solved"] = seconds["read"] + seconds["init"] + whole
-        optional = ("check", "write", "certify", "report", "startup", "imports")
-        out |= {name: seconds[name] for name in optional if name in seconds}
-        out["total"] = out["solved"] + sum(out.get(name, 0.0) for name in ("check", "write", "certify", "report"))
-        out["process"] = out["total"] + out["startup"] + out["imports"]
+        out = {**seconds, **optimize, "other": whole - sum(optimize.values())}
+        out |= {"solved": seconds["read"] + seconds["init"] + whole, "process": process}
+        out["total"] = process - seconds["startup"] - seconds["imports"]
         return out | stages
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 
 import nls
-import nls.starts  # counted as an import
 from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile
@@ -17,8 +17,11 @@ from nls.cli.outputs import PAGES, PICTURES, Color, complain, live, refuse_name,
 from nls.cli.run import Clock, Problem, Run, Solved
 from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
-from nls.linear import SOLVERS
+from nls.linear import LU, QR, SOLVERS, DenseCholesky, DenseQR, Pinv, default_solver
+from nls.sparse.threads import single_thread
 from nls.stages import announce, collected
+
+OF_SCIPY = (LU, QR, DenseCholesky, DenseQR, Pinv)  # linear solvers that import it late
 
 
 def solve(options: argparse.Namespace) -> int:
@@ -66,6 +69,7 @@ def _checked(kind: GraphFile) -> Run:
         drawing_package()  # before the work
     form = kind.output_format()
     kind.check_renumber(form)
+    kind.import_modules()
     clock.lap("imports")
     return Run(options=options, clock=clock, solver=solver, stop=stop, form=form)
 
@@ -94,7 +98,19 @@ def _read(kind: GraphFile, run: Run) -> Problem:
     options.phase.begin(f"while computing the initial guess of {options.file}")
     graph = kind.prepared(as_read, values, report)
     run.clock.lap("read")
+    _import_solver(run, values.dim)
+    run.clock.lap("imports")
     return Problem(**vars(run), as_read=as_read, values=values, report=report, graph=graph, start=values)
+
+
+def _import_solver(run: Run, columns: int) -> None:
+    """Import the libraries of the linear solver, and of the default one for a start; look for their threads."""
+    if run.solver is not None:
+        run.solver.require()
+    if isinstance(default_solver(columns), OF_SCIPY) or isinstance(run.solver, OF_SCIPY):
+        import_module("scipy.sparse.linalg")
+    with single_thread():
+        pass
 
 
 def _begun(kind: GraphFile, problem: Problem) -> Problem:

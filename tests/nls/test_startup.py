@@ -104,6 +104,38 @@ def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -
     assert fresh(with_numpy).splitlines()[0] == "0"
 
 
+@pytest.mark.parametrize(
+    ("words", "whose"),
+    [
+        ("", ""),
+        ("--robust cauchy", ""),
+        ("--linear-solver lu --init odometry", ""),
+        ("--robust gnc-tls", "nls."),
+        ("--sigmas estimate", "nls."),
+    ],
+)
+def test_imports_are_counted_as_imports(words: str, whose: str, tmp_path: Path) -> None:
+    """No module is loaded while a graph is read, started and solved: their clocks say what the work takes."""
+    steps = [(k, k + 1, "1 0 0.1") for k in range(62)] + [(k, k + 60, "0 0 0") for k in range(3)]  # 189 columns
+    lines = [f"EDGE_SE2 {i} {j} {z} 9 0 0 9 0 9" for i, j, z in steps]
+    (tmp_path / "circle.g2o").write_text("\n".join(lines))
+    program = f"""
+import sys
+from nls.cli import main
+from nls.cli.run import Clock
+late, known, lap = dict(), set(), Clock.lap
+def counted(clock, name):
+    late[name] = late.get(name, set()) | set(sys.modules) - known
+    known.update(sys.modules)
+    lap(clock, name)
+Clock.lap = counted
+main(["solve", {str(tmp_path / "circle.g2o")!r}, "--quiet", "--allow-doubtful", *{words.split()}])
+print(sorted(late))
+print([name for stage in ("read", "init", "optimize") for name in late[stage] if name.startswith({whose!r})])
+"""
+    assert fresh(program).splitlines() == [str(["check", "imports", "init", "optimize", "read", "write"]), "[]"]
+
+
 def test_modules_of_the_package_are_there_without_an_import_of_theirs() -> None:
     assert fresh("import nls; print(nls.linear.SOLVERS['lu'].name, nls.io.load is nls.load)") == "lu True\n"
     with pytest.raises(AttributeError, match="module 'nls' has no attribute 'nothing'"):
