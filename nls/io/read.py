@@ -6,6 +6,7 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -45,10 +46,11 @@ from nls.posegraph import says_poses
 from nls.stages import stage
 from nls.starts.dead_reckoning import chain
 from nls.starts.landmarks import locate_points
-from nls.values import Stack, Values
+from nls.values import OnDemand, Stack, Values
 
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 NO_VERTICES = "no vertices in the file"
+SMALL = 1e60  # measured poses whose numbers add up to less, in absolute value, lead to no infinite one
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -94,8 +96,9 @@ def read_graph(
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
-    known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
-    set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
+    if unknown or ignore_tags:
+        known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
+        set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
     note_comments(report, len(comments))
 
     lines: dict[bytes, list[Index]] = {}
@@ -248,21 +251,21 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
 
 
 def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
-    """Values of every vertex the edges name.
+    """Values of every vertex the edges name; poses are chained when they are asked for, if nothing can be wrong then.
 
     Raises
     ------
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
+    spaces, factors = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}, [factor for factor, _ in bound]
     values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
-    for factor, _ in bound:
+    for factor in factors:
         if isinstance(factor, Prior):  # a pose, place or point that is known
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
             values[factor.keys[0]] = known
     if len(roles.poses):
-        values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
+        values = OnDemand(values, partial(_chained, factors, group))
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
         values = _placed(text, bound, roles, values)
@@ -270,7 +273,8 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
     if count := len(roles.mounts):
         places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
         report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
-    if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
+    small = all(isinstance(factor, Between) and np.abs(factor.z).sum() < SMALL for factor in factors)
+    if not small and not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
         line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
@@ -280,6 +284,11 @@ def unstarted(roles: Roles, group: LieGroup) -> Values:
     """No values, of the kinds that the edges name."""
     spaces, ids = spaces_of(group), roles.all_ids()
     return Values({k: (spaces[role], spaces[role].identity(0), []) for role, k in KINDS.items() if len(ids[k])})
+
+
+def _chained(factors: Sequence[Factor], group: LieGroup, values: Values) -> Values:
+    """Poses chained along the measured differences of poses."""
+    return chain(FactorGraph([step for factor in factors for step in _pose_steps(factor, values, group)]), values)
 
 
 def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:
