@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 POSE_LINE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
+POSE_NAME = re.compile(rb"[A-Za-z]+[0-9]+")
 
 
 class Reading(NamedTuple):
@@ -104,13 +105,14 @@ def _named(name: str) -> Any:
 
 def _begins(pattern: bytes, reason: str) -> Callable[[bytes], str]:
     """A test whether bytes begin with a pattern."""
-    return lambda data: reason if re.match(pattern, data) else ""
+    begins = re.compile(pattern).match
+    return lambda data: reason if begins(data) else ""
 
 
 def _names_poses(data: bytes) -> str:
     """Whether the first pose has a name behind its time."""
     first = POSE_LINE.search(data, 0, 1 << 16)
-    name = first and re.fullmatch(rb"[A-Za-z]+[0-9]+", first[1])
+    name = first and POSE_NAME.fullmatch(first[1])
     return f"'{name[0].decode():.30}' after a time is the name of a pose" if name else ""
 
 
@@ -209,7 +211,7 @@ def suffixes() -> dict[str, Format]:
 
 def by_content(data: bytes, path: str) -> tuple[Format | None, str]:
     """The format of bytes and why; None where the tags of `nls.io.dialects` are to tell."""
-    files = [row for row in FORMATS.values() if row.loads]
+    files = [row for row in FORMATS.values() if (row.by_name or row.looks is not _no_looks) and row.loads]
     for row in sorted(files, key=lambda row: not row.whole):  # pieces first, whatever their names
         reason = "by its name" if row.by_name and suffix_of(path) in row.suffixes else row.looks(data)
         if reason:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import nls.io.read  # noqa: F401  # the reader of most files: its import is none of the work of the first one
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -190,6 +190,7 @@ class Dialect:
         return records[0] if records else None
 
 
+@cache
 def spaces_of(group: LieGroup) -> dict[str, Manifold]:
     """The space of vertices by what they are used as, with poses of SE2 or SE3."""
     return {"pose": group, "point": R(group.point_dim), "mount": group, "either": group}
