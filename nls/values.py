@@ -109,7 +109,7 @@ class Values:
 
     def __init__(self, stacks: Mapping[Any, tuple[Any, ...]] | None = None) -> None:
         self.stacks: dict[str, Stack] = {}
-        if not isinstance(stacks, Mapping | None):
+        if stacks is not None and not isinstance(stacks, Mapping):
             raise GraphError(f"Values: expected a dictionary such as {{x: (SE2, X0)}}, got {stacks!r:.60}")
         for kind, entry in ({} if stacks is None else stacks).items():
             name = kind.name if isinstance(kind, Kind) else Kind(str(kind)).name

@@ -8,7 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import nls
-import nls.starts  # counted as an import
+import nls.io.graph_files  # this and the next are counted as imports
+import nls.starts
 from models.advice import Advice, listed
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile

@@ -173,7 +173,7 @@ def _parsed(data: bytes, path: str, how: Reading) -> Read:
     formats.refuse_needless(path, row.name, how, row.options)
     graph, values, report = row.read(how, data, path)
     report.reason = report.reason or reason
-    for note in not_there(how.ignore_tags, report.tags):
+    for note in not_there(how.ignore_tags, report.tags) if how.ignore_tags else ():
         report.warn(note)
     return graph, values, report
 

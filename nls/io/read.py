@@ -101,11 +101,12 @@ def read_graph(
         set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
     note_comments(report, len(comments))
 
-    lines: dict[bytes, list[Index]] = {}
+    lines: dict[bytes, Index] = {}
     for tag, record in records.items():
-        lines.setdefault(record.tag, []).append(tags[tag])
+        others = lines.get(record.tag)
+        lines[record.tag] = tags[tag] if others is None else np.sort(np.concatenate([others, tags[tag]]))
     with stage("read numbers"):
-        read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
+        read = [read_lines(text, format.tags[tag], at) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
     vertices = [block for block in read if block.record.factor is None and block.record.slots]
     edges = by_role(format, vertices, edges)
@@ -131,8 +132,9 @@ def read_graph(
         values = _vertex_values(vertices, roles, group)
     else:
         report.vertices_given = False
-        with stage("read chain"):
-            values = started(text, bound, roles, group, report) if start else unstarted(roles, group)
+        spaces, ids = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}, roles.all_ids()
+        values = Values.of(Stack(k, spaces[k], spaces[k].identity(len(n)), n) for k, n in ids.items() if len(n))
+        values = started(text, bound, roles, values, group, report) if start else values.spaces()
     note_rounded(report, read)
     note_turns(report, vertices, edges)
     offsets.keep_unused(report)
@@ -250,16 +252,17 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     return [keys for keys in fixed if len(keys)]
 
 
-def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
-    """Values of every vertex the edges name; poses are chained when they are asked for, if nothing can be wrong then.
+def started(
+    text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values, group: LieGroup, report: LoadReport
+) -> Values:
+    """Vertices the edges name, all at the identity, where the measurements say; poses are chained when asked for.
 
     Raises
     ------
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    spaces, factors = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}, [factor for factor, _ in bound]
-    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
+    factors = [factor for factor, _ in bound]
     for factor in factors:
         if isinstance(factor, Prior):  # a pose, place or point that is known
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
@@ -278,12 +281,6 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
         line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
-
-
-def unstarted(roles: Roles, group: LieGroup) -> Values:
-    """No values, of the kinds that the edges name."""
-    spaces, ids = spaces_of(group), roles.all_ids()
-    return Values({k: (spaces[role], spaces[role].identity(0), []) for role, k in KINDS.items() if len(ids[k])})
 
 
 def _chained(factors: Sequence[Factor], group: LieGroup, values: Values) -> Values:

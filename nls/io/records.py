@@ -295,6 +295,8 @@ def different(numbers: Numbers) -> Numbers:
     >>> different(np.array([7, 2, 7])), different(np.array([], dtype=np.int64))
     (array([2, 7]), array([], dtype=int64))
     """
+    if not len(numbers):
+        return numbers
     rising: Numbers = np.sort(numbers)
     first = np.ones(len(rising), dtype=bool)
     first[1:] = rising[1:] != rising[:-1]
