@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from factors.definite import NOTHING, cholesky, diagonal, once_if_equal, positive_definite
+from factors.definite import NOTHING, cholesky, diagonal, once_if_equal
 from factors.slices import rows
 from models.abstract import Abstract
 from models.algebra import Array, Index, apply, product
@@ -30,7 +30,6 @@ __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtI
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
-FEW = 200  # matrices that `positive_definite` judges sooner than their whiteners are found
 SHOWN = 9  # numbers of an array that `repr` shows one by one
 SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2, a weight below its inverse no information
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
@@ -226,8 +225,7 @@ class _Symmetric(_Matrix):
                 raise NoiseModelError(
                     f"{kind} of measurement {k} is not symmetric: {M[k].tolist()}", kind, k, float(skewness[k])
                 )
-        if len(M) > FEW or not positive_definite(M):
-            self._whitener(M)  # which raises where it has to
+        self._whitener(M)  # raises where it is none
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         return self._whitener(self._checked(n, names))

@@ -268,7 +268,8 @@ def started(
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
             values[factor.keys[0]] = known
     if len(roles.poses):
-        values = OnDemand(values, partial(_chained, factors, group))
+        steps = FactorGraph([step for factor in factors for step in _pose_steps(factor, values, group)])
+        values = OnDemand(values, partial(chain, steps))
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
         values = _placed(text, bound, roles, values)
@@ -281,11 +282,6 @@ def started(
         line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
-
-
-def _chained(factors: Sequence[Factor], group: LieGroup, values: Values) -> Values:
-    """Poses chained along the measured differences of poses."""
-    return chain(FactorGraph([step for factor in factors for step in _pose_steps(factor, values, group)]), values)
 
 
 def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:
