@@ -116,7 +116,7 @@ def read_graph(
     offsets = Offsets(text, [block for block in named if not block.record.switched], group)
     switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
     roles = Roles(text, vertices, edges, unknown, apart)
-    bound: list[tuple[Factor, Lines]] = []
+    factors: list[Factor] = []
     with stage("read factors"):
         for block in edges:
             switched = block.record.switched
@@ -124,17 +124,16 @@ def read_graph(
             noises = _matrices(text, block, format.matrix, repair_information, report)
             parameters = switches if switched else offsets
             for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
-                factor = _factor(text, block, mine, noises, format.matrix, parameters, roles, group, report)
-                bound.append((factor, block))
+                factors.append(_factor(block, mine, noises, format.matrix, parameters, roles, group, report))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
-    graph = FactorGraph([factor for factor, _ in bound])
+    graph = FactorGraph(factors)
     if len(roles.vertex_ids):
         values = _vertex_values(vertices, roles, group)
     else:
         report.vertices_given = False
         spaces, ids = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}, roles.all_ids()
         values = Values.of(Stack(k, spaces[k], spaces[k].identity(len(n)), n) for k, n in ids.items() if len(n))
-        values = started(text, bound, roles, values, group, report) if start else values.spaces()
+        values = started(factors, roles, values, group, report) if start else values.spaces()
     note_rounded(report, read)
     note_turns(report, vertices, edges)
     offsets.keep_unused(report)
@@ -147,14 +146,11 @@ def read_graph(
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
     """SE2 or SE3, whichever the file is about; parameters alone say it where there is nothing else."""
     records = {t: r for t, r in records.items() if r.slots} or records
-    first = {
-        group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
-        for group in {record.group for record in records.values()}
-    }
-    if len(first) == 2:
-        line = max(first.values())
+    groups = {record.group for record in records.values()}
+    if len(groups) == 2:
+        line = max(min(int(tags[t][0]) for t, r in records.items() if r.group is group) for group in groups)
         raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
-    return next(iter(first), SE2)
+    return next(iter(groups), SE2)
 
 
 def _matrices(text: Text, block: Lines, entries: str, repair: bool, report: LoadReport) -> Array:
@@ -177,7 +173,6 @@ def _matrices(text: Text, block: Lines, entries: str, repair: bool, report: Load
 
 
 def _factor(
-    text: Text,
     block: Lines,
     mine: Index | slice,
     matrices: Array,
@@ -193,7 +188,7 @@ def _factor(
     z, numbers = block.X[mine], block.numbers[mine]
     all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
     M = matrices[mine] * all_offsets[:, :, 1:2] ** 2 if record.switched else matrices[mine]
-    with text.at_lines(at):
+    with roles.text.at_lines(at):
         noise = noise_of(record, entries, M, numbers[:, : record.element.width], convention)
         if isinstance(offsets, Switches):
             noise = Robust(noise, DCS(float(offsets.phi[mine][0])))
@@ -252,9 +247,7 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     return [keys for keys in fixed if len(keys)]
 
 
-def started(
-    text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values, group: LieGroup, report: LoadReport
-) -> Values:
+def started(factors: list[Factor], roles: Roles, values: Values, group: LieGroup, report: LoadReport) -> Values:
     """Vertices the edges name, all at the identity, where the measurements say; poses are chained when asked for.
 
     Raises
@@ -262,7 +255,6 @@ def started(
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    factors = [factor for factor, _ in bound]
     for factor in factors:
         if isinstance(factor, Prior):  # a pose, place or point that is known
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
@@ -272,15 +264,15 @@ def started(
         values = OnDemand(values, partial(chain, steps))
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
-        values = _placed(text, bound, roles, values)
+        values = _placed(factors, roles, values)
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.points), 'point')} placed by the measurements")
     if count := len(roles.mounts):
         places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
         report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
     small = all(isinstance(factor, Between) and np.abs(factor.z).sum() < SMALL for factor in factors)
     if not small and not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
-        line = int(min(block.at.min() for _, block in bound))
-        raise text.error("the poses chained along the edges grow beyond the largest number", line)
+        line = min(int(block.at[0]) for block in roles.edges)
+        raise roles.text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
 
 
@@ -295,19 +287,19 @@ def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]
     return [Between(i, j, group.compose(group.compose(O, factor.z), group.inverse(O)), Isotropic())]
 
 
-def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values) -> Values:
+def _placed(factors: list[Factor], roles: Roles, values: Values) -> Values:
     """Points from a prior, else from where they were seen, else along measured differences of points."""
     before = values.stack(POINT)
-    prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
-    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Sighting)])
-    joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
+    prior = [f.keys[0].numbers for f in factors if isinstance(f, Prior) and f.keys[0].kind == POINT]
+    sightings = FactorGraph([f for f in factors if isinstance(f, Sighting)])
+    joined = FactorGraph([f for f in factors if isinstance(f, Between) and f.keys[0].kind == POINT])
     for numbers in prior:
         sightings.fix(Keys(POINT, numbers))
     try:
         values = locate_points(sightings, values)
     except np.linalg.LinAlgError as error:
-        line = int(min(block.at.min() for _, block in bound))
-        raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
+        line = min(int(block.at[0]) for block in roles.edges)
+        raise roles.text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
     moved = (values.stack(POINT).X != before.X).any(axis=1)
     complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Sighting) and f.locates]
     located_ids = np.concatenate([before.numbers[moved], *prior, *complete])
@@ -319,5 +311,5 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
     lost = roles.points[~np.isin(roles.points, located_ids)]
     if len(lost):
         message = f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices"
-        raise text.error(message, roles.first_line(("point",), int(lost[0])))
+        raise roles.text.error(message, roles.first_line(("point",), int(lost[0])))
     return values
