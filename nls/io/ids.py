@@ -203,15 +203,12 @@ class Offsets:
 
     def of(self, block: Lines) -> Array:
         """Offsets (n, k, size) the lines of an edge name."""
-        parameters = block.parameters
-        missing = ~among(parameters, self.ids)
-
-        def problem(k: int) -> str:
-            number = parameters[k][missing[k]][0]
-            return f"the edge needs parameter {number}, which no PARAMS_{self.group.name}OFFSET line has"
-
-        self.text.refuse(np.any(missing, axis=1), block.at, problem)
-        index = np.searchsorted(self.ids, parameters)
+        ids, no_line = block.parameters, f"which no PARAMS_{self.group.name}OFFSET line has"
+        missing = ~among(ids, self.ids)
+        self.text.refuse(
+            np.any(missing, axis=1), block.at, lambda k: f"the edge needs parameter {ids[k][missing[k]][0]}, {no_line}"
+        )
+        index = np.searchsorted(self.ids, ids)
         self.unused[index] = False
         return self.X[index]
 
