@@ -255,13 +255,14 @@ def started(factors: list[Factor], roles: Roles, values: Values, group: LieGroup
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
+    small = all(isinstance(factor, Between) and np.abs(factor.z).sum() < SMALL for factor in factors)
     for factor in factors:
         if isinstance(factor, Prior):  # a pose, place or point that is known
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
             values[factor.keys[0]] = known
     if len(roles.poses):
         steps = FactorGraph([step for factor in factors for step in _pose_steps(factor, values, group)])
-        values = OnDemand(values, partial(chain, steps))
+        values = OnDemand(values, partial(chain, steps)) if small else chain(steps, values)
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
         values = _placed(factors, roles, values)
@@ -269,7 +270,6 @@ def started(factors: list[Factor], roles: Roles, values: Values, group: LieGroup
     if count := len(roles.mounts):
         places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
         report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
-    small = all(isinstance(factor, Between) and np.abs(factor.z).sum() < SMALL for factor in factors)
     if not small and not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
         line = min(int(block.at[0]) for block in roles.edges)
         raise roles.text.error("the poses chained along the edges grow beyond the largest number", line)

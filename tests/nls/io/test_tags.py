@@ -204,6 +204,9 @@ def test_a_chain_is_made_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -
     values[x[0]] = [5.0, 6.0, 0.1]
     start, _, chi2 = initialize(graph, values)
     assert (set(chi2), start[x[0]].tolist()) == ({"file", "chordal"}, [5.0, 6.0, 0.1])
+    other = read(edges)[1]
+    other.add(o, SE2, [[0, 0, 0]])
+    assert (other.stated is other, values.stated is values) == (True, True)
     graph, values, _ = read(edges)
     graph.fix(x[2])
     start, _, chi2 = initialize(graph, values)
