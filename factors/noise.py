@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from factors.definite import NOTHING, cholesky, diagonal, once_if_equal, positive_definite
+from factors.definite import NOTHING, cholesky, diagonal, once_if_equal
 from factors.slices import rows
 from models.abstract import Abstract
 from models.algebra import Array, Index, apply, product
@@ -225,8 +225,7 @@ class _Symmetric(_Matrix):
                 raise NoiseModelError(
                     f"{kind} of measurement {k} is not symmetric: {M[k].tolist()}", kind, k, float(skewness[k])
                 )
-        if not positive_definite(M):
-            self._whitener(M)  # which raises where it has to
+        self._whitener(M)  # raises where it is none
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         return self._whitener(self._checked(n, names))

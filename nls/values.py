@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -108,7 +109,7 @@ class Values:
 
     def __init__(self, stacks: Mapping[Any, tuple[Any, ...]] | None = None) -> None:
         self.stacks: dict[str, Stack] = {}
-        if not isinstance(stacks, Mapping | None):
+        if stacks is not None and not isinstance(stacks, Mapping):
             raise GraphError(f"Values: expected a dictionary such as {{x: (SE2, X0)}}, got {stacks!r:.60}")
         for kind, entry in ({} if stacks is None else stacks).items():
             name = kind.name if isinstance(kind, Kind) else Kind(str(kind)).name
@@ -234,6 +235,11 @@ class Values:
         return sum(len(stack) for stack in self.stacks.values())
 
     @property
+    def stated(self) -> Values:
+        """The values that were given; those that are made from measurements `OnDemand` are not."""
+        return self
+
+    @property
     def dim(self) -> int:
         """Degrees of freedom of all variables together."""
         return sum(len(stack) * stack.manifold.dim for stack in self.stacks.values())
@@ -302,6 +308,35 @@ class Values:
         ]
         heads = ("kind", "variables", "space", "components", "the first", "the last")
         return html_table(f"{len(self)} variables, {self.dim} degrees of freedom", heads, rows)
+
+
+class OnDemand(Values):
+    """Values that are made from others when somebody first asks for them.
+
+    Parameters
+    ----------
+    given : the same variables as far as they are known, such as a trajectory by its first pose.
+    make : from the given ones all; it cannot fail.
+    """
+
+    def __init__(self, given: Values, make: Callable[[Values], Values]) -> None:
+        self._given, self._make = given, make
+
+    @cached_property
+    def _made(self) -> dict[str, Stack]:
+        return self._make(self._given).stacks
+
+    @cached_property
+    def stacks(self) -> dict[str, Stack]:  # type: ignore[override]
+        return dict(self._made)
+
+    @property
+    def stated(self) -> Values:
+        """The given ones, until somebody changes a value or adds some."""
+        return self if vars(self).get("stacks") != vars(self).get("_made") else self._given
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Values.of, (list(self.stacks.values()),)
 
 
 def refuse_other(function: str, graph: object, values: object) -> None:

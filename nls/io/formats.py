@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 SUBJECTS = {"repair_information": "information matrices", "ignore_tags": "tags", "drop_absent": "vertices to give"}
 POSE_LINE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
+POSE_NAME = re.compile(rb"[A-Za-z]+[0-9]+")
 
 
 class Reading(NamedTuple):
@@ -25,11 +26,6 @@ class Reading(NamedTuple):
     drop_absent: bool = False
 
 
-def _no_looks(_: object) -> str:
-    """No look of the bytes: their tags or their name tell the format."""
-    return ""
-
-
 class Format(NamedTuple):
     """One format: a row of the table.
 
@@ -38,7 +34,8 @@ class Format(NamedTuple):
     name : in options, reports and messages.
     holds, section : its contents, and the section of the page on formats that describes it.
     suffixes : endings of its names, without ``.gz``; one that stands in several rows leaves the choice to the user.
-    looks : of the bytes, or of the path of a folder, why they are of this format; empty where they are not.
+    looks : of the bytes, or of the path of a folder, why they are of this format; empty where they are not. None where
+        tags or the name tell the format.
     reader : ``module:function``; of the bytes and the path, of a folder or a trajectory of the path. Returns graph,
         values and, last, the report.
     writer : ``module:function`` of path, name, graph, values and report. Returns the bytes, and notes on what they
@@ -59,7 +56,7 @@ class Format(NamedTuple):
     holds: str
     section: str
     suffixes: tuple[str, ...] = ()
-    looks: Callable[[Any], str] = _no_looks
+    looks: Callable[[Any], str] | None = None
     reader: str = ""
     writer: str = ""
     options: tuple[str, ...] = ()
@@ -104,13 +101,14 @@ def _named(name: str) -> Any:
 
 def _begins(pattern: bytes, reason: str) -> Callable[[bytes], str]:
     """A test whether bytes begin with a pattern."""
-    return lambda data: reason if re.match(pattern, data) else ""
+    begins = re.compile(pattern).match
+    return lambda data: reason if begins(data) else ""
 
 
 def _names_poses(data: bytes) -> str:
     """Whether the first pose has a name behind its time."""
     first = POSE_LINE.search(data, 0, 1 << 16)
-    name = first and re.fullmatch(rb"[A-Za-z]+[0-9]+", first[1])
+    name = first and POSE_NAME.fullmatch(first[1])
     return f"'{name[0].decode():.30}' after a time is the name of a pose" if name else ""
 
 
@@ -121,7 +119,7 @@ def _are_scans(folder: object) -> str:
 def _tagged(name: str, holds: str, section: str, *suffixes: str, **more: Any) -> Format:
     """A dialect of `nls.io.dialects`."""
     options = ("convention", "dialect", *SUBJECTS)
-    functions = _no_looks, "nls.io.read:read_graph", "nls.io.write:graph_text"
+    functions = None, "nls.io.read:read_graph", "nls.io.write:graph_text"
     return Format(name, holds, section, suffixes, *functions, options, tagged=True, **more)
 
 
@@ -132,7 +130,7 @@ def _native(name: str, looks: Callable[[Any], str]) -> Format:
 
 def _estimate(name: str, holds: str, writer: str, reader: str = "") -> Format:
     """A file without measurements."""
-    functions = _no_looks, reader, writer, ("convention",)
+    functions = None, reader, writer, ("convention",)
     return Format(name, holds, "trajectories", (f".{name}",), *functions, measurements=False)
 
 
@@ -209,17 +207,18 @@ def suffixes() -> dict[str, Format]:
 
 def by_content(data: bytes, path: str) -> tuple[Format | None, str]:
     """The format of bytes and why; None where the tags of `nls.io.dialects` are to tell."""
-    files = [row for row in FORMATS.values() if row.loads]
+    files = [row for row in FORMATS.values() if (row.looks or row.by_name) and row.loads]
     for row in sorted(files, key=lambda row: not row.whole):  # pieces first, whatever their names
-        reason = "by its name" if row.by_name and suffix_of(path) in row.suffixes else row.looks(data)
-        if reason:
+        if row.by_name and suffix_of(path) in row.suffixes:
+            return row, "by its name"
+        if row.looks and (reason := row.looks(data)):
             return row, reason
     return None, ""
 
 
 def of_folder(folder: object) -> Format:
     """The kind of mission that a folder holds."""
-    return next((row for row in FORMATS.values() if row.folder and row.looks(folder)), FORMATS["mission"])
+    return next((row for row in FORMATS.values() if row.folder and row.looks and row.looks(folder)), FORMATS["mission"])
 
 
 def check_dialect(name: str, allowed: Collection[str]) -> str:

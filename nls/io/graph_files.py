@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import nls.io.read  # noqa: F401  # the reader of most files: its import is none of the work of the first one
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
@@ -172,7 +173,7 @@ def _parsed(data: bytes, path: str, how: Reading) -> Read:
     formats.refuse_needless(path, row.name, how, row.options)
     graph, values, report = row.read(how, data, path)
     report.reason = report.reason or reason
-    for note in not_there(how.ignore_tags, report.tags):
+    for note in not_there(how.ignore_tags, report.tags) if how.ignore_tags else ():
         report.warn(note)
     return graph, values, report
 

@@ -98,21 +98,15 @@ class Roles:
         self.text, self.edges, self.unknown = text, edges, unknown
         parts = [[block] for block in vertices] if apart else [vertices]
         self.vertex_ids = different(joined([by_number(text, part, "vertex")[0] for part in parts]))
-        self.mounts = different(_ids(self.edges, "mount"))
-        if len(self.vertex_ids):
-            lines = {block.record.slots[0]: block for block in vertices}
-            self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.vertex_ids[:0]
-            self.poses = np.sort(lines["pose"].ids[0]) if "pose" in lines else self.vertex_ids[:0]
-            self._refuse_missing(lines, apart)
-            self._refuse_clash("pose", self.mounts, "mount")
-            self.poses = self.poses[~np.isin(self.poses, self.mounts)] if len(self.mounts) else self.poses
-        else:
-            self.points = different(_ids(self.edges, "point"))
-            either = _ids(self.edges, "either")
-            self.poses = different(joined([_ids(self.edges, "pose"), either[~among(either, self.mounts)]]))
-            self._refuse_clash("pose", self.mounts, "mount")
-            for slot in () if apart else ("pose", "mount", "either"):
-                self._refuse_clash(slot, self.points, "point")
+        self.mounts, lines = different(_ids(edges, "mount")), vertices or edges
+        self.points = different(_ids(lines, "point"))
+        self.poses = different(joined([_ids(lines, "pose"), _ids(lines, "either")]))  # and mounts
+        if vertices:
+            self._refuse_missing({block.record.slots[0]: block for block in vertices}, apart)
+        self._refuse_clash("pose", self.mounts, "mount")
+        for slot in () if apart or vertices else ("pose", "mount", "either"):
+            self._refuse_clash(slot, self.points, "point")
+        self.poses = self.poses[~among(self.poses, self.mounts)]
 
     def all_ids(self) -> dict[str, Numbers]:
         """Ids by kind of variable."""
@@ -209,15 +203,12 @@ class Offsets:
 
     def of(self, block: Lines) -> Array:
         """Offsets (n, k, size) the lines of an edge name."""
-        parameters = block.parameters
-        missing = ~among(parameters, self.ids)
-
-        def problem(k: int) -> str:
-            number = parameters[k][missing[k]][0]
-            return f"the edge needs parameter {number}, which no PARAMS_{self.group.name}OFFSET line has"
-
-        self.text.refuse(np.any(missing, axis=1), block.at, problem)
-        index = np.searchsorted(self.ids, parameters)
+        ids, no_line = block.parameters, f"which no PARAMS_{self.group.name}OFFSET line has"
+        missing = ~among(ids, self.ids)
+        self.text.refuse(
+            np.any(missing, axis=1), block.at, lambda k: f"the edge needs parameter {ids[k][missing[k]][0]}, {no_line}"
+        )
+        index = np.searchsorted(self.ids, ids)
         self.unused[index] = False
         return self.X[index]
 

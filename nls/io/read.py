@@ -6,6 +6,7 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -45,10 +46,11 @@ from nls.posegraph import says_poses
 from nls.stages import stage
 from nls.starts.dead_reckoning import chain
 from nls.starts.landmarks import locate_points
-from nls.values import Stack, Values
+from nls.values import OnDemand, Stack, Values
 
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 NO_VERTICES = "no vertices in the file"
+SMALL = 1e60  # measured poses whose numbers add up to less, in absolute value, lead to no infinite one
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -94,15 +96,17 @@ def read_graph(
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
-    known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
-    set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
+    if unknown or ignore_tags:
+        known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
+        set_aside(text, unknown, known, ignore_tags, report, format.ignored_tags)
     note_comments(report, len(comments))
 
-    lines: dict[bytes, list[Index]] = {}
+    lines: dict[bytes, Index] = {}
     for tag, record in records.items():
-        lines.setdefault(record.tag, []).append(tags[tag])
+        others = lines.get(record.tag)
+        lines[record.tag] = tags[tag] if others is None else np.sort(np.concatenate([others, tags[tag]]))
     with stage("read numbers"):
-        read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
+        read = [read_lines(text, format.tags[tag], at) for tag, at in lines.items()]
     edges = [block for block in read if block.record.factor is not None]
     vertices = [block for block in read if block.record.factor is None and block.record.slots]
     edges = by_role(format, vertices, edges)
@@ -112,7 +116,7 @@ def read_graph(
     offsets = Offsets(text, [block for block in named if not block.record.switched], group)
     switches = Switches(text, [block for block in named if block.record.switched], vertices, edges)
     roles = Roles(text, vertices, edges, unknown, apart)
-    bound: list[tuple[Factor, Lines]] = []
+    factors: list[Factor] = []
     with stage("read factors"):
         for block in edges:
             switched = block.record.switched
@@ -120,16 +124,16 @@ def read_graph(
             noises = _matrices(text, block, format.matrix, repair_information, report)
             parameters = switches if switched else offsets
             for mine in switches.kinds_of(block, report) if switched else roles.kinds_of(block):
-                factor = _factor(text, block, mine, noises, format.matrix, parameters, roles, group, report)
-                bound.append((factor, block))
+                factors.append(_factor(block, mine, noises, format.matrix, parameters, roles, group, report))
                 report.sources.append(Source(path, text.first_number + block.at[mine]))
-    graph = FactorGraph([factor for factor, _ in bound])
+    graph = FactorGraph(factors)
     if len(roles.vertex_ids):
         values = _vertex_values(vertices, roles, group)
     else:
         report.vertices_given = False
-        with stage("read chain"):
-            values = started(text, bound, roles, group, report) if start else unstarted(roles, group)
+        spaces, ids = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}, roles.all_ids()
+        values = Values.of(Stack(k, spaces[k], spaces[k].identity(len(n)), n) for k, n in ids.items() if len(n))
+        values = started(factors, roles, values, group, report) if start else values.spaces()
     note_rounded(report, read)
     note_turns(report, vertices, edges)
     offsets.keep_unused(report)
@@ -142,14 +146,11 @@ def read_graph(
 def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
     """SE2 or SE3, whichever the file is about; parameters alone say it where there is nothing else."""
     records = {t: r for t, r in records.items() if r.slots} or records
-    first = {
-        group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
-        for group in {record.group for record in records.values()}
-    }
-    if len(first) == 2:
-        line = max(first.values())
+    groups = {record.group for record in records.values()}
+    if len(groups) == 2:
+        line = max(min(int(tags[t][0]) for t, r in records.items() if r.group is group) for group in groups)
         raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
-    return next(iter(first), SE2)
+    return next(iter(groups), SE2)
 
 
 def _matrices(text: Text, block: Lines, entries: str, repair: bool, report: LoadReport) -> Array:
@@ -172,7 +173,6 @@ def _matrices(text: Text, block: Lines, entries: str, repair: bool, report: Load
 
 
 def _factor(
-    text: Text,
     block: Lines,
     mine: Index | slice,
     matrices: Array,
@@ -188,7 +188,7 @@ def _factor(
     z, numbers = block.X[mine], block.numbers[mine]
     all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
     M = matrices[mine] * all_offsets[:, :, 1:2] ** 2 if record.switched else matrices[mine]
-    with text.at_lines(at):
+    with roles.text.at_lines(at):
         noise = noise_of(record, entries, M, numbers[:, : record.element.width], convention)
         if isinstance(offsets, Switches):
             noise = Robust(noise, DCS(float(offsets.phi[mine][0])))
@@ -247,39 +247,33 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     return [keys for keys in fixed if len(keys)]
 
 
-def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
-    """Values of every vertex the edges name.
+def started(factors: list[Factor], roles: Roles, values: Values, group: LieGroup, report: LoadReport) -> Values:
+    """Vertices the edges name, all at the identity, where the measurements say; poses are chained when asked for.
 
     Raises
     ------
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    spaces = {kind: spaces_of(group)[role] for role, kind in KINDS.items()}
-    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
-    for factor, _ in bound:
+    small = all(isinstance(factor, Between) and np.abs(factor.z).sum() < SMALL for factor in factors)
+    for factor in factors:
         if isinstance(factor, Prior):  # a pose, place or point that is known
             known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
             values[factor.keys[0]] = known
     if len(roles.poses):
-        values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
+        steps = FactorGraph([step for factor in factors for step in _pose_steps(factor, values, group)])
+        values = OnDemand(values, partial(chain, steps)) if small else chain(steps, values)
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
-        values = _placed(text, bound, roles, values)
+        values = _placed(factors, roles, values)
         report.notes.append(f"{NO_VERTICES}: {several(len(roles.points), 'point')} placed by the measurements")
     if count := len(roles.mounts):
         places = "1 place of a sensor begins" if count == 1 else f"{count} places of sensors begin"
         report.notes.append(f"{NO_VERTICES}: {places} at the vehicle's own")
-    if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
-        line = int(min(block.at.min() for _, block in bound))
-        raise text.error("the poses chained along the edges grow beyond the largest number", line)
+    if not small and not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
+        line = min(int(block.at[0]) for block in roles.edges)
+        raise roles.text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
-
-
-def unstarted(roles: Roles, group: LieGroup) -> Values:
-    """No values, of the kinds that the edges name."""
-    spaces, ids = spaces_of(group), roles.all_ids()
-    return Values({k: (spaces[role], spaces[role].identity(0), []) for role, k in KINDS.items() if len(ids[k])})
 
 
 def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:
@@ -293,19 +287,19 @@ def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]
     return [Between(i, j, group.compose(group.compose(O, factor.z), group.inverse(O)), Isotropic())]
 
 
-def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values) -> Values:
+def _placed(factors: list[Factor], roles: Roles, values: Values) -> Values:
     """Points from a prior, else from where they were seen, else along measured differences of points."""
     before = values.stack(POINT)
-    prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
-    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Sighting)])
-    joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
+    prior = [f.keys[0].numbers for f in factors if isinstance(f, Prior) and f.keys[0].kind == POINT]
+    sightings = FactorGraph([f for f in factors if isinstance(f, Sighting)])
+    joined = FactorGraph([f for f in factors if isinstance(f, Between) and f.keys[0].kind == POINT])
     for numbers in prior:
         sightings.fix(Keys(POINT, numbers))
     try:
         values = locate_points(sightings, values)
     except np.linalg.LinAlgError as error:
-        line = int(min(block.at.min() for _, block in bound))
-        raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
+        line = min(int(block.at[0]) for block in roles.edges)
+        raise roles.text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
     moved = (values.stack(POINT).X != before.X).any(axis=1)
     complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Sighting) and f.locates]
     located_ids = np.concatenate([before.numbers[moved], *prior, *complete])
@@ -317,5 +311,5 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
     lost = roles.points[~np.isin(roles.points, located_ids)]
     if len(lost):
         message = f"no vertices, and the measurements do not say where point {id_text(lost[0])} is; add vertices"
-        raise text.error(message, roles.first_line(("point",), int(lost[0])))
+        raise roles.text.error(message, roles.first_line(("point",), int(lost[0])))
     return values

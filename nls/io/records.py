@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -101,9 +101,7 @@ class Record:
     def places(self) -> tuple[Index, Index]:
         """Rows and columns of the matrix entries."""
         m, entries = 0 if self.factor is None else self.element.space.dim, self.entries.split()
-        pairs = [(int(pair[0]) - 1, int(pair[1]) - 1) for pair in entries] or [
-            *combinations_with_replacement(range(m), 2)
-        ]
+        pairs = [(int(p[0]) - 1, int(p[1]) - 1) for p in entries] or [*combinations_with_replacement(range(m), 2)]
         rows, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         return rows, columns
 
@@ -123,9 +121,7 @@ class Record:
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]
         if "point" in self.slots[1:] or "mount" in self.slots:
             names = [f"{slot}{'_j' if k == 1 and slot == 'pose' else ''}" for k, slot in enumerate(self.slots)]
-        names += {0: [], 1: ["switch" if self.switched else "parameter"], 2: ["parameter_i", "parameter_j"]}[
-            self.parameters
-        ]
+        names += [[], ["switch" if self.switched else "parameter"], ["parameter_i", "parameter_j"]][self.parameters]
         n = len(self.places[0])
         return " ".join([*names, self.element.columns]) + (f" and {n} entr{'ies' if n > 1 else 'y'}" if n else "")
 
@@ -190,6 +186,7 @@ class Dialect:
         return records[0] if records else None
 
 
+@cache
 def spaces_of(group: LieGroup) -> dict[str, Manifold]:
     """The space of vertices by what they are used as, with poses of SE2 or SE3."""
     return {"pose": group, "point": R(group.point_dim), "mount": group, "either": group}
@@ -294,6 +291,8 @@ def different(numbers: Numbers) -> Numbers:
     >>> different(np.array([7, 2, 7])), different(np.array([], dtype=np.int64))
     (array([2, 7]), array([], dtype=int64))
     """
+    if not len(numbers):
+        return numbers
     rising: Numbers = np.sort(numbers)
     first = np.ones(len(rising), dtype=bool)
     first[1:] = rising[1:] != rising[:-1]

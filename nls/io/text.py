@@ -99,7 +99,7 @@ class Text:
 
     def __init__(self, data: bytes, path: str = "<text>", before: int = 0) -> None:
         self.path, self.first_number = path, before + 1
-        self._bytes = b"\n".rjust(PAD) + data + b"\n".ljust(SHORT)  # first words are compared up to SHORT behind
+        self._bytes = b"".join((b"\n".rjust(PAD), data, b"\n".ljust(SHORT)))  # first words: up to SHORT behind
         self._marks = self._bytes.translate(MARKS)
         marks = np.frombuffer(self._marks, dtype=np.uint8)
         # half the memory where it can be

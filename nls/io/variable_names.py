@@ -40,8 +40,10 @@ def with_letters(
     Parameters
     ----------
     graph, values, report : as read, the numbers of variables their ids.
-    ids : of all vertices, by kind.
+    ids : of all vertices, by kind, rising.
     """
+    if not any(int(n[-1]) >> BITS > 0 for n in ids.values() if len(n)):
+        return graph, values, report
     heads = [(kind, head) for kind, n in ids.items() for head in different(_heads(n)).tolist()]
     letters = tuple(_name(*pair) for pair in heads if pair[1] > 0)
     if not letters:

@@ -82,7 +82,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
         to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from relative poses. It puts
         a point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`).
-        ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
+        ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the stated one and
         chordal. Above 100 per measured row it tries ``incremental``, which costs several solves. The graph must have
         measurements between poses and points, or both kinds of odometry. Above 10 it tries the odometry chain. The
         starts are compared by their results if the best has more than 10 per degree of freedom, and the graph has other
@@ -122,15 +122,18 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     refuse_other("initialize", graph, values)
     if method not in ("auto", *STARTS):
         raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
-    pattern = graph.pattern(values)
-    pattern.refuse_extreme()
+    stated = values if graph.fixed else values.stated  # fixed poses need theirs
+    graph.pattern(stated).refuse_extreme()
     if method != "auto":
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    groups, candidates = {poses.group for poses in pose_graphs(graph, values)}, Candidates(graph, values)
-    limits = {"file": 0.0}  # and the chi2 per row above which a start is worth its cost
-    limits |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
+    groups = {poses.group for poses in pose_graphs(graph, stated)}
+    relaxed = SE2 in groups or SE3 in groups
+    limits = {} if relaxed and stated is not values else {"file": 0.0}  # chi2 per row above which one is worth its cost
+    limits |= {"chordal": 0.0} if relaxed else {}
+    values = stated if relaxed else values
+    candidates = Candidates(graph, values)
     steps = groups or walks(graph)
     grows = bool(steps and (sees_points(graph, values) or (groups and walks(graph))))
     limits |= {"incremental": 10 * POOR} if grows else {}

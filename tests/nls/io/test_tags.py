@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from models import SE2, SE3, LieGroup, R
-from nls import kinds
+from nls import FactorGraph, Values, initialize, kinds
 from nls.io.dialects import G2O
+from nls.starts import chain
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, read
 from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE
@@ -179,6 +181,36 @@ def test_without_vertices_everything_has_a_start(group: LieGroup) -> None:
     best[0].fixed = []
     wanted, found = best[0].optimize(best[1]), graph.optimize(values)
     assert found.chi2_final == pytest.approx(wanted.chi2_final, rel=1e-6)
+
+
+def test_a_chain_is_made_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chordal start needs none; what was fixed, or set, is a start that the user states."""
+    made: list[Values] = []
+
+    def counted(graph: FactorGraph, values: Values) -> Values:
+        made.append(values)
+        return chain(graph, values)
+
+    monkeypatch.setattr("nls.io.read.chain", counted)
+    edges = f"EDGE_SE2 0 1 1 0 1.5 {SIX}\nEDGE_SE2 1 2 1 0 1.5 {SIX}\nEDGE_SE2 0 2 1.2 0.9 2.8 {SIX}\n"
+    graph, values, _ = read(edges)
+    start, name, chi2 = initialize(graph, values)
+    assert graph.optimize(start).converged
+    assert (name, set(chi2), made) == ("chordal", {"chordal"}, [])
+    poses = values[x]
+    assert poses[1].tolist() == [1, 0, 1.5]
+    assert np.array_equal(pickle.loads(pickle.dumps(values))[x], poses)
+    assert (set(initialize(graph, values)[2]), len(made)) == ({"chordal"}, 1)
+    values[x[0]] = [5.0, 6.0, 0.1]
+    start, _, chi2 = initialize(graph, values)
+    assert (set(chi2), start[x[0]].tolist()) == ({"file", "chordal"}, [5.0, 6.0, 0.1])
+    other = read(edges)[1]
+    other.add(o, SE2, [[0, 0, 0]])
+    assert (other.stated is other, values.stated is values) == (True, True)
+    graph, values, _ = read(edges)
+    graph.fix(x[2])
+    start, _, chi2 = initialize(graph, values)
+    assert (set(chi2), start[x[2]].tolist()) == ({"file", "chordal"}, poses[2].tolist())
 
 
 def test_poses_are_chained_through_their_sensors() -> None:
