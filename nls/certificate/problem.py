@@ -114,7 +114,7 @@ def certifiable(graph: FactorGraph, values: Values) -> Problem:
         that something else holds; or information that has no inverse.
     """
     _refuse_others(graph)
-    graphs = list(pose_graphs(graph, values))
+    graphs = pose_graphs(graph, values)
     if len(graphs) != 1 or graphs[0].group not in (SE2, SE3):
         spaces = ", ".join(str(poses.group) for poses in graphs) or "nothing"
         raise GraphError(f"certify: Between factors of {spaces}; expected those of one pose graph, of SE2 or of SE3")

@@ -122,8 +122,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     refuse_other("initialize", graph, values)
     if method not in ("auto", *STARTS):
         raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
-    pattern = graph.pattern(values)
-    pattern.refuse_extreme()
+    graph.pattern(values).refuse_extreme()
     if method != "auto":
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
@@ -171,27 +170,26 @@ class Candidates:
     """
 
     def __init__(self, graph: FactorGraph, values: Values) -> None:
-        self.graph, self.best, self.name = graph, values, ""
+        self.graph, self.pattern, self.best, self.name = graph, graph.pattern(values), values, ""
         self.chi2: dict[str, float] = {}
         self.refused: dict[str, LeadlineError] = {}
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
         self.believes_all = False
-        self.rows = graph.pattern(values).measured_rows
+        self.rows = self.pattern.measured_rows
 
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom: how many more rows there are than unknowns, a gauge not counted."""
-        pattern = self.graph.pattern(self.best)
-        unknown = touched_variables(pattern) & ~fixed_variables(self.graph.fixed, self.best)
-        return self.rows - int(pattern.dims[unknown].sum())
+        unknown = touched_variables(self.pattern) & ~fixed_variables(self.graph.fixed, self.best)
+        return self.rows - int(self.pattern.dims[unknown].sum())
 
     def add(self, name: str, values: Values, method: Callable[[FactorGraph, Values], Values]) -> None:
         """Compute a start."""
         try:
             with stage(f"init {name}"):
                 start = method(self.graph, values)
-                chi2 = self.graph.chi2(start)
+                chi2 = self.pattern.chi2(start)
         except REFUSED as error:
             self.refused[name] = error
             return

@@ -88,7 +88,9 @@ def _plane(system: _Relaxation, held: Array) -> Array:
 
 def _turn(theta: Array) -> Array:
     """exp(i theta), of which `numpy.exp` takes five times as long."""
-    return np.asarray(np.cos(theta) + 1j * np.sin(theta))
+    y = np.empty(theta.shape, dtype=complex)
+    y.real, y.imag = np.cos(theta), np.sin(theta)
+    return y
 
 
 def _space(system: _Relaxation, held: Array) -> Array:
@@ -109,6 +111,8 @@ def _refuse_cancelled(system: _Relaxation, kappa: Array, size: Array) -> None:
     Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
     and leaves their directions alone; a cancelled one is small among neighbors that are not.
     """
+    if size.min() > 1e-9 * size.max():
+        return
     poses = system.poses
     around = poses.sums(kappa * size.take(poses.j), kappa * size.take(poses.i))
     if (size * poses.sums(kappa, kappa) <= 1e-9 * around).take(system.free).any():
