@@ -26,7 +26,7 @@ from models.algebra import Index, Mask
 from models.errors import GraphWarning, OptionError
 from models.listing import some
 from nls.sparse.elimination import connected, firsts
-from nls.sparse.pattern import Batch, Pattern, offsets, once
+from nls.sparse.pattern import Batch, Pattern, once
 from nls.values import Stack, Values
 
 OURS = ("models", "factors", "nls", "sim")  # a warning is about the line that called them
@@ -60,7 +60,7 @@ def component_labels(pattern: Pattern) -> Index:
     A calibration that two trajectories share does not join them: each has its own gauge.
     """
     pairs = [(slots[0], variables) for slots in map(_moved, pattern.batches) for variables in slots[1:]]
-    i, j = np.concatenate([np.zeros((2, 0), dtype=np.intp), *pairs], axis=1)
+    i, j = (np.concatenate([np.zeros(0, dtype=np.intp), *(pair[end] for pair in pairs)]) for end in (0, 1))
     return connected(i, j, len(pattern.dims))
 
 
@@ -187,8 +187,6 @@ def fixed_of(fixed: Sequence[Keys], stack: Stack) -> Mask:
 
 def fixed_variables(fixed: Sequence[Keys], values: Values) -> Mask:
     """(V,) which variables are in a list of keys."""
-    start, out = offsets(values) if fixed else {}, np.zeros(len(values), dtype=bool)
     for keys in fixed:
-        rows = values.stack(keys.kind).index(keys)
-        out[start[keys.kind] + rows] = True
-    return out
+        values.stack(keys.kind)  # refuses a kind there is none of
+    return np.concatenate([np.zeros(0, dtype=bool), *(fixed_of(fixed, stack) for stack in values.stacks.values())])

@@ -130,7 +130,7 @@ class PoseGraph:
     ----------
     pattern, group, batches : as they were given.
     kinds : the kinds of variables they join; their stacks, one after the other, are the nodes.
-    n, variables : the number of nodes, and their numbers (n,) among all variables.
+    n, variables : the number of nodes, and their numbers (n,) among all variables; `whole` where these are all.
     place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
     fixed : (n,) nodes that are held fixed; no start moves them.
     i, j : (m,) nodes; z : (m, size) measurements, of all batches one after the other.
@@ -156,7 +156,8 @@ class PoseGraph:
         ranges = [pattern.offsets[kind] + np.arange(len(pattern.numbers[kind])) for kind in self.kinds]
         self.variables = _joined(ranges)
         self.n, self.fixed = len(self.variables), fixed.take(self.variables)
-        self.place = self.nodes(places(pattern).take(self.variables))
+        self.whole = self.n == len(pattern.dims)
+        self.place = places(pattern) if self.whole else self.nodes(places(pattern).take(self.variables))
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
         self.i, self.j = (self.nodes(_joined([batch.variables[slot] for batch in self.batches])) for slot in (0, 1))
@@ -164,7 +165,7 @@ class PoseGraph:
 
     def nodes(self, variables: Index) -> Index:
         """Nodes (k,) of some variables (k,) in the manifold."""
-        if self.n == len(self.pattern.dims):  # all of them
+        if self.whole:
             return variables
         node = np.empty(len(self.pattern.dims), dtype=np.intp)
         node[self.variables] = np.arange(self.n)
@@ -243,7 +244,7 @@ class PoseGraph:
         ones, m = np.ones(len(self.i)), np.arange(len(self.i))
         return sp.csr_array((ones, (self.i, m)), (self.n, len(m))), sp.csr_array((ones, (self.j, m)), (self.n, len(m)))
 
-    @cached_property
+    @property
     def component(self) -> Index:
         """(n,) the connected component of every node, named by its lowest one."""
         return connected(self.i, self.j, self.n)
@@ -258,10 +259,10 @@ class PoseGraph:
     @cached_property
     def roots(self) -> Index:
         """Nodes that keep their value: all fixed ones, and the first in order of every component without any."""
-        anchored = np.zeros(self.n, dtype=bool)
-        anchored[self.component[self.fixed]] = True
-        waiting = self.touched & ~anchored.take(self.component)
-        return np.concatenate([self.fixed.nonzero()[0], firsts(self.component, self.order[waiting.take(self.order)])])
+        component, anchored = self.component, np.zeros(self.n, dtype=bool)
+        anchored[component[self.fixed]] = True
+        waiting = self.touched & ~anchored.take(component)
+        return np.concatenate([self.fixed.nonzero()[0], firsts(component, self.order[waiting.take(self.order)])])
 
     def pairs(self) -> Index:
         """One edge for every joined pair of nodes."""

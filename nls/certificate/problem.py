@@ -119,7 +119,7 @@ def certifiable(graph: FactorGraph, values: Values) -> Problem:
         spaces = ", ".join(str(poses.group) for poses in graphs) or "nothing"
         raise GraphError(f"certify: Between factors of {spaces}; expected those of one pose graph, of SE2 or of SE3")
     poses, first = graphs[0], int(graphs[0].order[0])
-    if (apart := poses.component != poses.component[first]).any():
+    if (apart := (label := poses.component) != label[first]).any():
         name, of = (repr(poses.pattern.key(int(poses.variables[node]))) for node in (np.argmax(apart), first))
         expected = "expected one connected pose graph: certify its parts one by one"
         raise GraphError(f"certify: {name} and {of} are not connected; {expected}")

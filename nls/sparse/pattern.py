@@ -50,12 +50,11 @@ def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
     """A question about a graph, whatever is held: the array that answers it is kept with the pattern, read-only."""
 
     @wraps(question)
-    def asked(pattern: Pattern) -> Answer:
-        if (name := question.__name__) not in pattern.answers:
-            pattern.answers[name] = question(pattern)
-            pattern.answers[name].setflags(write=False)
-        answer: Answer = pattern.answers[name]
-        return answer
+    def asked(pattern: Pattern) -> Any:
+        if question.__name__ not in pattern.answers:
+            pattern.answers[question.__name__] = answer = question(pattern)
+            answer.setflags(write=False)
+        return pattern.answers[question.__name__]
 
     return asked
 
@@ -141,8 +140,10 @@ class Pattern:
         ------
         GraphError, NoiseModelError
         """
-        for batch in self.batches:
-            batch.model.refuse_extreme()
+        if "extreme" not in self.answers:
+            for batch in self.batches:
+                batch.model.refuse_extreme()
+            self.answers["extreme"] = False
 
     @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:

@@ -111,6 +111,22 @@ def test_every_group_has_a_pose_graph_by_name() -> None:
     assert closures(FactorGraph([factor]).pattern(values))[0].tolist() == [False, False, True]
 
 
+def test_pose_graphs_are_kept_until_other_poses_are_fixed() -> None:
+    graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0, 0], UNIT)])
+    values = Values({x: (SE2, np.zeros((3, 3)))})
+    (poses,) = pose_graphs(graph, values)
+    moved = values.copy()
+    moved[x[1]] = [5.0, 5.0, 1.0]
+    assert pose_graphs(graph, moved)[0] is poses  # the same variables, wherever they are
+    graph.fix(x[2])
+    (held,) = pose_graphs(graph, values)
+    assert (poses.roots.tolist(), held.roots.tolist()) == ([0], [2])
+    graph.release(x[2])
+    assert pose_graphs(graph, values)[0].roots.tolist() == [0]
+    graph.add(Between(x[0], x[2], [2.0, 0, 0], UNIT))
+    assert len(pose_graphs(graph, values)[0].i) == 3
+
+
 @pytest.mark.parametrize("group", PLACES, ids=str)
 def test_an_edge_turned_forward_says_the_same(group: LieGroup) -> None:
     rng, d = RNG(3), group.dim
