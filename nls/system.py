@@ -39,7 +39,7 @@ class LinearSystem:
     def at(cls, pattern: Pattern, values: Values) -> LinearSystem:
         """Every whitened A_i and b_i at the values; one call per batch, or none where they are those that are kept."""
         X, *kept = pattern.answers.pop("linearization", [None])
-        if X is not None and all(a is stack.X for a, stack in zip(X, values.stacks.values(), strict=True)):
+        if X is not None and all(a is stack.X for a, stack in zip(X, values.stacks.values(), strict=False)):
             return cls(pattern, *kept)
         b = np.empty(pattern.m)
         blocks, chi2 = [], 0.0
