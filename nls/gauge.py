@@ -26,7 +26,7 @@ from models.algebra import Index, Mask
 from models.errors import GraphWarning, OptionError
 from models.listing import some
 from nls.sparse.elimination import connected, firsts
-from nls.sparse.pattern import Batch, Pattern, offsets
+from nls.sparse.pattern import Batch, Pattern, once
 from nls.values import Stack, Values
 
 OURS = ("models", "factors", "nls", "sim")  # a warning is about the line that called them
@@ -53,13 +53,14 @@ def _moved(batch: Batch) -> list[Index]:
     return [variables for slot, variables in enumerate(batch.variables) if slot not in unmoved]
 
 
+@once
 def component_labels(pattern: Pattern) -> Index:
     """Connected component (V,) of every variable, named by its first, joined by the factors that see both move.
 
     A calibration that two trajectories share does not join them: each has its own gauge.
     """
     pairs = [(slots[0], variables) for slots in map(_moved, pattern.batches) for variables in slots[1:]]
-    i, j = np.concatenate([np.zeros((2, 0), dtype=np.intp), *pairs], axis=1)
+    i, j = (np.concatenate([np.zeros(0, dtype=np.intp), *(pair[end] for pair in pairs)]) for end in (0, 1))
     return connected(i, j, len(pattern.dims))
 
 
@@ -68,6 +69,7 @@ def by_number(pattern: Pattern, kind: str) -> Index:
     return np.asarray(pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable"))
 
 
+@once
 def calibrations(pattern: Pattern) -> Mask:
     """(V,) variables that a common motion of everything leaves as they are: lenses, drifts, and all joined to these."""
     label, still = component_labels(pattern), np.zeros(len(pattern.dims), dtype=bool)
@@ -88,6 +90,7 @@ def moving_variables(pattern: Pattern) -> Mask:
     return touched_variables(pattern) & ~calibrations(pattern)
 
 
+@once
 def touched_variables(pattern: Pattern) -> Mask:
     """(V,) which variables a factor touches."""
     touched = np.zeros(len(pattern.dims), dtype=bool)
@@ -119,9 +122,10 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
     touched, (anchored, oriented) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
     for batch in pattern.batches:
-        component, factor = label[np.concatenate(batch.variables)], batch.model.factor
-        anchored[component] |= not factor.relative
-        oriented[component] |= factor.knows_axes(batch.model.manifolds)
+        factor = batch.model.factor
+        for mask, says in ((anchored, not factor.relative), (oriented, factor.knows_axes(batch.model.manifolds))):
+            if says:
+                mask[label[np.concatenate(batch.variables)]] = True
     if not (touched | fixed).all():
         isolated = np.flatnonzero(~touched & ~fixed)
         pronoun = "it" if len(isolated) == 1 else "them"
@@ -183,8 +187,6 @@ def fixed_of(fixed: Sequence[Keys], stack: Stack) -> Mask:
 
 def fixed_variables(fixed: Sequence[Keys], values: Values) -> Mask:
     """(V,) which variables are in a list of keys."""
-    start, out = offsets(values), np.zeros(len(values), dtype=bool)
     for keys in fixed:
-        rows = values.stack(keys.kind).index(keys)
-        out[start[keys.kind] + rows] = True
-    return out
+        values.stack(keys.kind)  # refuses a kind there is none of
+    return np.concatenate([np.zeros(0, dtype=bool), *(fixed_of(fixed, stack) for stack in values.stacks.values())])

@@ -11,10 +11,10 @@ reduce the information Omega = W'W of an edge to two numbers, for costs that are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,15 +22,16 @@ from scipy import sparse as sp
 
 from factors.base import Factor, Model
 from models import LieGroup, Manifold
-from models.advice import Advice
 from models.algebra import Array, Index, Mask, congruence, gram
 from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.sparse.elimination import connected, firsts
-from nls.sparse.pattern import Batch, Pattern
+from nls.sparse.pattern import Batch, Pattern, once
 from nls.values import Values, take
+
+G = TypeVar("G", bound=np.generic)
 
 
 def is_relative(factor: Factor) -> bool:
@@ -43,6 +44,7 @@ def says_poses(factor: Factor) -> bool:
     return is_relative(factor) and len(factor.keys) == 2
 
 
+@once
 def places(pattern: Pattern) -> Index:
     """(V,) place of every variable in the order by kind and number."""
     place = np.empty(len(pattern.dims), dtype=np.intp)
@@ -119,18 +121,18 @@ class PoseGraph:
 
     Parameters
     ----------
-    graph, values : the factor graph and its variables.
-    batches : its measurements between two variables of one manifold.
-    group : the group of the measurements, often that manifold.
-    z : what they measure in that group, by batch (k, size).
+    pattern : of the factor graph.
+    fixed : (V,) variables that the graph holds fixed.
+    group : the group of the measurements, often the manifold of the variables.
+    measured : batches between two variables of one manifold, and what they measure in that group, (k, size).
 
     Attributes
     ----------
-    group, pattern, batches : as they were given.
+    pattern, group, batches : as they were given.
     kinds : the kinds of variables they join; their stacks, one after the other, are the nodes.
-    n, variables : the number of nodes, and their numbers (n,) among all variables.
+    n, variables : the number of nodes, and their numbers (n,) among all variables; `whole` where these are all.
     place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
-    fixed : (n,) nodes that the graph holds fixed; no start moves them.
+    fixed : (n,) nodes that are held fixed; no start moves them.
     i, j : (m,) nodes; z : (m, size) measurements, of all batches one after the other.
 
     Examples
@@ -146,62 +148,53 @@ class PoseGraph:
     ([True, True, False], [0.01, 0.01, 0.01])
     """
 
-    def __init__(
-        self, graph: FactorGraph, values: Values, batches: Sequence[Batch], group: LieGroup, z: Sequence[Array]
-    ) -> None:
-        self.pattern, self.batches, self.group = graph.pattern(values), batches, group
-        offsets, numbers = self.pattern.offsets, self.pattern.numbers
-        self.kinds = tuple(kind for kind in self.pattern.manifolds if any(kind in batch.kinds[:2] for batch in batches))
-        self.variables = np.concatenate([offsets[kind] + np.arange(len(numbers[kind])) for kind in self.kinds])
-        self.n = len(self.variables)
-        self._places = places(self.pattern)
-        self.place = self.nodes(self._places[self.variables])
+    def __init__(self, pattern: Pattern, fixed: Mask, group: LieGroup, measured: Sequence[tuple[Batch, Array]]) -> None:
+        self.pattern, self.group = pattern, group
+        self.batches, self._z = zip(*measured, strict=True)
+        joined = {kind for batch in self.batches for kind in batch.kinds[:2]}
+        self.kinds = tuple([kind for kind in pattern.manifolds if kind in joined])
+        ranges = [pattern.offsets[kind] + np.arange(len(pattern.numbers[kind])) for kind in self.kinds]
+        self.variables = _joined(ranges)
+        self.n, self.fixed = len(self.variables), fixed.take(self.variables)
+        self.whole = self.n == len(pattern.dims)
+        self.place = places(pattern) if self.whole else self.nodes(places(pattern).take(self.variables))
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
-        self.fixed = fixed_variables([k for k in graph.fixed if k.kind in self.kinds], values)[self.variables]
-        self.i, self.j = (self.nodes(np.concatenate([batch.variables[slot] for batch in batches])) for slot in (0, 1))
-        self._z, self.z = z, np.concatenate(z)
+        self.i, self.j = (self.nodes(_joined([batch.variables[slot] for batch in self.batches])) for slot in (0, 1))
+        self.z: Array = _joined(self._z)
 
     def nodes(self, variables: Index) -> Index:
         """Nodes (k,) of some variables (k,) in the manifold."""
+        if self.whole:
+            return variables
         node = np.empty(len(self.pattern.dims), dtype=np.intp)
         node[self.variables] = np.arange(self.n)
-        return node[variables]
+        return node.take(variables)
 
     def stack(self, values: Values) -> Array:
         """The nodes' values (n, size)."""
-        return np.concatenate([values.stacks[kind].X for kind in self.kinds])
+        return _joined([values.stacks[kind].X for kind in self.kinds])
 
     def replaced(self, values: Values, X: Array) -> Values:
         """Values with these nodes."""
         ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])[:-1]
-        return values.replaced(dict(zip(self.kinds, np.split(X, ends), strict=True)))
+        return values.replaced(dict(zip(self.kinds, np.split(X, ends) if len(ends) else [X], strict=True)))
 
     @cached_property
     def odometry(self) -> Mask:
         """(m,) edges that are odometry."""
-        return np.concatenate([_steps(batch, self._places) for batch in self.batches])
+        return np.concatenate([_steps(batch, places(self.pattern)) for batch in self.batches])
 
     @cached_property
     def closures(self) -> Mask:
         """(m,) edges that close loops."""
-        return np.concatenate([_closing(batch, self._places) for batch in self.batches])
+        return np.concatenate([_closing(batch, places(self.pattern)) for batch in self.batches])
 
     @cached_property
     def C(self) -> Array:
         """(m, d, d) covariances of Exp at j, infinite where weights say nothing of some component."""
         C = [_covariances(batch.model, self.group, z) for batch, z in zip(self.batches, self._z, strict=True)]
         return np.concatenate(C)
-
-    def refuse_infinite(self, edges: Index) -> None:
-        """A GraphError that names the first of some edges whose weights say nothing of some component."""
-        bad = np.zeros(len(self.i), dtype=bool)
-        bad[edges] = ~np.isfinite(self.C[edges, 0, 0])
-        for batch, mask in zip(self.batches, self.by_batch(bad), strict=True):
-            if mask.any():
-                name = batch.model.factor.describe(int(np.argmax(mask)))
-                text = "its weights say nothing of one of its components, so no uncertainty of a loop through it exists"
-                raise GraphError(f"{name}: {text}", batch.model.factor.keys, name, advice=[Advice("judge all")])
 
     def edges(self) -> Edges:
         """All edges in the order of the measurements, with their covariances."""
@@ -210,7 +203,7 @@ class PoseGraph:
     def mean_weights(self) -> tuple[Array, Array]:
         """kappa and tau (m,), 1/rad^2 and 1/m^2: trace of the block of Omega over its size."""
         D, d = self.group.dim, self.group.point_dim
-        Omega = self._of_edges([W**2 if W.ndim == 2 else (W**2).sum(axis=1) for W in self._W])
+        Omega = self._of_edges([np.square(W) if W.ndim == 2 else np.square(W).sum(axis=1) for W in self._W])
         return Omega[:, d:].sum(axis=1) / (D - d), Omega[:, :d].sum(axis=1) / d
 
     def isotropic_weights(self) -> tuple[Array, Array]:
@@ -236,7 +229,7 @@ class PoseGraph:
     def _of_edges(self, parts: list[Array]) -> Array:
         """(m, ...) numbers of all edges, from those of every batch: (k, ...), or (1, ...) where they are the same."""
         sized = zip(map(len, self.batches), parts, strict=True)
-        return np.concatenate([np.broadcast_to(x, (k, *x.shape[1:])) for k, x in sized])
+        return _joined([x if len(x) == k else np.broadcast_to(x, (k, *x.shape[1:])) for k, x in sized])
 
     def sums(self, at_i: Array, at_j: Array) -> Array:
         """Sum (n, ...) at every node of the numbers (m, ...) that its edges have there."""
@@ -251,7 +244,7 @@ class PoseGraph:
         ones, m = np.ones(len(self.i)), np.arange(len(self.i))
         return sp.csr_array((ones, (self.i, m)), (self.n, len(m))), sp.csr_array((ones, (self.j, m)), (self.n, len(m)))
 
-    @cached_property
+    @property
     def component(self) -> Index:
         """(n,) the connected component of every node, named by its lowest one."""
         return connected(self.i, self.j, self.n)
@@ -259,15 +252,17 @@ class PoseGraph:
     @cached_property
     def touched(self) -> Mask:
         """(n,) nodes that have an edge."""
-        return np.bincount(np.concatenate([self.i, self.j]), minlength=self.n) > 0
+        touched = np.zeros(self.n, dtype=bool)
+        touched[self.i] = touched[self.j] = True
+        return touched
 
     @cached_property
     def roots(self) -> Index:
         """Nodes that keep their value: all fixed ones, and the first in order of every component without any."""
-        anchored = np.zeros(self.n, dtype=bool)
-        anchored[self.component[self.fixed]] = True
-        waiting = self.touched & ~anchored.take(self.component)
-        return np.concatenate([self.fixed.nonzero()[0], firsts(self.component, self.order[waiting.take(self.order)])])
+        component, anchored = self.component, np.zeros(self.n, dtype=bool)
+        anchored[component[self.fixed]] = True
+        waiting = self.touched & ~anchored.take(component)
+        return np.concatenate([self.fixed.nonzero()[0], firsts(component, self.order[waiting.take(self.order)])])
 
     def pairs(self) -> Index:
         """One edge for every joined pair of nodes."""
@@ -330,17 +325,20 @@ class PoseGraph:
         return out
 
 
-def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
-    """The relative poses of a graph by group, in the order of the groups' names."""
-    batches: dict[LieGroup, list[tuple[Batch, Array]]] = {}
-    for batch in graph.pattern(values).batches:
-        group = batch.model.manifolds[0]
-        if says_poses(batch.model.factor) and (z := stated(batch, "relative_poses", group)) is not None:
-            assert isinstance(group, LieGroup)
-            batches.setdefault(group, []).append((batch, z))
-    for group in sorted(batches, key=repr):
-        of_group, z_of_group = zip(*batches[group], strict=True)
-        yield PoseGraph(graph, values, of_group, group, z_of_group)
+def pose_graphs(graph: FactorGraph, values: Values) -> list[PoseGraph]:
+    """The relative poses of a graph by group, in the order of the groups' names; kept while nothing else is fixed."""
+    pattern, fixed = graph.pattern(values), fixed_variables(graph.fixed, values)
+    kept = pattern.answers.get("pose_graphs")
+    if kept is None or not np.array_equal(kept[0], fixed):
+        batches: dict[LieGroup, list[tuple[Batch, Array]]] = {}
+        for batch in pattern.batches:
+            group = batch.model.manifolds[0]
+            if says_poses(batch.model.factor) and (z := stated(batch, "relative_poses", group)) is not None:
+                assert isinstance(group, LieGroup)
+                batches.setdefault(group, []).append((batch, z))
+        graphs = [PoseGraph(pattern, fixed, g, batches[g]) for g in sorted(batches, key=repr)]
+        kept = pattern.answers["pose_graphs"] = fixed, graphs
+    return list(kept[1])
 
 
 def stated(batch: Batch, trait: str, space: Manifold) -> Array | None:
@@ -357,6 +355,11 @@ def stated(batch: Batch, trait: str, space: Manifold) -> Array | None:
         text = f"{trait} returned an array of shape {np.shape(z)}, expected {expected}, poses in {space}"
         raise GraphError(f"{factor!r:.80}: {text}", factor.keys, factor.name)
     return z
+
+
+def _joined(parts: Sequence[npt.NDArray[G]]) -> npt.NDArray[G]:
+    """Arrays one after the other; one alone is not copied."""
+    return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
 def _steps(batch: Batch, place: Index) -> Mask:

@@ -114,12 +114,12 @@ def certifiable(graph: FactorGraph, values: Values) -> Problem:
         that something else holds; or information that has no inverse.
     """
     _refuse_others(graph)
-    graphs = list(pose_graphs(graph, values))
+    graphs = pose_graphs(graph, values)
     if len(graphs) != 1 or graphs[0].group not in (SE2, SE3):
         spaces = ", ".join(str(poses.group) for poses in graphs) or "nothing"
         raise GraphError(f"certify: Between factors of {spaces}; expected those of one pose graph, of SE2 or of SE3")
     poses, first = graphs[0], int(graphs[0].order[0])
-    if (apart := poses.component != poses.component[first]).any():
+    if (apart := (label := poses.component) != label[first]).any():
         name, of = (repr(poses.pattern.key(int(poses.variables[node]))) for node in (np.argmax(apart), first))
         expected = "expected one connected pose graph: certify its parts one by one"
         raise GraphError(f"certify: {name} and {of} are not connected; {expected}")

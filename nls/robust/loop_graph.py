@@ -230,7 +230,7 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
     GraphError
         No relative poses, or of several kinds; neighbors without odometry; weights that say nothing of a component.
     """
-    graphs = list(pose_graphs(graph, values))
+    graphs = pose_graphs(graph, values)
     if len(graphs) != 1:
         message = "loop closures are tested among relative poses (Between) of one space, this graph has"
         raise GraphError(f"{message} {len(graphs) or 'none'}", advice=[Advice("judge all")])
@@ -245,9 +245,20 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
         advice = [Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")]
         raise GraphError(f"no odometry connects {a!r} to {b!r}: {sessions}", advice=advice)
     steps = _surest(edges, poses.odometry)
-    poses.refuse_infinite(np.concatenate([steps, np.flatnonzero(poses.closures)]))
+    refuse_infinite(poses, np.concatenate([steps, np.flatnonzero(poses.closures)]))
     X = poses.along(poses.tree(steps), poses.stack(values))
     return LoopGraph(graph, poses.replaced(values, X), poses, edges, steps)
+
+
+def refuse_infinite(poses: PoseGraph, edges: Index) -> None:
+    """A GraphError that names the first of some edges whose weights say nothing of some component."""
+    bad = np.zeros(len(poses.i), dtype=bool)
+    bad[edges] = ~np.isfinite(poses.C[edges, 0, 0])
+    for batch, mask in zip(poses.batches, poses.by_batch(bad), strict=True):
+        if mask.any():
+            name = batch.model.factor.describe(int(np.argmax(mask)))
+            text = "its weights say nothing of one of its components, so no uncertainty of a loop through it exists"
+            raise GraphError(f"{name}: {text}", batch.model.factor.keys, name, advice=[Advice("judge all")])
 
 
 def _surest(edges: Edges, odometry: Mask) -> Index:

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from models.algebra import Array, Index, Mask, components
 from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Blocks, Hessian, Scatter
 from nls.values import Values, take
+
+Answer = TypeVar("Answer", Index, Mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,19 @@ class Batch:
         return [take(values.stacks[k].X, i) for k, i in zip(self.kinds, self.index, strict=True)]
 
 
+def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
+    """A question about a graph, whatever is held: the array that answers it is kept with the pattern, read-only."""
+
+    @wraps(question)
+    def asked(pattern: Pattern) -> Any:
+        if question.__name__ not in pattern.answers:
+            pattern.answers[question.__name__] = answer = question(pattern)
+            answer.setflags(write=False)
+        return pattern.answers[question.__name__]
+
+    return asked
+
+
 class Pattern:
     """Numbering of variables, rows and columns of a graph at given values.
 
@@ -58,6 +74,7 @@ class Pattern:
     starts : (V,) first free column of every variable; -1 where it is held.
     m, n : rows and free columns.
     eliminations : structure kept between solves, also of the same graph with other variables held.
+    answers : what was asked about the graph, by name, whatever is held; see `once`.
     """
 
     def __init__(self, factors: Sequence[Factor], values: Values, held: Mask | None = None) -> None:
@@ -77,6 +94,7 @@ class Pattern:
             self.m = rows.stop
         ends = self.dims.cumsum()
         self.eliminations = Eliminations()
+        self.answers: dict[str, Any] = {}
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
         total = int(ends[-1]) if len(ends) else 0
@@ -122,8 +140,10 @@ class Pattern:
         ------
         GraphError, NoiseModelError
         """
-        for batch in self.batches:
-            batch.model.refuse_extreme()
+        if "extreme" not in self.answers:
+            for batch in self.batches:
+                batch.model.refuse_extreme()
+            self.answers["extreme"] = False
 
     @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:

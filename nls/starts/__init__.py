@@ -27,9 +27,10 @@ from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.chordal import chordal
 from nls.starts.dead_reckoning import chain, dead_reckoning, spanning_tree, walks
-from nls.starts.incremental import incremental, sees_points
+from nls.starts.incremental import incremental, seen_points
 from nls.starts.landmarks import first_sighting, locate_points, search_elevation
 from nls.starts.rig import rig
+from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
 __all__ = [
@@ -135,18 +136,17 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     values = stated if relaxed else values
     candidates = Candidates(graph, values)
     steps = groups or walks(graph)
-    grows = bool(steps and (sees_points(graph, values) or (groups and walks(graph))))
+    grows = bool(steps and (seen_points(graph, values) or (groups and walks(graph))))
     limits |= {"incremental": 10 * POOR} if grows else {}
-    relative = all(says_poses(factor) for factor in graph.factors)  # chordal relaxation uses all of these
-    robust = not relative and any(factor.kernel is not None for factor in graph.factors)
+    robust = not candidates.relative and any(factor.kernel is not None for factor in graph.factors)
     limits |= {"odometry": 0.0 if robust else POOR} if steps else {}
     for candidate, limit in limits.items():
         if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
             candidates.add(candidate, values, STARTS[candidate])
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
-    poor = candidates.poor()
-    if not relative and len(limits) > 1 and (poor or robust):
+    poor = candidates.dof > 0 and candidates.misfit() > POOR * candidates.dof  # far above the noise
+    if not candidates.relative and len(limits) > 1 and (poor or robust):
         candidates.compare(robust)
         if poor and grows and not candidates.explained() and "incremental" not in candidates.chi2 | candidates.refused:
             candidates.add("incremental", values, incremental)
@@ -170,31 +170,37 @@ class Candidates:
     chi2 : of every start, by name.
     refused : errors of those that do not exist or cannot be evaluated, by name.
     rows : measured ones.
+    relative : whether all measurements are relative poses, which chordal relaxation uses.
     believes_all : whether steps led to the best, where robust kernels ignore nothing and noise explains chi2.
     """
 
     def __init__(self, graph: FactorGraph, values: Values) -> None:
-        self.graph, self.best, self.name = graph, values, ""
+        self.graph, self.pattern, self.best, self.name = graph, graph.pattern(values), values, ""
         self.chi2: dict[str, float] = {}
         self.refused: dict[str, LeadlineError] = {}
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
         self.believes_all = False
-        self.rows = graph.pattern(values).measured_rows
+        self.rows = self.pattern.measured_rows
+        self.relative = all(says_poses(factor) for factor in graph.factors)
 
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom: how many more rows there are than unknowns, a gauge not counted."""
-        pattern = self.graph.pattern(self.best)
-        unknown = touched_variables(pattern) & ~fixed_variables(self.graph.fixed, self.best)
-        return self.rows - int(pattern.dims[unknown].sum())
+        unknown = touched_variables(self.pattern) & ~fixed_variables(self.graph.fixed, self.best)
+        return self.rows - int(self.pattern.dims[unknown].sum())
 
     def add(self, name: str, values: Values, method: Callable[[FactorGraph, Values], Values]) -> None:
         """Compute a start."""
         try:
             with stage(f"init {name}"):
                 start = method(self.graph, values)
-                chi2 = self.graph.chi2(start)
+                if name == "chordal" and self.relative:  # the optimization goes on from there
+                    system = LinearSystem.at(self.pattern, start)
+                    system.keep(start)
+                    chi2 = system.chi2
+                else:
+                    chi2 = self.pattern.chi2(start)
         except REFUSED as error:
             self.refused[name] = error
             return
@@ -206,10 +212,6 @@ class Candidates:
         if all(factor.kernel is None for factor in self.graph.factors):
             return self.chi2[self.name]
         return sum(float(factor.chi2(self.best).sum()) for factor in self.graph.factors)
-
-    def poor(self) -> bool:
-        """Whether the best start is far above the noise."""
-        return self.dof > 0 and self.misfit() > POOR * self.dof
 
     def explained(self) -> bool:
         """Whether noise explains the best."""

@@ -109,6 +109,8 @@ def _refuse_cancelled(system: _Relaxation, kappa: Array, size: Array) -> None:
     Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
     and leaves their directions alone; a cancelled one is small among neighbors that are not.
     """
+    if size.min() > 1e-9 * size.max():
+        return
     poses = system.poses
     around = poses.sums(kappa * size.take(poses.j), kappa * size.take(poses.i))
     if (size * poses.sums(kappa, kappa) <= 1e-9 * around).take(system.free).any():
@@ -191,15 +193,14 @@ class _Relaxation:
         """y with H^-1 g in its free places, g = sums at j - sums at i; ``off`` are the blocks (i, j) of H."""
         V, d, k = len(self.free), *y.shape[1:]
         on_diagonal = self.poses.sums(w, w).take(self.free)[:, None, None] * np.eye(d, dtype=y.dtype)
-        g, at_i, at_j = (x.reshape(-1, d * k) for x in (np.zeros_like(y), at_i, at_j))
-        for column in range(d * k):
-            np.add.at(g[:, column], j, at_j[:, column])
-            np.subtract.at(g[:, column], i, at_i[:, column])
+        g, numbers = np.zeros_like(y).reshape(-1), np.arange(d * k)
+        np.add.at(g, (j[:, None] * (d * k) + numbers).reshape(-1), at_j.reshape(-1))
+        np.subtract.at(g, (i[:, None] * (d * k) + numbers).reshape(-1), at_i.reshape(-1))
         try:
             state = self.laplacian.factorized(on_diagonal, off)
         except SingularSystemError as error:
             unmeasured = "some poses have no rotation or no translation measurement"
             cause = "weights of edges differ too much" if (w > 0).all() else unmeasured
             raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
-        y[self.free] = state.solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
+        y[self.free] = state.solve(g.reshape(y.shape)[self.free].reshape(V * d, k)).reshape(V, d, k)
         return y

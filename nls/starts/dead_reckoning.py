@@ -12,6 +12,7 @@ from models.algebra import Array, Mask
 from models.errors import SingularGeometryError
 from models.sensors.heading import refuse_gimbal_lock
 from models.sensors.singular import SingularAt
+from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.posegraph import PoseGraph, pose_graphs, stated
 from nls.values import Values, refuse_other
@@ -103,10 +104,11 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     >>> euler.from_se3(start[x[2]]).round(3)  # roll, pitch, yaw, x, y, z
     array([-0.2  ,  0.1  ,  1.5  ,  1.071,  0.997,  5.   ])
     """
-    steps = [(b, z) for b in graph.pattern(values).batches if (z := stated(b, "level_steps", SE2)) is not None]
+    pattern = graph.pattern(values)
+    steps = [(b, z) for b in pattern.batches if (z := stated(b, "level_steps", SE2)) is not None]
     if not steps:
         return values
-    poses = PoseGraph(graph, values, [batch for batch, _ in steps], SE2, [z for _, z in steps])
+    poses = PoseGraph(pattern, fixed_variables(graph.fixed, values), SE2, steps)
     X = np.array(poses.stack(values))
     tilt, measured = _tilts(poses)
 

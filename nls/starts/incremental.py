@@ -88,11 +88,6 @@ def incremental(graph: FactorGraph, values: Values, stage_size: int | None = Non
     return values
 
 
-def sees_points(graph: FactorGraph, values: Values) -> bool:
-    """Whether a factor of the graph sees a point from a pose."""
-    return bool(_points(graph, values))
-
-
 class _Growth:
     """A graph as it is known at each stage.
 
@@ -104,7 +99,7 @@ class _Growth:
     """
 
     def __init__(self, graph: FactorGraph, values: Values, stage_size: int | None) -> None:
-        self.parts, points = Parts(graph, values), _points(graph, values)
+        self.parts, points = Parts(graph, values), seen_points(graph, values)
         # in SE2 or SE3, and not the place of a sensor
         places = {factor.keys[slot].kind for factor in graph.factors for slot in factor.unmoved}
         kinds = {kind for kind, stack in values.stacks.items() if stack.manifold in (SE2, SE3)} - places
@@ -213,7 +208,7 @@ class _Falls:
         return little
 
 
-def _points(graph: FactorGraph, values: Values) -> set[str]:
+def seen_points(graph: FactorGraph, values: Values) -> set[str]:
     """Kinds of points seen from poses."""
     kinds = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting) and len(factor)}
     return {kind for kind in kinds if values.stack(kind).manifold not in (SE2, SE3)}

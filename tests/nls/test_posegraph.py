@@ -19,6 +19,7 @@ from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
 from nls.analysis.leave_one_out import kinds_of
 from nls.posegraph import Edges, PoseGraph, closures, odometry, pose_graphs
+from nls.robust.loop_graph import refuse_infinite
 from tests.nls.graphs import informations, walk, x, y
 
 RNG = np.random.default_rng
@@ -93,9 +94,9 @@ def test_a_covariance_needs_information_of_every_component_in_units_of_its_own()
     np.testing.assert_allclose(poses.C[0], np.diag([0.25, 0.25, 1e-20]))
     (poses,) = pose_graphs(FactorGraph(edges), values)
     assert np.isfinite(poses.C).all(axis=(1, 2)).tolist() == [True, False]
-    poses.refuse_infinite(np.array([0]))
+    refuse_infinite(poses, np.array([0]))
     with pytest.raises(GraphError, match=r"^Between\(x0, x1\): its weights say nothing of one of its components"):
-        poses.refuse_infinite(np.array([0, 1]))
+        refuse_infinite(poses, np.array([0, 1]))
 
 
 def test_every_group_has_a_pose_graph_by_name() -> None:
@@ -108,6 +109,22 @@ def test_every_group_has_a_pose_graph_by_name() -> None:
     values = Values({x: (SE2, np.zeros((3, 3))), y: (SE2, np.zeros((1, 3)))})
     assert list(pose_graphs(FactorGraph([factor]), values)) == []
     assert closures(FactorGraph([factor]).pattern(values))[0].tolist() == [False, False, True]
+
+
+def test_pose_graphs_are_kept_until_other_poses_are_fixed() -> None:
+    graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0, 0], UNIT)])
+    values = Values({x: (SE2, np.zeros((3, 3)))})
+    (poses,) = pose_graphs(graph, values)
+    moved = values.copy()
+    moved[x[1]] = [5.0, 5.0, 1.0]
+    assert pose_graphs(graph, moved)[0] is poses  # the same variables, wherever they are
+    graph.fix(x[2])
+    (held,) = pose_graphs(graph, values)
+    assert (poses.roots.tolist(), held.roots.tolist()) == ([0], [2])
+    graph.release(x[2])
+    assert pose_graphs(graph, values)[0].roots.tolist() == [0]
+    graph.add(Between(x[0], x[2], [2.0, 0, 0], UNIT))
+    assert len(pose_graphs(graph, values)[0].i) == 3
 
 
 @pytest.mark.parametrize("group", PLACES, ids=str)

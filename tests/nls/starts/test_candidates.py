@@ -11,9 +11,10 @@ import pytest
 import nls
 import sim
 from factors import Between, Cauchy, Factor, Isotropic, Prior, Range
+from factors.base import Model
 from models import SE2, R
 from models.algebra import Array
-from nls import FactorGraph, Values, initialize, kinds
+from nls import FactorGraph, GaussNewton, Stop, Values, initialize, kinds
 from nls.missions.folder.table import csv_text
 from nls.optimizers import Result, Status
 from nls.starts import STARTS, Candidates
@@ -55,6 +56,22 @@ def test_the_lowest_start_is_not_the_one_that_ends_lowest() -> None:
     assert sum(name in chi2 for name in ("odometry + 20 steps", "chordal + 20 steps")) == 1
     assert "incremental" not in chi2
     assert world.ate(graph.optimize(start).values) < 0.5
+
+
+def test_an_optimization_goes_on_with_the_linearization_of_its_chordal_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = pose_graph(SE2, anchored=False, start=1.0)
+    graph = sample.graph
+    start, name, chi2 = initialize(graph, sample.values)
+    moved = start.copy()
+    moved[x[3]] = moved[x[3]] + 0.1
+    assert graph.optimize(moved).chi2_initial == graph.chi2(moved) > chi2["chordal"]  # not the one of the start
+    start, name, chi2 = initialize(graph, sample.values)
+    linearize, once = Mock(wraps=Model.linearize), GaussNewton(Stop(max_iterations=1))
+    monkeypatch.setattr(Model, "linearize", lambda *X: linearize(*X))
+    assert (name, graph.optimize(start, once).chi2_initial) == ("chordal", chi2["chordal"])
+    assert linearize.call_count == len(graph.factors)  # where the step led
+    assert graph.optimize(start, once).chi2_initial == chi2["chordal"]
+    assert linearize.call_count == 3 * len(graph.factors)
 
 
 def test_the_incremental_start_is_tried_where_no_other_leads_to_an_optimum() -> None:
