@@ -10,7 +10,7 @@ from scipy import sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted
-from models.algebra import Array, apply, dot
+from models.algebra import Array, apply
 from models.errors import EvaluationError
 from nls.sparse.pattern import Pattern
 from nls.values import Values
@@ -41,7 +41,7 @@ class LinearSystem:
         b = np.empty(pattern.m)
         blocks, chi2 = [], 0.0
         for batch in pattern.batches:
-            A, b_batch = batch.model.linearize(*batch.gather(values))
+            A, b_batch = batch.model.linearize(*batch.arguments(values))
             kernel = batch.model.factor.kernel
             if kernel is None:
                 chi2 += float(np.square(b_batch).sum())  # not b @ b: BLAS would start threads, and round differently
@@ -123,9 +123,8 @@ class LinearSystem:
 
     @cached_property
     def column_norms(self) -> Array:
-        """Length of every column of A, (n,)."""
-        with np.errstate(over="ignore"):
-            return np.sqrt(self.pattern.by_column([dot(A_k.mT, A_k.mT) for A_k in A] for A in self.blocks))
+        """Length of every column of A, (n,): roots of the diagonal of A'A."""
+        return np.sqrt(self.H_blocks.take(self.pattern.blocks.on_diagonal))
 
     @property
     def scaled_gradient(self) -> float:
