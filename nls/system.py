@@ -112,8 +112,10 @@ class LinearSystem:
     @cached_property
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
-        b = (self.b[batch.rows].reshape(len(batch), batch.model.dim) for batch in self.pattern.batches)
-        return self.pattern.by_column([apply(A_k.mT, b_k) for A_k in A] for A, b_k in zip(self.blocks, b, strict=True))
+        b = [self.b[batch.rows].reshape(-1, batch.model.dim) for batch in self.pattern.batches]
+        return self.pattern.by_column(
+            [[apply(A_k.mT, b_k) for A_k in A] for A, b_k in zip(self.blocks, b, strict=True)]
+        )
 
     @cached_property
     def H_blocks(self) -> Array:
@@ -189,8 +191,9 @@ class LinearSystem:
 
     def column(self, index: int) -> tuple[Keys, str]:
         """The variable of one column of A, and the name of its component."""
-        variable, component = (int(owner[index]) for owner in self.pattern.column_owner())
-        return self.pattern.key(variable), self.pattern.component_names(variable)[component]
+        starts = self.pattern.starts
+        variable = int(np.flatnonzero((starts >= 0) & (starts <= index))[-1])
+        return self.pattern.key(variable), self.pattern.component_names(variable)[index - starts[variable]]
 
     @property
     def cols(self) -> list[str]:

@@ -127,9 +127,10 @@ class PosesOfSpace(LieGroup):
     def exp(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
         rho, w = delta[..., :3], delta[..., 3:]
-        K, (c2, c3) = skew(w), stumpff(dot(w, w)[..., None], 2, 3)
+        K, (c0, c1, c2, c3) = skew(w), stumpff(dot(w, w)[..., None] / 4, 0, 1, 2, 3)  # of half the angle
         turned = apply(K, rho)
-        return join(rho + c2 * turned + c3 * apply(K, turned), SO3.exp(w))
+        t = rho + c1 * c1 / 2 * turned + (c3 + c1 * c2) / 4 * apply(K, turned)
+        return np.concatenate([t, c1 / 2 * w, c0], axis=-1)
 
     def log(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)
