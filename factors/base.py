@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
+from functools import cached_property
 from itertools import combinations
 from typing import Any, ClassVar, NamedTuple
 
@@ -23,13 +24,13 @@ from factors.declared import attributes, declared
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.missing import name_the_noise
-from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
+from factors.noise import Noise, arranged, weights, whiten
 from factors.noise_size import refuse_other_size
-from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
+from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme, squarable
 from factors.robust import Kernel, Robust
 from factors.slices import part, places, rows
 from factors.traits import Traits
-from models import Manifold
+from models import LieGroup, Manifold
 from models.abstract import Abstract
 from models.algebra import Array, Index, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
@@ -71,12 +72,14 @@ class Factor(Traits, Abstract):
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail: where the library chooses, it takes Levenberg-Marquardt.
+    framed : True when its `innovation` takes poses with their frames, `LieGroup.framed`.
     frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
 
     slots: tuple[Manifold | None, ...] = ()
     relative: bool = False
     damped: bool = False
+    framed: ClassVar[bool] = False
     unmoved: tuple[int, ...] = ()
     per_measurement: ClassVar[tuple[str, ...]] = ()
     shared: ClassVar[tuple[str, ...]] = ()
@@ -217,6 +220,22 @@ class Factor(Traits, Abstract):
         An H_k of None is the identity; None for the whole tuple asks for central differences.
         """
 
+    def innovation(self, model: Model, X: tuple[Array, ...], jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        """e = z [-] h(X) (n, dim), and J_k (n or 1, dim, dim_k) of e(X [+] d) = e - J d, one per slot, where asked for.
+
+        Here by `predict` and the convention; a subclass may have all in one pass, of poses with frames (`framed`).
+        """
+        h, H = checked_prediction(self, self.predict(model.manifolds, *X), model.z.shape)
+        e, J = innovation(model.space, h, model.z, self.convention, jacobians)
+        if not jacobians:
+            return e, ()
+        if H is None:
+            H = central_differences(self, model.manifolds, model.space, X, h)
+        H = checked_jacobians(self, H, len(h), model.space.dim, model.manifolds)
+        if J is None:
+            return e, tuple([np.eye(model.space.dim)[None] if H_k is None else H_k for H_k in H])
+        return e, tuple([J if H_k is None else product(J, H_k) for H_k in H])
+
     def rows(self, space: Manifold) -> Index | slice:
         """Which components of the innovation are measured; all, unless a subclass says otherwise."""
         return slice(None)
@@ -313,8 +332,8 @@ class Factor(Traits, Abstract):
         return FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
 
 
-class Model(NamedTuple):
-    """A factor bound to the spaces of its variables, as assembly and filters call it. Arrays in, arrays out."""
+class Bound(NamedTuple):
+    """The parts of a `Model`."""
 
     factor: Factor
     manifolds: tuple[Manifold, ...]
@@ -323,6 +342,10 @@ class Model(NamedTuple):
     W: Array
     rows: Index | slice
     names: tuple[str, ...]
+
+
+class Model(Bound):
+    """A factor bound to the spaces of its variables, as assembly and filters call it. Arrays in, arrays out."""
 
     @property
     def dim(self) -> int:
@@ -341,50 +364,27 @@ class Model(NamedTuple):
     @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
     def error(self, *X: Array) -> Array:
         """Whitened innovation b (n, m) alone, for the cost of a trial point."""
-        h, _ = self._predict(X, jacobians=False)
-        return self._whitened_innovation(h, jacobian=False)[0]
+        return self._whitened(self.factor.innovation(self, X, jacobians=False)[0])
+
+    @cached_property
+    def framed_z(self) -> Array:
+        """The measurements of a group with their frames, `LieGroup.framed`."""
+        return self.space.framed(self.z) if isinstance(self.space, LieGroup) else self.z
 
     @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
-        h, H = self._predict(X, jacobians=True)
-        b, J = self._whitened_innovation(h, jacobian=True)
-        n = len(b)
-        if J is not None:
-            WJ = whiten(self.W, J[:, self.rows])
-        elif isinstance(self.rows, slice) and self.W.ndim == 3:
-            WJ = self.W
-        else:
-            WJ = whiten(self.W, np.eye(self.space.dim)[None, self.rows])
-        A = []
-        for slot, H_k in enumerate(H):
-            A_k = WJ if H_k is None else product(WJ, H_k)
+        e, J = self.factor.innovation(self, X)
+        b, n, A = self._whitened(e), len(e), []
+        for slot, J_k in enumerate(J):
+            A_k = whiten(self.W, J_k[:, self.rows])
             self._check(A_k, slot)
             A.append(A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:])))
         return tuple(A), b
 
-    def _whitened_innovation(self, h: Array, jacobian: bool) -> tuple[Array, Array | None]:
-        e, J = innovation(self.space, h, self.z, self.factor.convention, jacobian)
-        b = whiten(self.W, e[:, self.rows])
+    def _whitened(self, e: Array) -> Array:
         self._check(e, None)
-        if len(b) and not np.abs(b).max() <= SQUARABLE:
-            index = int(np.argmax(~(np.abs(b).max(axis=1) <= SQUARABLE)))
-            raise EvaluationError(
-                f"{self.factor.describe(index)}: its residual is {np.abs(b[index]).max():.3g} sigmas, too large for a "
-                "chi2; check its measurement, sigmas and initial values",
-                self.factor.name,
-                [k[[index]] for k in self.factor.keys],
-                where="residual",
-            )
-        return b, J
-
-    def _predict(self, X: tuple[Array, ...], jacobians: bool) -> tuple[Array, tuple[Array | None, ...]]:
-        h, H = checked_prediction(self.factor, self.factor.predict(self.manifolds, *X), self.z.shape)
-        if not jacobians:
-            return h, ()
-        if H is None:
-            H = central_differences(self.factor, self.manifolds, self.space, X, h)
-        return h, checked_jacobians(self.factor, H, len(h), self.space.dim, self.manifolds)
+        return squarable(self.factor, whiten(self.W, e[:, self.rows]))
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""

@@ -54,6 +54,7 @@ class Between(Factor):
     slots = (None, None)
     relative = along_world = True
     frame = "first"
+    framed = True
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         super().__init__([i, j], z, noise, convention)
@@ -79,3 +80,11 @@ class Between(Factor):
         assert isinstance(group, LieGroup)
         h = group.between(*X)
         return h, (-group.adjoint_inverse(h), None)
+
+    def innovation(self, model: Model, X: tuple[Array, ...], jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        group = model.space
+        assert isinstance(group, LieGroup)
+        if self.convention != "g2o" or group.flat:
+            return super().innovation(model, tuple([x[:, : group.size] for x in X]), jacobians)
+        off, J = group.misfit(group.framed(X[0]), group.framed(X[1]), model.framed_z, jacobians)
+        return -off, J

@@ -89,7 +89,26 @@ def checked_jacobians(
             )
         if H_k is not None and np.shape(H_k) not in ((n, *shape), (1, *shape), shape):
             raise _wrong(factor, f"Jacobian of slot {slot} has shape {np.shape(H_k)}, expected {(n, *shape)}")
-    return tuple(H)
+    return tuple([H_k if H_k is None or H_k.ndim == 3 else H_k[None] for H_k in H])
+
+
+def squarable(factor: Batch, b: Array) -> Array:
+    """Whitened errors (n, m) whose squares are finite.
+
+    Raises
+    ------
+    EvaluationError
+    """
+    if len(b) and not np.abs(b).max() <= SQUARABLE:
+        index = int(np.argmax(~(np.abs(b).max(axis=1) <= SQUARABLE)))
+        raise EvaluationError(
+            f"{factor.describe(index)}: its residual is {np.abs(b[index]).max():.3g} sigmas, too large for a chi2; "
+            "check its measurement, sigmas and initial values",
+            factor.name,
+            [k[[index]] for k in factor.keys],
+            where="residual",
+        )
+    return b
 
 
 def refuse_extreme(factor: Batch, z: Array, W: Array, names: tuple[str, ...]) -> None:

@@ -226,9 +226,9 @@ class FactorGraph:
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
             raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
-        fixed = fixed_variables(self.fixed, _values(values))
-        self.pattern(values).refuse_extreme()
-        decided = choose_gauge(gauge, self.pattern(values), values, fixed)
+        fixed, every = fixed_variables(self.fixed, _values(values)), self.pattern(values)
+        every.refuse_extreme()
+        decided = choose_gauge(gauge, every, values, fixed)
         pattern = decided.pattern.holding(decided.held)
         solver = chosen_solver(linear_solver, pattern.n)
         if decided.free:

@@ -10,7 +10,7 @@ from scipy import sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted
-from models.algebra import Array, apply, dot
+from models.algebra import Array, apply
 from models.errors import EvaluationError
 from nls.sparse.pattern import Pattern
 from nls.values import Values
@@ -44,7 +44,7 @@ class LinearSystem:
         b = np.empty(pattern.m)
         blocks, chi2 = [], 0.0
         for batch in pattern.batches:
-            A, b_batch = batch.model.linearize(*batch.gather(values))
+            A, b_batch = batch.model.linearize(*batch.arguments(values))
             kernel = batch.model.factor.kernel
             if kernel is None:
                 chi2 += float(np.square(b_batch).sum())  # not b @ b: BLAS would start threads, and round differently
@@ -120,8 +120,10 @@ class LinearSystem:
     @cached_property
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
-        b = (self.b[batch.rows].reshape(len(batch), batch.model.dim) for batch in self.pattern.batches)
-        return self.pattern.by_column([apply(A_k.mT, b_k) for A_k in A] for A, b_k in zip(self.blocks, b, strict=True))
+        b = [self.b[batch.rows].reshape(-1, batch.model.dim) for batch in self.pattern.batches]
+        return self.pattern.by_column(
+            [[apply(A_k.mT, b_k) for A_k in A] for A, b_k in zip(self.blocks, b, strict=True)]
+        )
 
     @cached_property
     def H_blocks(self) -> Array:
@@ -131,9 +133,8 @@ class LinearSystem:
 
     @cached_property
     def column_norms(self) -> Array:
-        """Length of every column of A, (n,)."""
-        with np.errstate(over="ignore"):
-            return np.sqrt(self.pattern.by_column([dot(A_k.mT, A_k.mT) for A_k in A] for A in self.blocks))
+        """Length of every column of A, (n,): roots of the diagonal of A'A."""
+        return np.sqrt(self.H_blocks.take(self.pattern.blocks.on_diagonal))
 
     @property
     def scaled_gradient(self) -> float:
@@ -198,8 +199,9 @@ class LinearSystem:
 
     def column(self, index: int) -> tuple[Keys, str]:
         """The variable of one column of A, and the name of its component."""
-        variable, component = (int(owner[index]) for owner in self.pattern.column_owner())
-        return self.pattern.key(variable), self.pattern.component_names(variable)[component]
+        starts = self.pattern.starts
+        variable = int(np.flatnonzero((starts >= 0) & (starts <= index))[-1])
+        return self.pattern.key(variable), self.pattern.component_names(variable)[index - starts[variable]]
 
     @property
     def cols(self) -> list[str]:

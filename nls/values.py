@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,7 +14,7 @@ from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
 from models.html_table import html_table
 from models.listing import some
-from models.manifolds.base import Manifold
+from models.manifolds.base import LieGroup, Manifold
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model
@@ -27,6 +26,7 @@ class Stack:
     def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: Numbers) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
         self.X = np.asfortranarray(X)
+        self._framed: Array | None = None
         rising = bool(len(numbers)) and bool((numbers[1:] > numbers[:-1]).all())
         consecutive = rising and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
         self._order = None if consecutive else np.argsort(numbers, kind="stable")
@@ -39,10 +39,22 @@ class Stack:
         return len(self.numbers)
 
     def moved(self, X: Array) -> Stack:
-        """The variables at other places."""
-        stack = copy(self)
-        stack.X = np.asfortranarray(X)
+        """The variables at other places, (n, size) or with their frames."""
+        X = np.asfortranarray(X)
+        size, stack = self.manifold.size, object.__new__(Stack)
+        vars(stack).update(vars(self), X=X[:, :size], _framed=X if X.shape[1] > size else None)
         return stack
+
+    def retract(self, delta: Array) -> Stack:
+        """The variables moved by a tangent step (n, dim)."""
+        return self.moved(self.manifold.retract(self.X if self._framed is None else self._framed, delta))
+
+    @property
+    def framed(self) -> Array:
+        """The elements of a group with their frames, `LieGroup.framed`, made once."""
+        if self._framed is None:
+            self._framed = self.manifold.framed(self.X) if isinstance(self.manifold, LieGroup) else self.X
+        return self._framed
 
     def only(self, rows: slice | Mask) -> Stack:
         """Some of the variables (n,)."""
@@ -255,8 +267,8 @@ class Values:
         return Values.of(s.only(slice(0)) for s in self.stacks.values())
 
     def copy(self) -> Values:
-        """An independent copy."""
-        return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})
+        """An independent copy; it shares what it has, as new values never overwrite old ones."""
+        return Values.of(self.stacks.values())
 
     def replaced(self, X: Mapping[Any, Array]) -> Values:
         """The variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
@@ -285,12 +297,12 @@ class Values:
         """
         if not isinstance(delta, np.ndarray) or delta.shape != (self.dim,):
             raise GraphError(f"retract: expected an array of shape ({self.dim},), got {delta!r:.60}")
-        moved, start = {}, 0
-        for name, stack in self.stacks.items():
+        moved, start = [], 0
+        for stack in self.stacks.values():
             end = start + len(stack) * stack.manifold.dim
-            moved[name] = stack.manifold.retract(stack.X, delta[start:end].reshape(len(stack), stack.manifold.dim))
+            moved.append(stack.retract(delta[start:end].reshape(len(stack), stack.manifold.dim)))
             start = end
-        return self.replaced(moved)
+        return Values.of(moved)
 
     def gather(self, factor: Factor) -> tuple[Model, tuple[Array, ...]]:
         """The factor bound to its manifolds, and the values of its variables, one (n, size) stack per slot."""
@@ -365,4 +377,4 @@ def _keys(key: object) -> Keys:
 
 def take(X: Array, index: Index) -> Array:
     """Rows of a stack kept components first (`numpy.take` is 4 times faster than indexing with an array)."""
-    return np.take(X.T, index, axis=1).T
+    return X.T.take(index, axis=1).T

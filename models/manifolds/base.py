@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.abstract import Abstract
-from models.algebra import Array, apply
+from models.algebra import Array, apply, product
 from models.errors import GraphError, OptionError
 from models.finite import first_not_finite
 from models.manifolds.rigid import homogeneous
@@ -216,6 +216,20 @@ class LieGroup(Manifold):
         """X^-1 o Y: Y as seen from X."""
         return self.compose(self.inverse(X), Y)
 
+    def framed(self, X: Array) -> Array:
+        """X (n, size), and behind it what its rotations are made of; X itself of a group that has none, or has it."""
+        return X
+
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        """c = vector(Z^-1 X^-1 Y) (n, dim), how far Y is off from where a step Z leads from X; all three `framed`.
+
+        With its derivatives (n, dim, dim) by steps of X and of Y, where they are asked for.
+        """
+        h = self.between(X, Y)
+        E = self.between(Z, h)
+        J = self.vector_jr(E) if jacobians else None
+        return self.vector(E), () if J is None else (-product(J, self.adjoint_inverse(h)), J)
+
     def rotation(self, X: npt.ArrayLike) -> Array:
         """Rotation matrix of X, (..., k, k) with k = point_dim, body to world."""
         raise GraphError(f"{self.name} has no rotation matrix")
@@ -243,7 +257,7 @@ class LieGroup(Manifold):
         return rotated + t if t.shape[-1] else rotated
 
     def retract(self, X: Array, delta: Array) -> Array:
-        """X Exp(delta)."""
+        """X Exp(delta); with its frame where X has one."""
         return self.compose(X, self.exp(delta))
 
     def local(self, X: Array, Y: Array) -> Array:

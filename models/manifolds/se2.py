@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, components, matrix, pack, sinc, stumpff, wrap
+from models.algebra import TINY, Array, components, matrix, pack, sinc, stumpff, wrap
 from models.manifolds.base import LieGroup
 from models.manifolds.rigid import rigid_parts
 from models.manifolds.so2 import angle2, rotation2
@@ -62,11 +62,15 @@ class PosesOfThePlane(LieGroup):
         return pack([chord * (c * rho1 - s * rho2), chord * (s * rho1 + c * rho2), wrap(theta)])
 
     def retract(self, X: Array, delta: Array) -> Array:
-        x, y, theta = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
+        x, y, theta, *frame = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
         rho1, rho2, turn = components(delta)
         h = turn / 2
-        chord, c, s = sinc(h), np.cos(theta + h), np.sin(theta + h)
-        return pack([x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)])
+        h = np.where(h == 0, TINY, h)
+        ch, sh = np.cos(h), np.sin(h)
+        c, s = frame or (np.cos(theta), np.sin(theta))
+        c, s, chord = c * ch - s * sh, s * ch + c * sh, sh / h
+        moved = [x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)]
+        return pack([*moved, c * ch - s * sh, s * ch + c * sh] if frame else moved)
 
     def log(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)
@@ -91,6 +95,25 @@ class PosesOfThePlane(LieGroup):
         xb, yb, thb = components(Y)
         c, s, dx, dy = np.cos(tha), np.sin(tha), xb - xa, yb - ya
         return pack([c * dx + s * dy, c * dy - s * dx, wrap(thb - tha)])
+
+    def framed(self, X: Array) -> Array:
+        if X.shape[-1] > self.size:
+            return X
+        x, y, theta = components(X)
+        return pack([x, y, theta, np.cos(theta), np.sin(theta)])
+
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        (xa, ya, tha, ca, sa), (xb, yb, thb, cb, sb), (xz, yz, thz, cz, sz) = map(components, (X, Y, Z))
+        dx, dy = xb - xa, yb - ya
+        hx, hy = ca * dx + sa * dy, ca * dy - sa * dx
+        u, v = hx - xz, hy - yz
+        off = pack([cz * u + sz * v, cz * v - sz * u, wrap(thb - tha - thz)])
+        if not jacobians:
+            return off, ()
+        c, s = ca * cz - sa * sz, sa * cz + ca * sz
+        ce, se = cb * c + sb * s, sb * c - cb * s
+        J_X = matrix([[-cz, -sz, cz * hy - sz * hx], [sz, -cz, -cz * hx - sz * hy], [0.0, 0.0, -1.0]])
+        return off, (J_X, matrix([[ce, -se, 0.0], [se, ce, 0.0], [0.0, 0.0, 1.0]]))
 
     def adjoint(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)

@@ -27,6 +27,7 @@ from models.manifolds.se2 import SE2
 from models.manifolds.so3 import (
     IDENTITY,
     SO3,
+    conjugate_product,
     not_unit,
     quaternion_from_matrix,
     quaternion_product,
@@ -34,6 +35,9 @@ from models.manifolds.so3 import (
     quaternion_vector_jl,
     quaternion_vector_jr,
     rotation3,
+    upper_half,
+    w_minus_v,
+    w_plus_v,
 )
 
 __all__ = ["SE3"]
@@ -123,12 +127,18 @@ class PosesOfSpace(LieGroup):
     def exp(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
         rho, w = delta[..., :3], delta[..., 3:]
-        return join(apply(SO3.jl(w), rho), SO3.exp(w))
+        K, (c0, c1, c2, c3) = skew(w), stumpff(dot(w, w)[..., None] / 4, 0, 1, 2, 3)  # of half the angle
+        turned = apply(K, rho)
+        t = rho + c1 * c1 / 2 * turned + (c3 + c1 * c2) / 4 * apply(K, turned)
+        return np.concatenate([t, c1 / 2 * w, c0], axis=-1)
 
     def log(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)
         w = SO3.log(q)
-        return np.concatenate([apply(SO3.jl_inv(w), t), w], axis=-1)
+        c2, c3, c4 = stumpff(dot(w, w)[..., None], 2, 3, 4)
+        K = skew(w)
+        turned = apply(K, t)
+        return np.concatenate([t - 0.5 * turned + (c3 - 2 * c4) / (2 * c2) * apply(K, turned), w], axis=-1)
 
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
         (ta, qa), (tb, qb) = split(X), split(Y)
@@ -143,6 +153,31 @@ class PosesOfSpace(LieGroup):
         (ta, qa), (tb, qb) = split(X), split(Y)
         qa = SO3.inverse(qa)
         return join(apply(rotation3(qa), tb - ta), quaternion_product(qa, qb))
+
+    def retract(self, X: Array, delta: Array) -> Array:
+        step = self.exp(delta)
+        if X.shape[-1] == self.size:
+            return self.compose(X, step)
+        t, q, R = _framed_parts(X)
+        dt, dq = split(step)
+        return self.framed(np.concatenate([(t + apply(R, dt)).T, quaternion_product(q, dq).T]).T)
+
+    def framed(self, X: Array) -> Array:
+        if X.shape[-1] > self.size:
+            return X
+        R = rotation3(X[:, 3:])
+        return components(np.concatenate([X.T, R.transpose(1, 2, 0).reshape(9, -1)]))
+
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        (ta, qa, Ra), (tb, qb, Rb), (tz, qz, Rz) = map(_framed_parts, (X, Y, Z))
+        h, turned = apply(Ra.mT, tb - ta), Rz.mT
+        q = upper_half(conjugate_product(qz, conjugate_product(qa, qb)))
+        off = np.concatenate([apply(turned, h - tz).T, q[:, :3].T]).T
+        if not jacobians:
+            return off, ()
+        q *= 0.5
+        J_X = block_triangular(-turned, product(turned, skew(h)), -product(w_minus_v(q), turned))
+        return off, (J_X, block_triangular(product(product(Ra, Rz).mT, Rb), _ZERO, w_plus_v(q)))
 
     def adjoint(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)
@@ -235,6 +270,11 @@ class PosesOfSpace(LieGroup):
 
     def invalid(self, X: Array) -> tuple[int, str] | None:
         return super().invalid(X) or not_unit(X[..., 3:])
+
+
+def _framed_parts(X: Array) -> tuple[Array, Array, Array]:
+    """Translations (n, 3), quaternions (n, 4) and rotation matrices (n, 3, 3) of poses with their frames (n, 16)."""
+    return X[:, :3], X[:, 3:7], X.T[7:].reshape(3, 3, -1).transpose(2, 0, 1)
 
 
 def _products(delta: Array) -> tuple[Array, ...]:

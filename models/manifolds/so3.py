@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import TINY, Array, arrangement, components, dot, matrix, pack, product, skew, stumpff
+from models.algebra import TINY, Array, apply, arrangement, components, dot, matrix, pack, product, skew, stumpff
 from models.manifolds.base import LieGroup
 from models.manifolds.rigid import rotation_parts
 
@@ -30,14 +30,20 @@ UNIT_TOLERANCE = 1e-3  # six-digit files are off by 1e-6, hand-written ones by 1
 IDENTITY = matrix(np.eye(3).tolist())
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _right_product = arrangement([[4, 3, -2, 1], [-3, 4, 1, 2], [2, -1, 4, 3], [-1, -2, -3, 4]])
-_w_plus_v = arrangement([[4, -3, 2], [3, 4, -1], [-2, 1, 4]])
-_w_minus_v = arrangement([[4, 3, -2], [-3, 4, 1], [2, -1, 4]])
+_conjugate_product = arrangement([[-4, -3, 2, 1], [3, -4, -1, 2], [-2, 1, -4, 3], [1, 2, 3, 4]])
+w_plus_v = arrangement([[4, -3, 2], [3, 4, -1], [-2, 1, 4]])
+w_minus_v = arrangement([[4, 3, -2], [-3, 4, 1], [2, -1, 4]])
 
 
 def quaternion_product(p: Array, q: Array) -> Array:
     """Hamilton product p q of stacks (..., 4), normalized."""
-    pq = np.einsum("...ij,...j->...i", _right_product(q), p)
+    pq = apply(_right_product(q), p)
     return np.asarray(pq / np.sqrt(dot(pq, pq))[..., None])
+
+
+def conjugate_product(p: Array, q: Array) -> Array:
+    """Hamilton product of the conjugate of p with q, stacks (n, 4), of the product of their lengths."""
+    return apply(_conjugate_product(q), p)
 
 
 def rotation3(q: Array) -> Array:
@@ -45,8 +51,8 @@ def rotation3(q: Array) -> Array:
 
     R = ((w I + [v]x)^2 + v v') / |q|^2.
     """
-    v, B = q[..., :3], _w_plus_v(q)
-    R: Array = np.einsum("...ik,...kj->...ij", B, B)
+    v, B = q[..., :3], w_plus_v(q)
+    R = product(B, B)
     R += v[..., :, None] * v[..., None, :]
     R /= dot(q, q)[..., None, None]
     return R
@@ -85,12 +91,12 @@ def quaternion_vector(q: npt.ArrayLike) -> Array:
 
 def quaternion_vector_jr(q: npt.ArrayLike) -> Array:
     """Derivative of the vector part of q Exp(d): (w I + [v]x) / 2."""
-    return _w_plus_v(0.5 * upper_half(q))
+    return w_plus_v(0.5 * upper_half(q))
 
 
 def quaternion_vector_jl(q: npt.ArrayLike) -> Array:
     """Derivative of the vector part of Exp(d) q: (w I - [v]x) / 2."""
-    return _w_minus_v(0.5 * upper_half(q))
+    return w_minus_v(0.5 * upper_half(q))
 
 
 class RotationsOfSpace(LieGroup):

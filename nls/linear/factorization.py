@@ -26,6 +26,8 @@ WEAK, NULL = 1e-6, 1e-9
 """Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is
 one when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
 
+GOLDEN = (5**0.5 - 1) / 2  # fractions of its multiples spread evenly: a start of iterations in no direction
+
 
 class SingularSystemError(np.linalg.LinAlgError):
     """The system has no unique solution; optimizers turn this into `UnderconstrainedError` with names."""
@@ -172,7 +174,8 @@ class Factorization:
         if not (weak & (self._pivots < 0.5 * self._judged)).any():
             return
         D = 1 / np.where(system.column_norms > 0, system.column_norms, 1.0)
-        v = np.random.default_rng(0).normal(size=len(D))
+        v = np.arange(len(D)) * GOLDEN
+        v -= np.floor(v) + 0.5
         for _ in range(3):
             v = self.solve(v / D) / D
             v /= np.linalg.norm(v)

@@ -256,7 +256,7 @@ def misfits(judged: Iterable[Witness], result: Result, loops: LoopGraph) -> Mask
 def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witness]:
     """The groups of accepted closures (m,) at their optimum, those of the largest residuals first."""
     poses, graph, d = loops.poses, loops.graph.only(loops.masks(accepted)), loops.poses.group.dim
-    rows = [batch.model.linearize(*batch.gather(values)) for batch in poses.batches]
+    rows = [batch.model.linearize(*batch.arguments(values)) for batch in poses.batches]
     b = np.concatenate([b for _, b in rows])[poses.closures]
     A = [np.concatenate([sides[slot] for sides, _ in rows])[poses.closures] for slot in (0, 1)]
     ends = [poses.i[poses.closures], poses.j[poses.closures]]

@@ -28,9 +28,9 @@ from nls.sparse.elimination import Elimination
 
 @cache
 def triangle(d: int) -> tuple[Index, Index]:
-    """Rows and columns of the lower triangle of a (d, d) block, by rows (`numpy.tril_indices` takes 180 us)."""
+    """Rows and columns (t, 1) of the lower triangle of a (d, d) block, by rows (`numpy.tril_indices` takes 180 us)."""
     rows, columns = np.nonzero(np.tri(d))
-    return rows, columns
+    return rows[:, None], columns[:, None]
 
 
 class Hessian:
@@ -76,8 +76,8 @@ class Hessian:
         self.indices = np.empty(self.indptr[-1], dtype=np.int32)
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
         for d in np.bincount(widths).nonzero()[0]:
-            k = (widths == d).nonzero()[0][:, None]
-            r, c = triangle(int(d))
+            k = (widths == d).nonzero()[0]
+            r, c = triangle(int(d))  # entries first: an inner loop over all blocks, and not one for each
             target = self.indptr[starts[k] + c] + (r - c)
             self.indices[target] = starts[k] + r
             self.source[target] = diagonal[e.variables[k]] + r * d + c
@@ -88,11 +88,11 @@ class Hessian:
             shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
             for height, width in (divmod(int(shape), base) for shape in np.bincount(shapes).nonzero()[0]):
                 same = (shapes == height * base + width).nonzero()[0]
-                r, c = np.divmod(np.arange(height * width), width)
-                target = self.indptr[starts[column[same], None] + c] + (width - c + r) + above[same, None]
-                inside = np.stack([r * width + c, c * height + r])  # of a contribution as it is, and turned
+                r, c = np.divmod(np.arange(height * width)[:, None], width)
+                target = self.indptr[starts[column[same]] + c] + (width - c + r) + above[same]
                 p = pairs[same]
-                yield target, off[p, None] + inside[e.turned[p].astype(np.intp)], starts[row[same], None] + r
+                inside = np.where(e.turned[p], c * height + r, r * width + c)
+                yield target, off[p] + inside, starts[row[same]] + r
 
         for target, source, rows in entries(e.blocks, above):
             self.indices[target] = rows
@@ -174,14 +174,14 @@ class Scatter:
         if places is None:
             variables, d = self.slots[batch][slot]
             places = self._places[batch, slot] = (self.first[variables] + self.inner(d)[:, None]).reshape(-1)
-        total += np.bincount(places, addend.reshape(-1), self.size)
+        np.add.at(total, places, addend.reshape(-1))
 
 
 @cache
 def _lower(d: int) -> Index:
     """Places of the lower triangle of a (d, d) block stored by rows."""
     rows, columns = triangle(d)
-    return np.asarray(rows * d + columns)
+    return np.asarray(rows * d + columns)[:, 0]
 
 
 class Blocks:
@@ -222,6 +222,14 @@ class Blocks:
         none = [np.zeros(0, dtype=np.intp)]
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
+    @cached_property
+    def on_diagonal(self) -> Index:
+        """Where in S the number of every free column of A is that is on the diagonal of A'A."""
+        d, ends = self.dims, self.dims.cumsum()
+        inner = np.arange(d.sum()) - (ends - d).repeat(d)
+        places: Index = self.diagonal.repeat(d) + inner * (d + 1).repeat(d)
+        return places
+
     def fill(self, A: Sequence[tuple[Array, ...]]) -> Array:
         """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot."""
         S = np.empty(self.size)
@@ -229,7 +237,7 @@ class Blocks:
         diagonal[:] = 0.0
         for k, blocks in enumerate(A):
             for slot, A_k in enumerate(blocks):
-                self.squares.add(diagonal, k, slot, gram(A_k).transpose(1, 2, 0)[triangle(A_k.shape[2])])
+                self.squares.add(diagonal, k, slot, gram(A_k).transpose(1, 2, 0)[triangle(A_k.shape[2])][:, 0])
         for k, a, c, where in self.pairs:
             A_a, A_c = A[k][a], A[k][c]
             S[where].reshape(len(A_a), A_a.shape[2], A_c.shape[2])[...] = product(A_a.mT, A_c)

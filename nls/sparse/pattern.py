@@ -45,6 +45,12 @@ class Batch:
         """The values (k, size) of every slot."""
         return [take(values.stacks[k].X, i) for k, i in zip(self.kinds, self.index, strict=True)]
 
+    def arguments(self, values: Values) -> list[Array]:
+        """The values of every slot, with frames where its factor takes them."""
+        if not self.model.factor.framed:
+            return self.gather(values)
+        return [take(values.stacks[k].framed, i) for k, i in zip(self.kinds, self.index, strict=True)]
+
 
 def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
     """A question about a graph, whatever is held: the array that answers it is kept with the pattern, read-only."""
@@ -150,7 +156,7 @@ class Pattern:
         """Sum of rho(|b_i|^2) without any Jacobian; rho is the identity where there is no robust kernel."""
         total = 0.0
         for batch in self.batches:
-            squares = np.square(batch.model.error(*batch.gather(values)))
+            squares = np.square(batch.model.error(*batch.arguments(values)))
             kernel = batch.model.factor.kernel
             total += float(squares.sum() if kernel is None else kernel.rho(squares.sum(axis=1)).sum())
         return total

@@ -109,17 +109,16 @@ class single_thread:
     __slots__ = ("_before", "_entered")
 
     def __enter__(self) -> None:
-        self._before: frozenset[_Setting] = getattr(_HERE, "held", frozenset())
-        with _LOCK:  # inside another one only what was loaded since
-            self._entered = [
-                (setting, setting.enter()) for setting in _settings(_loaded()) if setting not in self._before
-            ]
-        if self._entered:
-            _HERE.held = self._before.union(setting for setting, _ in self._entered)
+        self._before: tuple[frozenset[_Setting], tuple[bool, ...]] = getattr(_HERE, "inside", (frozenset(), ()))
+        (held, known), loaded, self._entered = self._before, _loaded(), list[tuple[_Setting, int]]()
+        if loaded != known:  # inside another one only what was loaded since
+            with _LOCK:
+                self._entered = [(setting, setting.enter()) for setting in _settings(loaded) if setting not in held]
+            _HERE.inside = held.union(setting for setting, _ in self._entered), loaded
 
     def __exit__(self, *_: object) -> None:
+        _HERE.inside = self._before
         if self._entered:
-            _HERE.held = self._before
             with _LOCK:
                 for setting, number in self._entered:
                     setting.leave(number)

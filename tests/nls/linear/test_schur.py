@@ -113,7 +113,8 @@ def test_bundle_adjustment(data: Path) -> None:
 def truncated(H: Array) -> Array:
     """The inverse on the directions that have a hundredth of the information of the best one."""
     w, Q = np.linalg.eigh(H)
-    return np.asarray((Q * np.where(w > 0.01 * w[:, -1:], 1 / w, 0.0)[:, None]) @ Q.mT)
+    known = w > 0.01 * w[:, -1:]
+    return np.asarray((Q * np.where(known, 1 / np.where(known, w, 1.0), 0.0)[:, None]) @ Q.mT)
 
 
 def test_the_exact_inverse_given_is_the_exact_inverse() -> None:
