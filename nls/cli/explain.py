@@ -9,7 +9,7 @@ from models.listing import several
 from nls.cli.choices import GNC, ROBUST
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import Color, refuse_unwritable, say, write_json
+from nls.cli.outputs import Color, refuse_unwritable, say, say_notes, write_json
 from nls.cli.phase import INTERRUPTED
 from nls.explanation.doubts import graduates
 from nls.optimizers import default_optimizer
@@ -38,9 +38,7 @@ def explain(options: argparse.Namespace) -> int:
     if options.json != "-":
         color = Color.DOUBTFUL if explanation.findings else Color.GOOD
         say(f"{report.path}, {how}\n\n{explanation.report(shell=True)}", verdict=(explanation.summary, color))
-        for note in report.notes:
-            if note not in report.warnings:
-                say(f"note        {note}")
+        say_notes(report.notes, report.warnings)
     return INTERRUPTED * any(f.kind is nls.FindingKind.INTERRUPTED for f in explanation.findings)
 
 

@@ -214,10 +214,8 @@ class GraphFile:
         """The optimum from the start of a problem; with ``--sigmas estimate`` of the graph with rescaled noise."""
         options = self.options
         options.phase.now(f"while solving {options.file}")
-        if options.method == "auto":
-            optimizer = default_optimizer(problem.graph.factors, problem.stop)
-        else:
-            optimizer = OPTIMIZERS[options.method](problem.stop)
+        named = OPTIMIZERS.get(options.method)
+        optimizer = named(problem.stop) if named else default_optimizer(problem.graph.factors, problem.stop)
         if options.sigmas != "stated":
             return _rescaled(problem, optimizer)
         result = problem.graph.optimize(problem.start, optimizer, problem.solver, options.gauge)

@@ -10,7 +10,7 @@ from models.listing import several
 from nls.cli import formats
 from nls.cli.graph_file import GraphFile, Read
 from nls.cli.inputs import input_of
-from nls.cli.outputs import PAGES, PICTURES, refuse_name, refuse_unwritable, say, write_json
+from nls.cli.outputs import PAGES, PICTURES, refuse_name, refuse_unwritable, say, say_notes, write_json
 from nls.io import files
 from nls.io.formats import FORMATS, format_of
 
@@ -88,8 +88,7 @@ def _drawn(
     draw(kind, read, output)
     options.phase.written.append(output)
     say(f"written     {output}")
-    for note in kind.not_drawn(read[2]):
-        say(f"note        {note}")
+    say_notes(kind.not_drawn(read[2]))
     return 0
 
 
@@ -108,7 +107,5 @@ def convert(options: argparse.Namespace) -> int:
     holds = f"{several(len(values), 'variable')}, {several(len(graph), 'measurement')}"
     say(f"input       {report.path}: {report.format}, {holds}")
     say(f"written     {options.output}: {form}")
-    for note in [*report.notes, *notes]:
-        if note not in report.warnings:
-            say(f"note        {note}")
+    say_notes([*report.notes, *notes], report.warnings)
     return 0

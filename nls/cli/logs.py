@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 import nls
-from nls.cli.outputs import say
+from nls.cli.outputs import say, say_notes
 from nls.io.files import write_folder
 from nls.missions import importing
 
@@ -28,8 +28,7 @@ def import_logs(options: argparse.Namespace) -> int:
         raise nls.OptionError("-o", error.value, error.allowed) from error
     say(f"input       {', '.join(options.logs)}")
     say(f"written     {options.output}: " + ", ".join(f"{name} {count}" for name, count in imported.rows.items()))
-    for note in imported.notes:
-        say(f"note        {note}")
+    say_notes(imported.notes)
     return 0
 
 

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,13 @@ def say(text: object, error: bool = False, verdict: tuple[str, Color] | None = N
         if verdict is not None and not plain:
             lines = [f"{verdict[1]}{line}\x1b[0m" if line.startswith(verdict[0]) else line for line in lines]
         print("\n".join(lines), file=stream, flush=True)
+
+
+def say_notes(notes: Iterable[str], known: Sequence[str] = ()) -> None:
+    """Print remarks but for those that are known, such as warnings that were given."""
+    for note in notes:
+        if note not in known:
+            say(f"note        {note}")
 
 
 def live() -> bool:

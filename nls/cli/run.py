@@ -53,7 +53,7 @@ class Clock:
 
     def __init__(self, began: float, startup: float) -> None:
         self.seconds = {"startup": startup}
-        self._began = self._last = began
+        self._last = began
 
     def lap(self, name: str) -> None:
         """End of a stage, or of a part of it."""

@@ -18,7 +18,7 @@ from nls.cli.run import Clock, Problem, Run, Solved
 from nls.cli.solve_report import SCHEMA, advice, input_line, record_of, table, write_page
 from nls.io.files import refuse_absent
 from nls.linear import LU, QR, SOLVERS, DenseCholesky, DenseQR, Pinv, default_solver
-from nls.sparse.threads import single_thread
+from nls.sparse.threads import openmp
 from nls.stages import announce, collected
 
 OF_SCIPY = (LU, QR, DenseCholesky, DenseQR, Pinv)  # linear solvers that import it late
@@ -40,7 +40,7 @@ def solve(options: argparse.Namespace) -> int:
     if options.certify and not options.improve:
         solved = _certified(solved)
     if options.report:
-        _page(kind, solved, solved.result)
+        attempt(solved, {options.report: partial(write_page, kind, solved, solved.result)})
         run.clock.lap("report")
     _report(kind, solved)
     return _status(kind, solved)
@@ -60,9 +60,8 @@ def _checked(kind: GraphFile) -> Run:
     _refuse_sigmas(kind)
     if options.covariance and (os.path.isfile(options.covariance) or not os.path.exists(options.covariance)):
         refuse_name("--covariance", options.covariance, (".csv", ".csv.gz"))
-    refuse_name("--plot", options.plot, PICTURES)
-    for option in ("report", "view"):
-        refuse_name(f"--{option}", getattr(options, option), PAGES)
+    for option, suffixes in (("plot", PICTURES), ("report", PAGES), ("view", PAGES)):
+        refuse_name(f"--{option}", getattr(options, option), suffixes)
     if options.view:
         from nls.plot.view import drawing_package
 
@@ -109,8 +108,7 @@ def _import_solver(run: Run, columns: int) -> None:
         run.solver.require()
     if isinstance(default_solver(columns), OF_SCIPY) or isinstance(run.solver, OF_SCIPY):
         import_module("scipy.sparse.linalg")
-    with single_thread():
-        pass
+    openmp()
 
 
 def _begun(kind: GraphFile, problem: Problem) -> Problem:
@@ -208,10 +206,6 @@ def _write(kind: GraphFile, solved: Solved) -> None:
     solved.clock.lap("write")
 
 
-def _page(kind: GraphFile, problem: Problem, result: nls.Result | nls.UnderconstrainedError) -> None:
-    attempt(problem, {problem.options.report: partial(write_page, kind, problem, result)})
-
-
 def _covariance(kind: GraphFile, solved: Solved, path: str) -> None:
     from nls.io.table import write_covariances
 
@@ -235,7 +229,7 @@ def _free_written(kind: GraphFile, problem: Problem) -> Iterator[None]:
         if error.silent is not None and len(problem.graph.factors) == len(report.sources):
             error.message = f"{report.place(*error.silent)}: {error.message}"
         if options.report:
-            _page(kind, problem, error)
+            attempt(problem, {options.report: partial(write_page, kind, problem, error)})
         if options.json:
             attempt(problem, {options.json: partial(_write_free, problem, error)})
         for failure in problem.failed:
