@@ -152,8 +152,9 @@ class Automatic(Optimizer):
                 raise
             watch.end(Status.DIVERGED, f"the linear system of iteration {watch.step_count + 1} is singular", "singular")
             refusal = error
-        watch.limit = self.stop.patient.max_iterations or 0
-        if watch.status in FAILED and watch.step_count < watch.limit and not watch.halted:
+        if watch.status in FAILED and not watch.halted:
+            watch.limit = self.stop.patient.max_iterations or 0
+        if watch.status in FAILED and not watch.halted and watch.step_count < watch.limit:
             watch.resume()
             watch.after_a_step = stop.AFTER_A_STEP
             Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)

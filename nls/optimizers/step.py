@@ -308,7 +308,6 @@ class Step:
         return self.system.pattern.restrict(self.values.coordinates)
 
     def _short(self, dx: Array) -> bool:
-        D = self.watch.scale(self.system)
-        start = self.system.pattern.restrict(self.watch.start)
-        sizes = (np.linalg.norm(D * x) for x in (start, self._coordinates))
-        return bool(np.linalg.norm(D * dx) <= SHORT_OF_ESTIMATE * max(sizes))
+        D, start = self.watch.scale(self.system), self.system.pattern.restrict(self.watch.start)
+        length, *sizes = (float(v.dot(v)) for v in (D * dx, D * start, D * self._coordinates))
+        return length <= SHORT_OF_ESTIMATE**2 * max(sizes)

@@ -59,13 +59,17 @@ def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
 
 
 def rounding(step: Step) -> Verdict | None:
-    """|A dx|^2 is within the rounding of chi2, and dx short.
+    """|A dx|^2 is within the rounding of chi2: CONVERGED where dx is short, and a plateau where it is long.
 
     Not while shorter steps serve `update_tol`. Nor while those of a damped method get shorter: near a saddle chi2 does
     not show the first of those that leave it.
     """
+    if not step.invisible:
+        return None
+    if step.leaves:
+        return levels_off(step)
     last = step.sigmas == 0 or step.longer or (step.tolerance > 0 and step.undamped is None)
-    return hidden(step) if last and step.invisible and step.agreed else None
+    return hidden(step) if last and step.agreed else None
 
 
 def exact_fit(step: Step) -> Verdict | None:
@@ -128,10 +132,8 @@ def update_norm(step: Step) -> Verdict | None:
 
 
 def plateau(step: Step) -> Verdict | None:
-    """|A dx| is small and dx no shorter, 6 times in a row; or a long step that chi2 cannot show."""
-    if step.watch.level_steps >= PLATEAU or (not step.short and step.invisible and step.leaves):  # the cheapest first
-        return levels_off(step)
-    return None
+    """|A dx| is small and dx no shorter, 6 times in a row."""
+    return levels_off(step) if step.watch.level_steps >= PLATEAU else None
 
 
 def levels_off(step: Step) -> Verdict:
