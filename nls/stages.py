@@ -19,11 +19,11 @@ _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", d
 def stage(name: str) -> Iterator[None]:
     """Count the seconds inside under a name, where somebody collects them, and announce it; 2 us where nobody does."""
     announce(name.partition(" ")[2] or name)
-    start, token = perf_counter(), _INSIDE.set(True)
+    start = perf_counter()
     try:
-        yield
+        with _inside(_INSIDE, True):
+            yield
     finally:
-        _INSIDE.reset(token)
         seconds = _SECONDS.get()
         if seconds is not None:
             seconds[name] = seconds.get(name, 0.0) + perf_counter() - start
