@@ -373,12 +373,12 @@ class Model(NamedTuple):
     @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
-        e, J = self.factor.innovation(self, X)
-        b, n, A = self._whitened(e), len(e), []
-        for slot, J_k in enumerate(J):
-            A_k = whiten(self.W, J_k[:, self.rows])
+        e, (*A,) = self.factor.innovation(self, X)  # a list: each Jacobian goes as its whitened one comes
+        b, n = self._whitened(e), len(e)
+        for slot in range(len(A)):
+            A[slot] = A_k = whiten(self.W, A[slot][:, self.rows])
             self._check(A_k, slot)
-            A.append(A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:])))
+            A[slot] = A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:]))
         return tuple(A), b
 
     def _whitened(self, e: Array) -> Array:

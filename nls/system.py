@@ -129,7 +129,7 @@ class LinearSystem:
         blocks = self.pattern.blocks
         with np.errstate(over="ignore"):
             S = self.H_blocks if "H_blocks" in vars(self) else blocks.fill(self.blocks, pairs=False)
-        return np.sqrt(S.take(blocks.on_diagonal))
+        return np.sqrt(self.pattern.diagonal(S))
 
     @property
     def scaled_gradient(self) -> float:

@@ -222,14 +222,6 @@ class Blocks:
         none = [np.zeros(0, dtype=np.intp)]
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
-    @cached_property
-    def on_diagonal(self) -> Index:
-        """Where in S the number of every free column of A is that is on the diagonal of A'A."""
-        d, ends = self.dims, self.dims.cumsum()
-        inner = np.arange(d.sum()) - (ends - d).repeat(d)
-        places: Index = self.diagonal.repeat(d) + inner * (d + 1).repeat(d)
-        return places
-
     def fill(self, A: Sequence[tuple[Array, ...]], pairs: bool = True) -> Array:
         """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot.
 
