@@ -12,7 +12,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from functools import cached_property
 from itertools import combinations
 from typing import Any, ClassVar, NamedTuple
 
@@ -79,7 +78,7 @@ class Factor(Traits, Abstract):
     slots: tuple[Manifold | None, ...] = ()
     relative: bool = False
     damped: bool = False
-    framed: ClassVar[bool] = False
+    framed: bool = False
     unmoved: tuple[int, ...] = ()
     per_measurement: ClassVar[tuple[str, ...]] = ()
     shared: ClassVar[tuple[str, ...]] = ()
@@ -280,9 +279,13 @@ class Factor(Traits, Abstract):
                 raise NoiseModelError(message, error.matrix, error.index, error.value, self.keys) from error
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
-            z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
+            z = self.with_frames(space, np.asfortranarray(np.broadcast_to(z, (len(self), space.size))))
             model = self._model = Model(self, manifolds, space, z, arranged(W), rows, names)
         return model
+
+    def with_frames(self, space: Manifold, z: Array) -> Array:
+        """Measurements (n, size), with their frames where it takes them."""
+        return space.framed(z) if self.framed and isinstance(space, LieGroup) else z
 
     @staticmethod
     def from_function(
@@ -332,20 +335,21 @@ class Factor(Traits, Abstract):
         return FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
 
 
-class Bound(NamedTuple):
-    """The parts of a `Model`."""
+class Model(NamedTuple):
+    """A factor bound to the spaces of its variables, as assembly and filters call it. Arrays in, arrays out."""
 
     factor: Factor
     manifolds: tuple[Manifold, ...]
     space: Manifold
-    z: Array
+    framed_z: Array  # with frames where the factor takes them
     W: Array
     rows: Index | slice
     names: tuple[str, ...]
 
-
-class Model(Bound):
-    """A factor bound to the spaces of its variables, as assembly and filters call it. Arrays in, arrays out."""
+    @property
+    def z(self) -> Array:
+        """The measurements (n, size), in the stored form of their space."""
+        return self.framed_z[:, : self.space.size]
 
     @property
     def dim(self) -> int:
@@ -354,8 +358,8 @@ class Model(Bound):
 
     def part(self, factor: Factor, index: Index) -> Model:
         """The model of a factor that has some of the measurements, by place (k,)."""
-        W = arranged(rows(self.W, index, len(self.z)))
-        return self._replace(factor=factor, z=np.asfortranarray(self.z[index]), W=W)
+        W = arranged(rows(self.W, index, len(self.framed_z)))
+        return self._replace(factor=factor, framed_z=np.asfortranarray(self.framed_z[index]), W=W)
 
     def refuse_extreme(self) -> None:
         """Refuse a measurement or weight whose square is no number, see `factors.return_values.refuse_extreme`."""
@@ -366,20 +370,15 @@ class Model(Bound):
         """Whitened innovation b (n, m) alone, for the cost of a trial point."""
         return self._whitened(self.factor.innovation(self, X, jacobians=False)[0])
 
-    @cached_property
-    def framed_z(self) -> Array:
-        """The measurements of a group with their frames, `LieGroup.framed`."""
-        return self.space.framed(self.z) if isinstance(self.space, LieGroup) else self.z
-
     @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
-        e, J = self.factor.innovation(self, X)
-        b, n, A = self._whitened(e), len(e), []
-        for slot, J_k in enumerate(J):
-            A_k = whiten(self.W, J_k[:, self.rows])
+        e, (*A,) = self.factor.innovation(self, X)  # a list: each Jacobian goes as its whitened one comes
+        b, n = self._whitened(e), len(e)
+        for slot in range(len(A)):
+            A[slot] = A_k = whiten(self.W, A[slot][:, self.rows])
             self._check(A_k, slot)
-            A.append(A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:])))
+            A[slot] = A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:]))
         return tuple(A), b
 
     def _whitened(self, e: Array) -> Array:

@@ -54,10 +54,10 @@ class Between(Factor):
     slots = (None, None)
     relative = along_world = True
     frame = "first"
-    framed = True
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         super().__init__([i, j], z, noise, convention)
+        self.framed = convention == "g2o"
 
     def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
         return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction
@@ -84,7 +84,7 @@ class Between(Factor):
     def innovation(self, model: Model, X: tuple[Array, ...], jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
         group = model.space
         assert isinstance(group, LieGroup)
-        if self.convention != "g2o" or group.flat:
-            return super().innovation(model, tuple([x[:, : group.size] for x in X]), jacobians)
+        if not self.framed or group.flat:
+            return super().innovation(model, X, jacobians)
         off, J = group.misfit(group.framed(X[0]), group.framed(X[1]), model.framed_z, jacobians)
         return -off, J

@@ -40,9 +40,6 @@ Mask = npt.NDArray[np.bool_]
 Numbers = npt.NDArray[np.int64]
 
 
-FEW = 150  # numbers in a stack, below which NumPy's loop over its matrices takes half the time of one over the stack
-
-
 def wrap(angle: npt.ArrayLike) -> Array:
     """Angle(s) brought to [-pi, pi), rad; the array itself where all are in it.
 
@@ -114,11 +111,11 @@ def product(A: Array, B: Array) -> Array:
     """Matrix product of two stacks, (..., r, k) times (..., k, c); the batches broadcast.
 
     Up to 3x3 the sums run over the whole batch, entry by entry (4 times faster than `numpy.matmul`, which pays per
-    matrix); from there on `numpy.matmul` (6x6: 0.5 ms for 5,000, against 1.0 ms the other way), as for `FEW`.
+    matrix); from there on `numpy.matmul` (6x6: 0.5 ms for 5,000, against 1.0 ms the other way).
     """
     if A.shape[-1] != B.shape[-2]:
         raise ValueError(f"product of {A.shape} and {B.shape}: the inner sizes differ")
-    if A.size < FEW or max(A.shape[-2:] + B.shape[-1:]) > 3:
+    if max(A.shape[-2:] + B.shape[-1:]) > 3:
         return np.asarray(np.matmul(A, B))
     return np.asarray(np.einsum("...ik,...kj->...ij", A, B, order="F"))
 
@@ -142,14 +139,14 @@ def apply(A: Array, x: Array) -> Array:
 
     As in `product` the sums run over the whole batch, up to 4x4, which takes a fraction of the time of `numpy.matvec`.
     """
-    if A.size < FEW or max(A.shape[-2:]) > 4:
+    if max(A.shape[-2:]) > 4:
         return np.asarray(np.matvec(A, x))
     return np.asarray(np.einsum("...ij,...j->...i", A, x, order="F"))
 
 
 def dot(a: Array, b: Array) -> Array:
     """Inner product of two stacks of vectors, (..., k) and (..., k) to (...)."""
-    return np.asarray(np.vecdot(a, b) if a.size < FEW else np.einsum("...i,...i->...", a, b))
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def distance_along(p: npt.ArrayLike) -> Array:

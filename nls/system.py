@@ -134,7 +134,10 @@ class LinearSystem:
     @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,): roots of the diagonal of A'A."""
-        return np.sqrt(self.H_blocks.take(self.pattern.blocks.on_diagonal))
+        blocks = self.pattern.blocks
+        with np.errstate(over="ignore"):
+            S = self.H_blocks if "H_blocks" in vars(self) else blocks.fill(self.blocks, pairs=False)
+        return np.sqrt(self.pattern.diagonal(S))
 
     @property
     def scaled_gradient(self) -> float:

@@ -39,10 +39,9 @@ class Stack:
         return len(self.numbers)
 
     def moved(self, X: Array) -> Stack:
-        """The variables at other places, (n, size) or with their frames."""
-        X = np.asfortranarray(X)
-        size, stack = self.manifold.size, object.__new__(Stack)
-        vars(stack).update(vars(self), X=X[:, :size], _framed=X if X.shape[1] > size else None)
+        """The variables at other places."""
+        stack = object.__new__(Stack)
+        vars(stack).update(vars(self), X=np.asfortranarray(X), _framed=None)
         return stack
 
     def retract(self, delta: Array) -> Stack:
@@ -54,6 +53,7 @@ class Stack:
         """The elements of a group with their frames, `LieGroup.framed`, made once."""
         if self._framed is None:
             self._framed = self.manifold.framed(self.X) if isinstance(self.manifold, LieGroup) else self.X
+            self.X = self._framed[:, : self.manifold.size]  # the numbers are kept once
         return self._framed
 
     def only(self, rows: slice | Mask) -> Stack:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import TINY, Array, components, matrix, pack, sinc, stumpff, wrap
+from models.algebra import Array, components, matrix, pack, sinc, stumpff, wrap
 from models.manifolds.base import LieGroup
 from models.manifolds.rigid import rigid_parts
 from models.manifolds.so2 import angle2, rotation2
@@ -65,12 +65,10 @@ class PosesOfThePlane(LieGroup):
         x, y, theta, *frame = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
         rho1, rho2, turn = components(delta)
         h = turn / 2
-        h = np.where(h == 0, TINY, h)
-        ch, sh = np.cos(h), np.sin(h)
+        ch, sh, zero = np.cos(h), np.sin(h), h == 0
         c, s = frame or (np.cos(theta), np.sin(theta))
-        c, s, chord = c * ch - s * sh, s * ch + c * sh, sh / h
-        moved = [x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)]
-        return pack([*moved, c * ch - s * sh, s * ch + c * sh] if frame else moved)
+        c, s, chord = c * ch - s * sh, s * ch + c * sh, (sh + zero) / (h + zero)  # 1 at 0
+        return pack([x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)])
 
     def log(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)

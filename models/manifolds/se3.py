@@ -127,10 +127,9 @@ class PosesOfSpace(LieGroup):
     def exp(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
         rho, w = delta[..., :3], delta[..., 3:]
-        K, (c0, c1, c2, c3) = skew(w), stumpff(dot(w, w)[..., None] / 4, 0, 1, 2, 3)  # of half the angle
+        K, (c2, c3) = skew(w), stumpff(dot(w, w)[..., None], 2, 3)
         turned = apply(K, rho)
-        t = rho + c1 * c1 / 2 * turned + (c3 + c1 * c2) / 4 * apply(K, turned)
-        return np.concatenate([t, c1 / 2 * w, c0], axis=-1)
+        return join(rho + c2 * turned + c3 * apply(K, turned), SO3.exp(w))
 
     def log(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)
@@ -160,7 +159,7 @@ class PosesOfSpace(LieGroup):
             return self.compose(X, step)
         t, q, R = _framed_parts(X)
         dt, dq = split(step)
-        return self.framed(np.concatenate([(t + apply(R, dt)).T, quaternion_product(q, dq).T]).T)
+        return join(t + apply(R, dt), quaternion_product(q, dq))
 
     def framed(self, X: Array) -> Array:
         if X.shape[-1] > self.size:

@@ -275,7 +275,8 @@ class GrowingBatch:
         kinds = zip(self._first.factor.keys, self._numbers, strict=True)
         keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
         factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
-        model = self._first._replace(factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
+        z = factor.with_frames(self._first.space, self._z.rows[rows])
+        model = self._first._replace(factor=factor, framed_z=z, W=self._W.rows[rows])
         factor._model = model
         return model
 

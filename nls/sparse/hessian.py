@@ -222,23 +222,18 @@ class Blocks:
         none = [np.zeros(0, dtype=np.intp)]
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
-    @cached_property
-    def on_diagonal(self) -> Index:
-        """Where in S the number of every free column of A is that is on the diagonal of A'A."""
-        d, ends = self.dims, self.dims.cumsum()
-        inner = np.arange(d.sum()) - (ends - d).repeat(d)
-        places: Index = self.diagonal.repeat(d) + inner * (d + 1).repeat(d)
-        return places
+    def fill(self, A: Sequence[tuple[Array, ...]], pairs: bool = True) -> Array:
+        """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot.
 
-    def fill(self, A: Sequence[tuple[Array, ...]]) -> Array:
-        """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot."""
-        S = np.empty(self.size)
+        Without pairs S ends behind the diagonal blocks.
+        """
+        S = np.empty(self.size if pairs else self.squares.size)
         diagonal = S[: self.squares.size]
         diagonal[:] = 0.0
         for k, blocks in enumerate(A):
             for slot, A_k in enumerate(blocks):
                 self.squares.add(diagonal, k, slot, gram(A_k).transpose(1, 2, 0)[triangle(A_k.shape[2])][:, 0])
-        for k, a, c, where in self.pairs:
+        for k, a, c, where in self.pairs if pairs else ():
             A_a, A_c = A[k][a], A[k][c]
             S[where].reshape(len(A_a), A_a.shape[2], A_c.shape[2])[...] = product(A_a.mT, A_c)
         return S
