@@ -63,7 +63,6 @@ class Watch(Record):
         dx: Array,
         promised: float,
         seconds: dict[str, float],
-        sigmas: float | None = None,
         damping: float = 0.0,
         undamped: Undamped | None = None,
         reused: bool = False,
@@ -74,11 +73,10 @@ class Watch(Record):
         ----------
         values, system : where it led, and the linearization there.
         dx, promised : the step, and the fall of the linear model's chi2.
-        sigmas : |A dx| of the undamped step where dx is another one.
         seconds, damping, reused : for the record.
         undamped : for methods that shorten their steps.
         """
-        step = Step(self, values, system, dx, promised, sigmas, undamped=undamped)
+        step = Step(self, values, system, dx, promised, undamped=undamped)
         self.note(step, seconds, damping, reused)
         level = step.ending and step.fall >= 0 and step.longer and (undamped is None or not step.short)
         self.level_steps = self.level_steps + 1 if level else 0
@@ -112,18 +110,10 @@ class Watch(Record):
             self._ask(stop.LIMITS, self.latest)
 
     def refuse(
-        self,
-        values: Values,
-        system: LinearSystem,
-        dx: Array,
-        promised: float,
-        sigmas: float,
-        fall: float,
-        undamped: Undamped,
+        self, values: Values, system: LinearSystem, dx: Array, promised: float, fall: float, undamped: Undamped
     ) -> None:
         """A trial step from the current point was not taken."""
-        step = Step(self, values, system, dx, promised, sigmas, fall=fall, undamped=undamped)
-        self._ask(stop.AFTER_A_REFUSAL, step)
+        self._ask(stop.AFTER_A_REFUSAL, Step(self, values, system, dx, promised, fall=fall, undamped=undamped))
 
     def stall(self, values: Values, system: LinearSystem, chi2: float, led: str) -> None:
         """No shorter step from the current point is left to try.

@@ -162,7 +162,8 @@ class Iteration(NamedTuple):
     number : 0 is the start.
     chi2 : after the step.
     update : max |dx| of the step; nan for the start.
-    sigmas : |A dx| of the undamped step: its length in units of its own uncertainty; nan for the start.
+    sigmas : |A dx| of the step, its length in units of its own uncertainty; for a damped step the root of the decrease
+        that the linear model promised; nan for the start.
     damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
     seconds : by part: linearize, assemble, factorize, solve, retract.
     reused : whether the step was solved with the factorization of the one before.

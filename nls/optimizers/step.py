@@ -182,7 +182,6 @@ class Step:
     watch : the optimization so far; its last record is the point before the step.
     values, system : where the step led; where it was refused or is still to be taken, the point it starts from.
     dx, promised : the step, and the fall of the linear model's chi2.
-    sigmas : |A dx| of the undamped step; the root of what is promised when omitted, as without damping they are equal.
     chi2 : where the step led; that of the system when omitted.
     fall : of chi2; from the record before to chi2 when omitted.
     undamped : for methods that shorten their steps: a short one proves nothing, this has to agree.
@@ -196,7 +195,6 @@ class Step:
         system: LinearSystem,
         dx: Array,
         promised: float = 0.0,
-        sigmas: float | None = None,
         chi2: float | None = None,
         fall: float | None = None,
         undamped: Undamped | None = None,
@@ -204,7 +202,7 @@ class Step:
     ) -> None:
         self.watch, self.values, self.system, self.dx, self.promised = watch, values, system, dx, promised
         self.chi2, self.undamped, self.words = system.chi2 if chi2 is None else chi2, undamped, words
-        self.sigmas = math.sqrt(max(promised, 0.0)) if sigmas is None else sigmas
+        self.sigmas = math.sqrt(max(promised, 0.0))  # |A dx|, where dx is the undamped step
         self.old = watch.history[-1]
         self.update = float(np.abs(dx).max(initial=0.0))
         self.fall = self.old.chi2 - self.chi2 if fall is None else fall

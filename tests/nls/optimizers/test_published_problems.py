@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from models.algebra import Array
 from models.errors import EvaluationError, LeadlineError, UnderconstrainedError
 from nls import Result, Status, Stop, Values
 from nls.optimizers import OPTIMIZERS
+from nls.optimizers import problem as problems
 from tests.nls.optimizers.mgh import PROBLEMS, Problem, count, numbers, p
 
 # Stationary points that are no published minima, |f|^2: converging to them is no lie. Each is checked below.
@@ -266,6 +267,24 @@ def test_solved_from_both_starts(name: str) -> None:
         case = (problem.name, start, stop, result.reason)
         assert result.converged, case
         assert problem.digits(result.values) > {"default": 2.5, "fall": 5.5}.get(stop, 6.0), case
+
+
+def test_a_trial_of_levenberg_marquardt_mostly_takes_one_factorization(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the radius is active, and after a refused step, whose lambda is not factorized again."""
+    calls = {"solve": 0, "attempt": 0}
+
+    def counted(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def counting(*arguments: Any) -> Any:
+            calls[name] += 1
+            return call(*arguments)
+
+        return counting
+
+    for name in calls:
+        monkeypatch.setattr(problems.Problem, name, counted(name, getattr(problems.Problem, name)))
+    for problem, start, stop in CASES:
+        regressed(problem, start, stop, "levenberg-marquardt")
+    assert calls["solve"] < 1.6 * calls["attempt"]
 
 
 def test_gauss_newton_knows_where_it_has_arrived() -> None:
