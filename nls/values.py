@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 
 
 class Stack:
-    """All variables of one kind: their manifold, their numbers, and one (n, size) array, components first in memory."""
+    """All variables of one kind: their manifold, their numbers, and one (n, size) array, components first in memory.
+
+    The array cannot be written to: what is made of it, such as frames, is kept.
+    """
 
     def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: Numbers) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
-        self.X = np.asfortranarray(X)
+        self.X = _locked(X)
         self._framed: Array | None = None
         rising = bool(len(numbers)) and bool((numbers[1:] > numbers[:-1]).all())
         consecutive = rising and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
@@ -41,7 +44,7 @@ class Stack:
     def moved(self, X: Array) -> Stack:
         """The variables at other places."""
         stack = object.__new__(Stack)
-        vars(stack).update(vars(self), X=np.asfortranarray(X), _framed=None)
+        vars(stack).update(vars(self), X=_locked(X), _framed=None)
         return stack
 
     def retract(self, delta: Array) -> Stack:
@@ -53,7 +56,7 @@ class Stack:
         """The elements of a group with their frames, `LieGroup.framed`, made once."""
         if self._framed is None:
             self._framed = self.manifold.framed(self.X) if isinstance(self.manifold, LieGroup) else self.X
-            self.X = self._framed[:, : self.manifold.size]  # the numbers are kept once
+            self.X = _locked(self._framed[:, : self.manifold.size])  # the numbers are kept once
         return self._framed
 
     def only(self, rows: slice | Mask) -> Stack:
@@ -373,6 +376,13 @@ def _keys(key: object) -> Keys:
     if not isinstance(key, Keys):
         raise GraphError(f"Values: {key!r:.60} names no variable; expected x[0], x[i] or the kind x")
     return key
+
+
+def _locked(X: Array) -> Array:
+    """An array components first in memory that cannot be written to."""
+    locked = np.asfortranarray(X).view()
+    locked.flags.writeable = False
+    return locked
 
 
 def take(X: Array, index: Index) -> Array:

@@ -186,6 +186,12 @@ class Step:
     fall : of chi2; from the record before to chi2 when omitted.
     undamped : for methods that shorten their steps: a short one proves nothing, this has to agree.
     words : for the verdict: where a trial step led, or which linear solver ran.
+
+    Attributes
+    ----------
+    sigmas : |A dx|, where dx is the undamped step; else the root of what is promised.
+    shorter, longer : max|dx| is below that of the step before; it is not. For the first step neither.
+    still : max|dx| < update_tol.
     """
 
     def __init__(
@@ -202,10 +208,13 @@ class Step:
     ) -> None:
         self.watch, self.values, self.system, self.dx, self.promised = watch, values, system, dx, promised
         self.chi2, self.undamped, self.words = system.chi2 if chi2 is None else chi2, undamped, words
-        self.sigmas = math.sqrt(max(promised, 0.0))  # |A dx|, where dx is the undamped step
+        self.sigmas = math.sqrt(max(promised, 0.0))
         self.old = watch.history[-1]
         self.update = float(np.abs(dx).max(initial=0.0))
         self.fall = self.old.chi2 - self.chi2 if fall is None else fall
+        self.shorter = self.update < SHORTER * self.old.update
+        self.longer = self.update >= SHORTER * self.old.update
+        self.still = self.update < (watch.stop.update_tol or 0.0)
 
     @cached_property
     def tolerance(self) -> float:
@@ -219,26 +228,6 @@ class Step:
         manifold = self.values.stack(key.kind).manifold
         unit = manifold.units[manifold.components.index(component)]
         return f"{self.update:.1e} {unit} ({component} of {key})".replace("  ", " ")
-
-    @property
-    def shorter(self) -> bool:
-        """Whether max|dx| is below that of the step before; False for the first one."""
-        return self.update < SHORTER * self.old.update
-
-    @property
-    def longer(self) -> bool:
-        """Whether max|dx| is not below that of the step before; False for the first one, too."""
-        return self.update >= SHORTER * self.old.update
-
-    @property
-    def still(self) -> bool:
-        """max|dx| < update_tol."""
-        return self.update < (self.watch.stop.update_tol or 0.0)
-
-    @cached_property
-    def missed(self) -> bool:
-        """Whether an undamped step promised ten times the fall that it brought."""
-        return self.undamped is None and self.promised > 10 * max(self.fall, 0.0) and not self.invisible
 
     @property
     def ending(self) -> bool:

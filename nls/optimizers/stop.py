@@ -118,7 +118,8 @@ def small(step: Step) -> Verdict:
 
 def promise_missed(step: Step) -> Verdict | None:
     """max|dx| < update_tol, but chi2 fell by less than a tenth of the promise of the linear model."""
-    if not (step.still and step.missed):
+    missed = step.undamped is None and step.promised > 10 * max(step.fall, 0.0)
+    if not (step.still and missed and not step.invisible):
         return None
     words = f"an update of {step.update:.1e} promised to lower chi2 by {step.promised:.3g} and brought {step.fall:.3g}"
     return Verdict(Status.STALLED, f"{words}; {CHECK}")

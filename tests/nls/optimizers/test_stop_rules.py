@@ -46,7 +46,7 @@ def looked(**changes: Any) -> Any:
         "words": "to chi2 51",
         "rounds": lambda change: change <= 1e-12,
     }
-    step |= {"still": False, "missed": False, "near": True, "ending": False, "agreed": True, "short": True}
+    step |= {"still": False, "near": True, "ending": False, "agreed": True, "short": True}
     step |= {"shorter": True, "longer": False, "invisible": False, "leaves": False}
     assert set(changes) <= {*watch, *system, *step}
     for group in (watch, system, step):
@@ -74,7 +74,11 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
         {"ending": True, "fall": 1e-5},
         [{"ending": False}, {"fall": -1e-9}, {"shorter": False}, {"agreed": False}],
     ),
-    stop.promise_missed: (Status.STALLED, {"still": True, "missed": True}, [{"still": False}, {"missed": False}]),
+    stop.promise_missed: (
+        Status.STALLED,
+        {"still": True, "promised": 60.0, "fall": 5.9},
+        [{"still": False}, {"fall": 6.0}, {"invisible": True}, {"undamped": object()}],
+    ),
     stop.update_norm: (
         Status.CONVERGED,
         {"still": True, "stop": Stop(update_tol=1.0)},
