@@ -219,8 +219,10 @@ class PoseGraph:
     @property
     def _W(self) -> list[Array]:
         """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the measurements are no poses themselves."""
-        parts = zip((batch.model for batch in self.batches), self._z, strict=True)
-        return [m.W if z is m.z and m.space is self.group else _jacobians_at_j(m, self.group, z) for m, z in parts]
+        parts = [(b.model, z, b.model.space is self.group) for b, z in zip(self.batches, self._z, strict=True)]
+        return [
+            m.W if same and np.may_share_memory(z, m.z) else _jacobians_at_j(m, self.group, z) for m, z, same in parts
+        ]
 
     def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         """Numbers (m, ...) of all edges, batch by batch (k, ...)."""

@@ -36,9 +36,10 @@ w_minus_v = arrangement([[4, 3, -2], [-3, 4, 1], [2, -1, 4]])
 
 
 def quaternion_product(p: Array, q: Array) -> Array:
-    """Hamilton product p q of stacks (..., 4), normalized."""
+    """Hamilton product p q of stacks (..., 4), normalized where its length is off by more than rounding."""
     pq = apply(_right_product(q), p)
-    return np.asarray(pq / np.sqrt(dot(pq, pq))[..., None])
+    square = dot(pq, pq)
+    return np.asarray(pq / np.sqrt(np.where(np.abs(square - 1) > 1e-15, square, 1.0))[..., None])
 
 
 def conjugate_product(p: Array, q: Array) -> Array:
