@@ -261,7 +261,7 @@ class Values:
 
     @property
     def coordinates(self) -> Array:
-        """(dim,) tangent step from the neutral element to every variable: how far from zero the numbers are."""
+        """(dim,) how far from the neutral element every variable is, `Manifold.coordinates`."""
         steps = [stack.manifold.coordinates(stack.X).reshape(-1) for stack in self.stacks.values()]
         return np.concatenate(steps) if steps else np.zeros(0)
 

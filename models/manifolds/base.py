@@ -80,7 +80,7 @@ class Manifold(Abstract):
         """A stack (n, size) of the neutral element."""
 
     def coordinates(self, X: Array) -> Array:
-        """The tangent step (n, dim) from the neutral element to X (n, size)."""
+        """How far X (n, size) is from the neutral element, (n, dim): the tangent step, or numbers of its size."""
         return self.local(self.identity(len(X)), X)
 
     @abstractmethod

@@ -77,6 +77,9 @@ class PosesOfThePlane(LieGroup):
         a = np.cos(h) / sinc(h)
         return pack([a * x + h * y, a * y - h * x, theta])
 
+    def coordinates(self, X: Array) -> Array:
+        return X
+
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
         xa, ya, tha = components(X)
         xb, yb, thb = components(Y)

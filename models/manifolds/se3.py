@@ -139,6 +139,9 @@ class PosesOfSpace(LieGroup):
         turned = apply(K, t)
         return np.concatenate([t - 0.5 * turned + (c3 - 2 * c4) / (2 * c2) * apply(K, turned), w], axis=-1)
 
+    def coordinates(self, X: Array) -> Array:
+        return np.concatenate([X[:, :3], 2 * X[:, 3:6]], axis=1)  # of a turn, 2 sin(angle / 2)
+
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
         (ta, qa), (tb, qb) = split(X), split(Y)
         return join(ta + apply(rotation3(qa), tb), quaternion_product(qa, qb))

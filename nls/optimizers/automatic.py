@@ -58,7 +58,7 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
     Y, trial, _ = problem.attempt(X, dx)
     if trial is None:
         return None
-    watch.step(Y, trial, dx, promised, problem.lap(), reused=True)
+    watch.step(Step(watch, Y, trial, dx, promised), problem.lap(), reused=True)
     return Y, trial
 
 

@@ -11,12 +11,11 @@ from typing import ClassVar
 import numpy as np
 
 from models.abstract import Abstract
-from models.algebra import Array
 from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.optimizers import stop
-from nls.optimizers.problem import Problem, Undamped
+from nls.optimizers.problem import Problem
 from nls.optimizers.result import Callback, Iteration, Status
 from nls.optimizers.step import Record, Step, Stop
 from nls.stages import announce, inside_stage
@@ -48,39 +47,20 @@ class Watch(Record):
         self.latest: Step | None = None
         self.halted = False
         announce(f"iteration 0, chi2 {system.chi2:.6g}")
-        self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
+        self.over(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
-    def flat(
-        self, values: Values, system: LinearSystem, dx: Array, promised: float, undamped: Undamped | None = None
-    ) -> bool:
-        """Whether the run is over at the current point, without the step dx; the rest as for `step`."""
-        return self._ask(stop.BEFORE_A_STEP, Step(self, values, system, dx, promised, undamped=undamped))
+    def over(self, rules: Sequence[stop.Rule], step: Step) -> bool:
+        """Whether the run is over by now; asks some rules about a step."""
+        if verdict := stop.ask(rules, step):
+            self.end(verdict.status, verdict.reason, verdict.rule)
+        return self.status is not None
 
-    def step(
-        self,
-        values: Values,
-        system: LinearSystem,
-        dx: Array,
-        promised: float,
-        seconds: dict[str, float],
-        damping: float = 0.0,
-        undamped: Undamped | None = None,
-        reused: bool = False,
-    ) -> None:
-        """A step was taken: record it, and ask the rules.
-
-        Parameters
-        ----------
-        values, system : where it led, and the linearization there.
-        dx, promised : the step, and the fall of the linear model's chi2.
-        seconds, damping, reused : for the record.
-        undamped : for methods that shorten their steps.
-        """
-        step = Step(self, values, system, dx, promised, undamped=undamped)
+    def step(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
+        """A step was taken: record it, and ask the rules; the rest is for the record."""
         self.note(step, seconds, damping, reused)
-        level = step.ending and step.fall >= 0 and step.longer and (undamped is None or not step.short)
+        level = step.ending and step.fall >= 0 and step.longer and (step.undamped is None or not step.short)
         self.level_steps = self.level_steps + 1 if level else 0
-        self._ask(self.after_a_step, step)
+        self.over(self.after_a_step, step)
         self.call_back()
 
     def note(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
@@ -107,34 +87,7 @@ class Watch(Record):
         if self.halted:
             self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
         elif self.latest is not None:
-            self._ask(stop.LIMITS, self.latest)
-
-    def refuse(
-        self, values: Values, system: LinearSystem, dx: Array, promised: float, fall: float, undamped: Undamped
-    ) -> None:
-        """A trial step from the current point was not taken."""
-        self._ask(stop.AFTER_A_REFUSAL, Step(self, values, system, dx, promised, fall=fall, undamped=undamped))
-
-    def stall(self, values: Values, system: LinearSystem, chi2: float, led: str) -> None:
-        """No shorter step from the current point is left to try.
-
-        Parameters
-        ----------
-        values, system : the current point.
-        chi2 : some way along the undamped step.
-        led : where the last step led.
-        """
-        fall = system.chi2 - chi2
-        self._ask(stop.NO_STEP_LEFT, Step(self, values, system, np.zeros(0), fall=fall, words=led))
-
-    def doubt(self, system: LinearSystem, solver: str) -> None:
-        """Ask again at the best point, after a solver that is not exact has converged."""
-        self._ask(stop.AT_THE_END, Step(self, self.best, system, np.zeros(0), words=solver))
-
-    def _ask(self, rules: Sequence[stop.Rule], step: Step) -> bool:
-        if verdict := stop.ask(rules, step):
-            self.end(verdict.status, verdict.reason, verdict.rule)
-        return self.status is not None
+            self.over(stop.LIMITS, self.latest)
 
 
 @dataclass(frozen=True)
@@ -190,17 +143,19 @@ class Optimizer(Abstract):
             if problem.solver.shortest:
                 watch.free = problem.singular(watch.best)
             if watch.status is Status.CONVERGED and not problem.solver.exact:
-                watch.doubt(problem.linearize(watch.best), problem.analysis.description)
+                system = problem.linearize(watch.best)  # asked again: the linear solver may have left something
+                step = Step(watch, watch.best, system, np.zeros(0), words=problem.analysis.description)
+                watch.over(stop.AT_THE_END, step)
         except SingularSystemError as error:
             system = problem.solver.held_system(problem.latest)
             raise underconstrained(system, watch.best, error, problem.solver) from error
         except (EvaluationError, SingularGeometryError) as error:
-            step = watch.step_count + 1
+            number = watch.step_count + 1
             if isinstance(error, EvaluationError):
-                error.iteration = step
-            if error.is_fault or (step == 1 and getattr(error, "where", "") == "A'A"):
+                error.iteration = number
+            if error.is_fault or (number == 1 and getattr(error, "where", "") == "A'A"):
                 raise
-            watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
+            watch.end(Status.DIVERGED, f"the step of iteration {number} led where {error}", "evaluation")
         except KeyboardInterrupt:
             if inside_stage():
                 raise

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.problem import Problem
+from nls.optimizers.step import Step
+from nls.optimizers.stop import BEFORE_A_STEP
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -51,9 +53,9 @@ def one_iteration(problem: Problem, X: Values, system: LinearSystem, watch: Watc
     """The next point and its linearization; the same where no step is left to take."""
     dx = problem.solve(system)
     decrease = float(dx @ system.gradient)  # |A dx|^2
-    if not watch.flat(X, system, dx, decrease):
+    if not watch.over(BEFORE_A_STEP, Step(watch, X, system, dx, decrease)):
         X = problem.retract(X, dx)
         system.forget()
         system = problem.linearize(X)
-        watch.step(X, system, dx, decrease, problem.lap())
+        watch.step(Step(watch, X, system, dx, decrease), problem.lap())
     return X, system

@@ -48,6 +48,7 @@ import numpy as np
 from models.algebra import Array
 from models.options import check_between
 from nls.linear.factorization import SingularSystemError
+from nls.optimizers import stop
 from nls.optimizers.base import Optimizer, Watch
 from nls.optimizers.problem import FAINT, HOPELESS, Problem, Undamped
 from nls.optimizers.result import Status
@@ -85,7 +86,7 @@ class TrustRegion(Optimizer):
             D = watch.scale(system)
             dx, damping = self.within(undamped, system, D, radius, damping, length)
             length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
-            if watch.flat(X, system, dx, promised, undamped):
+            if watch.over(stop.BEFORE_A_STEP, Step(watch, X, system, dx, promised, undamped=undamped)):
                 break
             Y, trial, led = problem.attempt(X, dx)
             fall = -math.inf if trial is None else system.chi2 - trial.chi2
@@ -95,17 +96,19 @@ class TrustRegion(Optimizer):
                 elif fall > 0.75 * promised:
                     radius = max(radius, 2.5 * length)
                 X, system = Y, trial
-                watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
+                watch.step(Step(watch, X, system, dx, promised, undamped=undamped), problem.lap(), damping)
             else:
                 size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
                 # a step as long as |D x| ends at 0
                 radius = min(0.6 * radius, 0.4 * length, 0.99 * size or math.inf)
-                watch.refuse(X, system, dx, promised, fall, undamped)
+                step = Step(watch, X, system, dx, promised, fall=fall, undamped=undamped)
+                watch.over(stop.AFTER_A_REFUSAL, step)
                 # where no step is left to try, chi2 is looked at a tenth of |D x| along the undamped one
                 if not 1e-16 * (size or length) <= radius < math.inf and watch.status is None:
                     gn = undamped.step(system, D)
                     _, chi2 = problem.glance(X, gn * (0.1 * (size or length) / float(np.linalg.norm(D * gn))))
-                    watch.stall(X, system, chi2, led)
+                    step = Step(watch, X, system, np.zeros(0), fall=system.chi2 - chi2, words=led)
+                    watch.over(stop.NO_STEP_LEFT, step)
         if watch.status is Status.CONVERGED:
             gn = undamped.step(system, watch.scale(system), strict=True)
             lower = _below_tangent(problem, X, system, gn, watch)
@@ -115,7 +118,7 @@ class TrustRegion(Optimizer):
             watch.reopen()
             if watch.status is None:
                 Y, trial, dx = lower
-                watch.step(Y, trial, dx, system.promised(dx), problem.lap(), 0.0, undamped)
+                watch.step(Step(watch, Y, trial, dx, system.promised(dx), undamped=undamped), problem.lap())
                 self.iterate(problem, Y, trial, watch)
 
 
