@@ -47,10 +47,6 @@ class Stack:
         vars(stack).update(vars(self), X=_locked(X), _framed=None)
         return stack
 
-    def retract(self, delta: Array) -> Stack:
-        """The variables moved by a tangent step (n, dim)."""
-        return self.moved(self.manifold.retract(self.X if self._framed is None else self._framed, delta))
-
     @property
     def framed(self) -> Array:
         """The elements of a group with their frames, `LieGroup.framed`, made once."""
@@ -303,7 +299,8 @@ class Values:
         moved, start = [], 0
         for stack in self.stacks.values():
             end = start + len(stack) * stack.manifold.dim
-            moved.append(stack.retract(delta[start:end].reshape(len(stack), stack.manifold.dim)))
+            step = delta[start:end].reshape(len(stack), stack.manifold.dim)
+            moved.append(stack.moved(stack.manifold.retract(stack.X, step)))
             start = end
         return Values.of(moved)
 

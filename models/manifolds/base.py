@@ -257,7 +257,7 @@ class LieGroup(Manifold):
         return rotated + t if t.shape[-1] else rotated
 
     def retract(self, X: Array, delta: Array) -> Array:
-        """X Exp(delta) (..., size); X may have its frame."""
+        """X Exp(delta)."""
         return self.compose(X, self.exp(delta))
 
     def local(self, X: Array, Y: Array) -> Array:

@@ -62,12 +62,10 @@ class PosesOfThePlane(LieGroup):
         return pack([chord * (c * rho1 - s * rho2), chord * (s * rho1 + c * rho2), wrap(theta)])
 
     def retract(self, X: Array, delta: Array) -> Array:
-        x, y, theta, *frame = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
+        x, y, theta = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
         rho1, rho2, turn = components(delta)
         h = turn / 2
-        ch, sh, zero = np.cos(h), np.sin(h), h == 0
-        c, s = frame or (np.cos(theta), np.sin(theta))
-        c, s, chord = c * ch - s * sh, s * ch + c * sh, (sh + zero) / (h + zero)  # 1 at 0
+        chord, c, s = sinc(h), np.cos(theta + h), np.sin(theta + h)
         return pack([x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)])
 
     def log(self, X: npt.ArrayLike) -> Array:

@@ -156,14 +156,6 @@ class PosesOfSpace(LieGroup):
         qa = SO3.inverse(qa)
         return join(apply(rotation3(qa), tb - ta), quaternion_product(qa, qb))
 
-    def retract(self, X: Array, delta: Array) -> Array:
-        step = self.exp(delta)
-        if X.shape[-1] == self.size:
-            return self.compose(X, step)
-        t, q, R = _framed_parts(X)
-        dt, dq = split(step)
-        return join(t + apply(R, dt), quaternion_product(q, dq))
-
     def framed(self, X: Array) -> Array:
         if X.shape[-1] > self.size:
             return X

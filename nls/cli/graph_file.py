@@ -56,7 +56,7 @@ class GraphFile:
         (NO_FOLDER, ("crs",)),
         ("-o writes another graph than that of a mission", ("write_graph",)),
     )
-    READERS: tuple[str, ...] = ("nls.io.graph_files", "nls.io.read")  # modules that read it
+    READERS: tuple[str, ...] = ("nls.io.graph_files",)  # modules that read it
     explains = True  # whether measurements have lines to explain
     unnumbered = "no output"  # for which --renumber is refused
     read_values = "file"  # the name of the start where it was read
@@ -122,9 +122,8 @@ class GraphFile:
     def import_modules(self) -> None:
         """Import what reads and solves the input, so that the clocks of both count their work alone."""
         modules = [*self.READERS, "nls.starts"] + ["scipy.special"] * (self.robust is not None)
-        modules += ["nls.cli.outliers", "nls.robust"] * self.rejects + ["nls.analysis"] * (
-            self.options.sigmas != "stated"
-        )
+        modules += ["nls.cli.outliers", "nls.robust"] * self.rejects
+        modules += ["nls.analysis"] * (self.options.sigmas != "stated")
         for module in modules:
             import_module(module)
 

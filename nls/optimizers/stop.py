@@ -6,7 +6,6 @@ Each rule is documented by its inequality. One of them is the stop rule: `update
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from time import perf_counter
 from typing import NamedTuple
 
@@ -197,21 +196,6 @@ def every_step_refused(step: Step) -> Verdict:
 
 # ---- limits
 
-ROUND = 20  # steps up and down without a new best, and none above those before: no search still going on
-
-
-def up_and_down(step: Step) -> Verdict | None:
-    """steps >= max_iterations, and the last 20 went up and down, no lower than the best and no higher than before."""
-    watch = step.watch
-    since = [record.chi2 for record in watch.history[len(watch.history) - watch.since_best :]]
-    before, latest = since[:-ROUND], since[-ROUND:]
-    falls = sum(b < a for a, b in pairwise(latest))
-    swings = len(before) >= ROUND and max(latest) <= max(before) and 0 < falls < ROUND - 1
-    if not (swings and watch.step_count >= watch.limit):
-        return None
-    words = f"chi2 has gone up and down for {watch.since_best} steps, at {watch.history[-1].chi2:.6g} now"
-    return Verdict(Status.CYCLING, f"{words}; the lowest is {watch.lowest:.6g}")
-
 
 def iteration_limit(step: Step) -> Verdict | None:
     """steps >= max_iterations."""
@@ -254,7 +238,7 @@ def pulled(step: Step) -> Verdict | None:
 
 
 Rules = tuple[Rule, ...]
-LIMITS: Rules = (up_and_down, iteration_limit, time_limit)
+LIMITS: Rules = (iteration_limit, time_limit)
 BEFORE_A_STEP: Rules = (unknown_lost, exact_fit, rounding)
 OUTCOMES: Rules = (chi2_unbounded, update_sigmas, promise_missed, update_norm, plateau, cycle)
 AFTER_A_STEP = OUTCOMES + LIMITS

@@ -90,11 +90,6 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
         {"since_best": 10, "history": swings(20), "chi2": 50.0},
         [{"since_best": 9}, {"chi2": 50.5}, {"invisible": True}],
     ),
-    stop.up_and_down: (
-        Status.CYCLING,
-        {"since_best": 100, "history": swings(100)},
-        [{"since_best": 39}, {"history": swings(99)}, {"history": [Iteration(k, 50.0 + k) for k in range(101)]}],
-    ),
     stop.iteration_limit: (Status.MAX_ITERATIONS, {"history": swings(100)}, [{"history": swings(99)}]),
     stop.time_limit: (Status.MAX_TIME, {"stop": Stop(max_seconds=0.0)}, [{"stop": Stop(max_seconds=1e6)}]),
     stop.level_refused: (
@@ -145,10 +140,3 @@ def test_a_rule_and_its_inequality(rule: stop.Rule) -> None:
     assert verdict.reason
     for change in fails:
         assert rule(looked(**(holds | change))) is None, change
-
-
-def test_chi2_that_goes_up_and_down_is_a_cycle_where_it_rises_no_higher() -> None:
-    holds = {"since_best": 100, "history": swings(100)}
-    risen = [*swings(99), Iteration(100, 52.0)]
-    assert stop.up_and_down(looked(**holds)) is not None
-    assert stop.up_and_down(looked(**holds | {"history": risen})) is None
