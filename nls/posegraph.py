@@ -219,10 +219,9 @@ class PoseGraph:
     @property
     def _W(self) -> list[Array]:
         """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the measurements are no poses themselves."""
-        parts = [(b.model, z, b.model.space is self.group) for b, z in zip(self.batches, self._z, strict=True)]
-        return [
-            m.W if same and np.may_share_memory(z, m.z) else _jacobians_at_j(m, self.group, z) for m, z, same in parts
-        ]
+        parts, g = [(batch.model, z) for batch, z in zip(self.batches, self._z, strict=True)], self.group
+        own = [model.space is g and np.may_share_memory(z, model.z) for model, z in parts]
+        return [m.W if as_it_is else _jacobians_at_j(m, g, z) for (m, z), as_it_is in zip(parts, own, strict=True)]
 
     def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         """Numbers (m, ...) of all edges, batch by batch (k, ...)."""
@@ -254,9 +253,7 @@ class PoseGraph:
     @cached_property
     def touched(self) -> Mask:
         """(n,) nodes that have an edge."""
-        touched = np.zeros(self.n, dtype=bool)
-        touched[self.i] = touched[self.j] = True
-        return touched
+        return np.bincount(np.concatenate([self.i, self.j]), minlength=self.n) > 0
 
     @cached_property
     def roots(self) -> Index:

@@ -10,7 +10,7 @@ from scipy import sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted
-from models.algebra import Array, apply
+from models.algebra import Array, apply, dot
 from models.errors import EvaluationError
 from nls.sparse.pattern import Pattern
 from nls.values import Values
@@ -133,11 +133,9 @@ class LinearSystem:
 
     @cached_property
     def column_norms(self) -> Array:
-        """Length of every column of A, (n,): roots of the diagonal of A'A."""
-        blocks = self.pattern.blocks
+        """Length of every column of A, (n,)."""
         with np.errstate(over="ignore"):
-            S = self.H_blocks if "H_blocks" in vars(self) else blocks.fill(self.blocks, pairs=False)
-        return np.sqrt(self.pattern.diagonal(S))
+            return np.sqrt(self.pattern.by_column([[dot(A_k.mT, A_k.mT) for A_k in A] for A in self.blocks]))
 
     @property
     def scaled_gradient(self) -> float:

@@ -222,18 +222,15 @@ class Blocks:
         none = [np.zeros(0, dtype=np.intp)]
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
-    def fill(self, A: Sequence[tuple[Array, ...]], pairs: bool = True) -> Array:
-        """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot.
-
-        Without pairs S ends behind the diagonal blocks.
-        """
-        S = np.empty(self.size if pairs else self.squares.size)
+    def fill(self, A: Sequence[tuple[Array, ...]]) -> Array:
+        """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot."""
+        S = np.empty(self.size)
         diagonal = S[: self.squares.size]
         diagonal[:] = 0.0
         for k, blocks in enumerate(A):
             for slot, A_k in enumerate(blocks):
                 self.squares.add(diagonal, k, slot, gram(A_k).transpose(1, 2, 0)[triangle(A_k.shape[2])][:, 0])
-        for k, a, c, where in self.pairs if pairs else ():
+        for k, a, c, where in self.pairs:
             A_a, A_c = A[k][a], A[k][c]
             S[where].reshape(len(A_a), A_a.shape[2], A_c.shape[2])[...] = product(A_a.mT, A_c)
         return S

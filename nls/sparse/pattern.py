@@ -248,16 +248,6 @@ class Pattern:
             begin += len(numbers) * d
         return out
 
-    def diagonal(self, S: Array) -> Array:
-        """Diagonal (n,) of A'A from its flat blocks, see `Blocks`."""
-        begin, out = 0, [np.zeros(0)]
-        for kind, numbers in self.numbers.items():
-            d = self.manifolds[kind].dim
-            squares = S[begin : begin + len(numbers) * d * d].reshape(len(numbers), d * d)
-            out.append(squares[:, :: d + 1].reshape(-1))
-            begin += squares.size
-        return self.restrict(np.concatenate(out))
-
     def key(self, variable: int) -> Keys:
         """Name of a variable from its place in the numbering."""
         kind = [name for name, start in self.offsets.items() if start <= variable][-1]
