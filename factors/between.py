@@ -57,7 +57,7 @@ class Between(Factor):
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         super().__init__([i, j], z, noise, convention)
-        self.framed = convention == "g2o"
+        self.framed = convention == "g2o" and type(self).predict is Between.predict
 
     def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
         return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction

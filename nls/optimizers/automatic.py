@@ -95,9 +95,10 @@ def chi2_rises(step: Step) -> stop.Verdict | None:
 
 
 def turns_back(step: Step) -> stop.Verdict | None:
-    """|A (dx + dx_before)| <= 0.2 |A dx|, twice in a row: it jumps between two points."""
+    """|A (dx + dx_before)| <= 0.2 |A dx|, twice in a row, and chi2 > 0.99 of the lowest: a jump between two points."""
     updates = step.watch.updates
-    if len(updates) < 3 or step.sigmas < 0.8 * step.old.sigmas or step.invisible:
+    falls = step.chi2 < 0.99 * min(record.chi2 for record in step.watch.history[:-1])
+    if len(updates) < 3 or step.sigmas < 0.8 * step.old.sigmas or falls or step.invisible:
         return None
     if any(np.linalg.norm(step.system.times(a + b)) > 0.2 * step.sigmas for a, b in pairwise(updates)):
         return None
@@ -117,24 +118,22 @@ def no_new_best(step: Step) -> stop.Verdict | None:
 class Automatic(Optimizer):
     """Gauss-Newton, with reuse, and dogleg where that fails or does not arrive.
 
-        Parameters
-        ----------
-        stop : thresholds, and limits of both methods together.
-        callback : called with every `Iteration`; returning True stops.
+    Parameters
+    ----------
+    stop : thresholds, and limits of both methods together.
+    callback : called with every `Iteration`; returning True stops.
 
-        Examples
-        --------
-        >>> from itertools import pairwise
-
-    import numpy as np
-        >>> from factors import Factor
-        >>> from models import R
-        >>> from nls import FactorGraph, Values, kinds
-        >>> (p,) = kinds("p")
-        >>> graph = FactorGraph([Factor.from_function(lambda X: np.arctan(X), p[0], dim=1)])
-        >>> result = graph.optimize(Values({p: (R(1), [2.0])}))
-        >>> result.method, result.converged
-        ('gauss-newton, then dogleg', True)
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> graph = FactorGraph([Factor.from_function(lambda X: np.arctan(X), p[0], dim=1)])
+    >>> result = graph.optimize(Values({p: (R(1), [2.0])}))
+    >>> result.method, result.converged
+    ('gauss-newton, then dogleg', True)
     """
 
     name = "auto"

@@ -97,11 +97,10 @@ class Record:
     Attributes
     ----------
     limit, began, dof : steps at most; when it began; measurements minus unknowns.
-    chi2_initial : of the start.
+    chi2_initial, start : of the start; its coordinates.
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
-    start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
     level_steps : steps in a row that ran along a plateau.
     updates : dx of the last three steps.
@@ -116,6 +115,7 @@ class Record:
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, system.chi2, seconds=seconds)]
         self.best, self.lowest, self.chi2_initial = values, system.chi2, system.chi2
+        self.start = values.coordinates
         self.status: Status | None = None
         self.reason = self.rule = ""
         self.free: LinearSystem | None = None
@@ -123,7 +123,7 @@ class Record:
 
     def _begin(self) -> None:
         """Nothing is known but the best point."""
-        self.start, self.since_best, self.level_steps = self.best.coordinates, 0, 0
+        self.since_best = self.level_steps = 0
         self.updates = deque[Array](maxlen=3)
         self._longest: Array | float = 0.0  # column of A of each unknown
 
@@ -230,10 +230,16 @@ class Step:
         return f"{self.update:.1e} {unit} ({component} of {key})".replace("  ", " ")
 
     @property
+    def sigmas_to_come(self) -> float:
+        """Sum of |A dx| of the steps to come, as a geometric series of the last two; 0 where these do not shrink."""
+        s, before = self.sigmas, self.old.sigmas
+        return s * s / (before - s) if s < before else 0.0
+
+    @property
     def ending(self) -> bool:
         """Whether |A dx|, and all steps that follow as a geometric series of the last two, are within the tolerance."""
-        s, before = self.sigmas, self.old.sigmas
-        return s <= self.tolerance and s * s <= self.tolerance * (before - s)
+        s = self.sigmas
+        return s <= self.tolerance and s < self.old.sigmas and self.sigmas_to_come <= self.tolerance
 
     @cached_property
     def invisible(self) -> bool:

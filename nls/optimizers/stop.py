@@ -58,7 +58,7 @@ def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
 
 
 def rounding(step: Step) -> Verdict | None:
-    """|A dx|^2 is within the rounding of chi2: CONVERGED where dx is short, and a plateau where it is long.
+    """|A dx|^2, with the steps to come, is within the rounding of chi2 and dx short; where it is long, a plateau.
 
     Not while shorter steps serve `update_tol`. Nor while those of a damped method get shorter: near a saddle chi2 does
     not show the first of those that leave it.
@@ -68,12 +68,13 @@ def rounding(step: Step) -> Verdict | None:
     if step.leaves:
         return levels_off(step)
     last = step.sigmas == 0 or step.longer or (step.tolerance > 0 and step.undamped is None)
-    return hidden(step) if last and step.agreed else None
+    return hidden(step) if last and step.rounds(step.sigmas_to_come**2) and step.agreed else None
 
 
 def exact_fit(step: Step) -> Verdict | None:
-    """|b| <= 1e-12 |b| of the start, and dx is short: nothing is left over of what did not fit."""
-    if not (step.system.chi2 <= 1e-24 * step.watch.chi2_initial and step.short):
+    """|b| <= 1e-12 |b| of the start, and 1e-3 sqrt(max(dof, 1)); dx is short: nothing is left of what did not fit."""
+    least = min(1e-24 * step.watch.chi2_initial, 1e-6 * max(step.watch.dof, 1))
+    if not (step.system.chi2 <= least and step.short):
         return None
     return Verdict(Status.CONVERGED, f"exact fit: of chi2 {step.watch.chi2_initial:.3g} only {step.chi2:.1e} is left")
 
@@ -110,8 +111,9 @@ def update_sigmas(step: Step) -> Verdict | None:
 
 def small(step: Step) -> Verdict:
     """CONVERGED, with |A dx| and its threshold."""
-    stop = step.watch.stop
-    name = f"chi2_rtol {stop.chi2_rtol:g}" if stop.chi2_rtol else f"update_sigmas {stop.update_sigmas or 1e-3:g}"
+    stop, by_fall = step.watch.stop, math.sqrt((step.watch.stop.chi2_rtol or 0.0) * step.old.chi2)
+    named = by_fall == step.tolerance and stop.chi2_rtol
+    name = f"chi2_rtol {stop.chi2_rtol:g}" if named else f"update_sigmas {stop.update_sigmas or 1e-3:g}"
     return Verdict(Status.CONVERGED, f"|A dx| {step.sigmas:.1e} sigmas, at most {step.tolerance:.1e} ({name})")
 
 

@@ -57,10 +57,10 @@ def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
 
     @wraps(question)
     def asked(pattern: Pattern) -> Any:
-        if question.__name__ not in pattern.answers:
-            pattern.answers[question.__name__] = answer = question(pattern)
+        if question not in pattern.answers:
+            pattern.answers[question] = answer = question(pattern)
             answer.setflags(write=False)
-        return pattern.answers[question.__name__]
+        return pattern.answers[question]
 
     return asked
 
@@ -80,7 +80,7 @@ class Pattern:
     starts : (V,) first free column of every variable; -1 where it is held.
     m, n : rows and free columns.
     eliminations : structure kept between solves, also of the same graph with other variables held.
-    answers : what was asked about the graph, by name, whatever is held; see `once`.
+    answers : what was asked about the graph, whatever is held; see `once`.
     """
 
     def __init__(self, factors: Sequence[Factor], values: Values, held: Mask | None = None) -> None:
@@ -100,7 +100,7 @@ class Pattern:
             self.m = rows.stop
         ends = self.dims.cumsum()
         self.eliminations = Eliminations()
-        self.answers: dict[str, Any] = {}
+        self.answers: dict[Any, Any] = {}
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
         total = int(ends[-1]) if len(ends) else 0
@@ -146,10 +146,10 @@ class Pattern:
         ------
         GraphError, NoiseModelError
         """
-        if "extreme" not in self.answers:
+        if "squarable" not in self.answers:
             for batch in self.batches:
                 batch.model.refuse_extreme()
-            self.answers["extreme"] = False
+            self.answers["squarable"] = True
 
     @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:

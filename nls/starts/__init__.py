@@ -129,7 +129,10 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    groups = {poses.group for poses in pose_graphs(graph, stated)}
+    known, relative = pose_graphs(graph, stated), all(says_poses(factor) for factor in graph.factors)
+    if not (relative and all(len(poses.roots) == 1 and poses.touched.all() for poses in known)):
+        stated = values  # a pose that no measurement moves keeps its value
+    groups = {poses.group for poses in known}
     relaxed = SE2 in groups or SE3 in groups
     limits = {} if relaxed and stated is not values else {"file": 0.0}  # chi2 per row above which one is worth its cost
     limits |= {"chordal": 0.0} if relaxed else {}

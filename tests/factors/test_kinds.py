@@ -185,3 +185,20 @@ def test_a_factor_within_another_follows_its_variables() -> None:
     other = replaced(shifted, keys=[p[[1, 0]], shifted.keys[1]])
     assert isinstance(other, f.Shifted)
     assert other.factor.keys == other.keys[:1]
+
+
+class Stretched(f.Between):
+    """An odometer that shows ten percent too much."""
+
+    def predict(self, manifolds: Any, *X: Any) -> Any:
+        h = super().predict(manifolds, *X)[0].copy()
+        h[:, :2] *= 1.1
+        return h, None
+
+
+@pytest.mark.parametrize("convention", ["g2o", "log"])
+def test_a_subclass_of_between_predicts_by_itself(convention: str) -> None:
+    values = Values({x: (SE2, [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])})
+    odometer = Stretched(x[0], x[1], [[1.1, 0.0, 0.0]], f.Isotropic(0.1), convention)
+    assert odometer.chi2(values) == pytest.approx([0.0], abs=1e-20)
+    assert f.Between(x[0], x[1], [[1.1, 0.0, 0.0]], f.Isotropic(0.1), convention).chi2(values) == pytest.approx([1.0])

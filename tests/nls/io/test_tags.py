@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from factors import Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, initialize, kinds
 from nls.io.dialects import G2O
@@ -211,6 +212,18 @@ def test_a_chain_is_made_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -
     graph.fix(x[2])
     start, _, chi2 = initialize(graph, values)
     assert (set(chi2), start[x[2]].tolist()) == ({"file", "chordal"}, poses[2].tolist())
+
+
+def test_a_part_of_a_file_starts_where_its_edges_lead() -> None:
+    """Poses that no measurement of the part moves stay where the file puts them; of all edges chordal is a start."""
+    graph, values, _ = read("".join(f"EDGE_SE2 {k} {k + 1} 1 0 0 {SIX}\n" for k in range(6)))
+    part = FactorGraph([graph.factors[0][[0, 1, 2, 4, 5]]])
+    for method in ("auto", "chordal", "odometry"):
+        start, *_ = initialize(part, values, method)
+        assert start[x][:, 0] == pytest.approx(np.arange(7.0)), method
+    with_prior = FactorGraph([*part.factors[0][[0, 1, 2]], Prior(x[5], [5.0, 0.0, 0.0], Isotropic(0.1))])
+    assert with_prior.chi2(initialize(with_prior, values)[0]) == pytest.approx(0, abs=1e-20)
+    assert set(initialize(graph, values)[2]) == {"chordal"}
 
 
 def test_poses_are_chained_through_their_sensors() -> None:

@@ -108,6 +108,18 @@ def test_what_is_left_of_chi2_is_below_the_threshold(name: str | None, case: str
 
 
 @ALL
+@pytest.mark.parametrize("at", [1e4, 1e6])
+@pytest.mark.parametrize("off", [1e-4, 0.0])
+def test_a_start_that_is_far_off_makes_no_fit_exact(name: str, at: float, off: float) -> None:
+    """chi2 falls by 30 digits, and what is left is still far; the control, without `off`, fits."""
+    graph, start = scalar(lambda X: 1e3 * np.concatenate([X**2 - 9, X**3 - 27 - off], axis=1), at, dim=2)
+    result = graph.optimize(start, OPTIMIZERS[name](Stop(max_iterations=500)))
+    assert result.converged or (at == 1e6 and name != "gauss-newton")  # there lambda never lets go
+    assert not result.converged or result.values[p[0]][0] == pytest.approx(3.0 + 27 / 765 * off, abs=1e-7)
+    assert (result.rule == "exact_fit") == (off == 0.0 and result.converged)
+
+
+@ALL
 def test_an_exact_fit_is_named(name: str) -> None:
     """As many measurements as unknowns, fewer, or without noise: A dx is as long as b to the end."""
     for residual, dim in ((lambda X: X**3 - 8.0, 1), (lambda X: np.concatenate([X**3 - 8.0, X - 2.0], axis=1), 2)):
@@ -226,8 +238,8 @@ def test_the_default_goes_on_where_gauss_newton_is_slow_and_no_limit_is_given(ca
     assert result.chi2_final == pytest.approx(1.0, rel=1e-5)
     (attempt,) = result.attempts
     if case == "swings":  # each step undoes the one before it
-        assert (attempt.status, attempt.iterations) == (Status.CYCLING, 4)
-        assert attempt.reason.startswith("three steps of 0.44 sigmas undo each other")
+        assert (attempt.status, attempt.iterations) == (Status.CYCLING, 6)
+        assert "sigmas undo each other" in attempt.reason
         assert result.iterations < 20
         return
     assert attempt == ("gauss-newton", Status.MAX_ITERATIONS, "after 100 iterations", 100)

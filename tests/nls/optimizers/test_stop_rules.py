@@ -28,6 +28,7 @@ def looked(**changes: Any) -> Any:
         "limit": 100,
         "updates": [np.array([1.0, 0.0]), np.array([-1.1, 0.0]), np.array([1.0, 0.1])],
         "chi2_initial": 100.0,
+        "dof": 10,
         "reason": "small",
         "scaled": lambda system: np.ones(2),
     }
@@ -36,6 +37,7 @@ def looked(**changes: Any) -> Any:
     step: dict[str, Any] = {
         "old": Iteration(0, 100.0, 1.0, 30.0),
         "sigmas": 8.0,
+        "sigmas_to_come": 0.0,
         "tolerance": 0.01,
         "chi2": 50.0,
         "fall": 50.0,
@@ -65,9 +67,13 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
     stop.rounding: (
         Status.CONVERGED,
         {"invisible": True, "longer": True, "tolerance": 0.0},
-        [{"invisible": False}, {"longer": False}, {"agreed": False}],
+        [{"invisible": False}, {"longer": False}, {"agreed": False}, {"sigmas_to_come": 1.0}],
     ),
-    stop.exact_fit: (Status.CONVERGED, {"chi2_initial": 5e25}, [{"chi2_initial": 4e25}, {"short": False}]),
+    stop.exact_fit: (
+        Status.CONVERGED,
+        {"chi2": 9e-6, "chi2_initial": 1e19},
+        [{"chi2_initial": 8e18}, {"chi2": 1.1e-5, "chi2_initial": 1e30}, {"short": False}],
+    ),
     stop.chi2_unbounded: (Status.DIVERGED, {"chi2": 1e14}, [{"chi2": 0.9e14}]),
     stop.update_sigmas: (
         Status.CONVERGED,
@@ -113,8 +119,9 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
     ),
     automatic.turns_back: (
         Status.CYCLING,
-        {"old": Iteration(0, 100.0, 1.0, 9.0)},
+        {"old": Iteration(0, 100.0, 1.0, 9.0), "history": [Iteration(0, 50.0), Iteration(1, 50.0, 0.1)]},
         [
+            {"history": [Iteration(0, 51.0), Iteration(1, 50.0, 0.1)]},
             {"old": Iteration(0, 100.0, 1.0, 11.0)},
             {"times": lambda dx: 12.0 * dx},
             {"updates": []},
