@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2, SE3
-from models.algebra import Array, Index, apply, pack, product, wrap
+from models.algebra import Array, apply, pack, product, wrap
 from models.errors import UnderconstrainedError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
@@ -24,6 +24,8 @@ from nls.linear.factorization import SingularSystemError
 from nls.posegraph import PoseGraph, pose_graphs
 from nls.sparse.elimination import Eliminations
 from nls.values import Values, refuse_other
+
+ONE = np.ones((1, 1, 1))
 
 
 def chordal(graph: FactorGraph, values: Values) -> Values:
@@ -78,11 +80,11 @@ def _plane(system: _Relaxation, held: Array) -> Array:
     """Poses (n, 3) from complex numbers: y_j = exp(i theta_ij) y_i, then p_j = p_i + y_i / |y_i| p_ij."""
     poses, z, held = system.poses, system.poses.z[..., None], held[..., None]  # blocks of 1 x 1
     kappa, tau = poses.mean_weights()
-    y = system.turned(kappa, _turn(z[:, 2:]), _turn(held[:, 2:]))
+    y = system.minimizer(kappa, _turn(z[:, 2:]), 0.0, _turn(held[:, 2:]))
     size = np.abs(y)
     _refuse_cancelled(system, kappa, size[:, 0, 0])
     p_ij = (y * (1 / size)).take(poses.i, axis=0) * (z[:, :1] + 1j * z[:, 1:2])
-    p = system.moved(tau, p_ij, held[:, :1] + 1j * held[:, 1:2])
+    p = system.minimizer(tau, ONE, p_ij, held[:, :1] + 1j * held[:, 1:2])
     return pack([p.real, p.imag, wrap(np.arctan2(y.imag, y.real))])[:, 0, 0]
 
 
@@ -95,10 +97,10 @@ def _space(system: _Relaxation, held: Array) -> Array:
     """Poses (n, 7) from y = M', three columns: y_j = R_ij' y_i, then t_j = t_i + R_i t_ij."""
     poses, z = system.poses, system.poses.z
     kappa, tau = poses.mean_weights()
-    R, size = nearest_rotation(system.turned(kappa, rotation3(z[:, 3:]).mT, rotation3(held[:, 3:]).mT).mT)
+    R, size = nearest_rotation(system.minimizer(kappa, rotation3(z[:, 3:]).mT, 0.0, rotation3(held[:, 3:]).mT).mT)
     _refuse_cancelled(system, kappa, size)
     t_ij = apply(R.take(poses.i, axis=0), z[:, :3])
-    t = system.moved(tau, t_ij[:, None], held[:, None, :3])
+    t = system.minimizer(tau, ONE, t_ij[:, None], held[:, None, :3])
     return join(t[:, 0], quaternion_from_matrix(R))
 
 
@@ -163,44 +165,27 @@ class _Relaxation:
         free = poses.touched.copy()
         free[poses.roots] = False
         self.poses, self.free, self.held = poses, free.nonzero()[0], (~free).nonzero()[0]
-        between_free = free.take(poses.i) & free.take(poses.j)
-        self.free_edges, self.held_edges = between_free.nonzero()[0], (~between_free).nonzero()[0]
+        self.free_edges = (free.take(poses.i) & free.take(poses.j)).nonzero()[0]
         number = np.cumsum(free) - 1
         u, v = number.take(poses.i.take(self.free_edges)), number.take(poses.j.take(self.free_edges))
         self.laplacian = Laplacian(u, v, len(self.free), eliminations)  # of both systems
 
-    def turned(self, w: Array, T: Array, held: Array) -> Array:
-        """Minimizer of sum w |y_j - T y_i|^2, w (m,), T (m, d, d) orthogonal, that keeps ``held`` (h, d, k)."""
-        y, i, j = self._start(held), self.poses.i[self.held_edges], self.poses.j[self.held_edges]
-        wT_t = w[:, None, None] * T.mT.conj()
-        e = product(T[self.held_edges], y[i]) - y[j]  # 0 between free ones
-        return self._solve(
-            w, -wT_t[self.free_edges], y, i, j, product(wT_t[self.held_edges], e), w[self.held_edges, None, None] * e
-        )
-
-    def moved(self, w: Array, c: Array, held: Array) -> Array:
-        """Minimizer of sum w |y_j - y_i - c|^2, w (m,), c (m, 1, k), that keeps ``held`` (h, 1, k)."""
-        y, i, j = self._start(held), self.poses.i, self.poses.j
-        we = w[:, None, None] * (y.take(i, axis=0) + c - y.take(j, axis=0))
-        return self._solve(w, -w[self.free_edges, None, None], y, i, j, we, we)
-
-    def _start(self, held: Array) -> Array:
-        y = np.zeros((self.poses.n, *held.shape[1:]), dtype=held.dtype)
+    def minimizer(self, w: Array, T: Array, c: Array | float, held: Array) -> Array:
+        """Of sum w |y_j - T y_i - c|^2, w (m,), T (m or 1, d, d) orthogonal, c (m, d, k), that keeps held (h, d, k)."""
+        poses, V, (d, k) = self.poses, len(self.free), held.shape[1:]
+        y, g = np.zeros((2, poses.n, d, k), dtype=held.dtype)
         y[self.held] = held
-        return y
-
-    def _solve(self, w: Array, off: Array, y: Array, i: Index, j: Index, at_i: Array, at_j: Array) -> Array:
-        """y with H^-1 g in its free places, g = sums at j - sums at i; ``off`` are the blocks (i, j) of H."""
-        V, d, k = len(self.free), *y.shape[1:]
-        on_diagonal = self.poses.sums(w, w).take(self.free)[:, None, None] * np.eye(d, dtype=y.dtype)
-        g, numbers = np.zeros_like(y).reshape(-1), np.arange(d * k)
-        np.add.at(g, (j[:, None] * (d * k) + numbers).reshape(-1), at_j.reshape(-1))
-        np.subtract.at(g, (i[:, None] * (d * k) + numbers).reshape(-1), at_i.reshape(-1))
+        wT_t = w[:, None, None] * T.mT.conj()
+        e = product(T, y.take(poses.i, axis=0)) + c - y.take(poses.j, axis=0)
+        numbers = np.arange(d * k)
+        np.add.at(g.reshape(-1), (poses.j[:, None] * (d * k) + numbers).reshape(-1), (w[:, None, None] * e).reshape(-1))
+        np.subtract.at(g.reshape(-1), (poses.i[:, None] * (d * k) + numbers).reshape(-1), product(wT_t, e).reshape(-1))
+        on_diagonal = poses.sums(w, w).take(self.free)[:, None, None] * np.eye(d, dtype=y.dtype)
         try:
-            state = self.laplacian.factorized(on_diagonal, off)
+            state = self.laplacian.factorized(on_diagonal, -wT_t[self.free_edges])
         except SingularSystemError as error:
             unmeasured = "some poses have no rotation or no translation measurement"
             cause = "weights of edges differ too much" if (w > 0).all() else unmeasured
             raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
-        y[self.free] = state.solve(g.reshape(y.shape)[self.free].reshape(V * d, k)).reshape(V, d, k)
+        y[self.free] = state.solve(g[self.free].reshape(V * d, k)).reshape(V, d, k)
         return y
