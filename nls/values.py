@@ -270,7 +270,9 @@ class Values:
         return Values.of(self.stacks.values())
 
     def replaced(self, X: Mapping[Any, Array]) -> Values:
-        """The variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
+        """The variables with other stacks (n, size) for some kinds (a `Kind` or its name).
+
+        The stacks are taken as they are, without a copy: leave them alone afterwards.
 
         Raises
         ------
