@@ -55,12 +55,14 @@ class Batch:
 def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
     """A question about a graph, whatever is held: the array that answers it is kept with the pattern, read-only."""
 
+    name = f"{question.__module__}.{question.__name__}"
+
     @wraps(question)
     def asked(pattern: Pattern) -> Any:
-        if question not in pattern.answers:
-            pattern.answers[question] = answer = question(pattern)
+        if name not in pattern.answers:
+            pattern.answers[name] = answer = question(pattern)
             answer.setflags(write=False)
-        return pattern.answers[question]
+        return pattern.answers[name]
 
     return asked
 
@@ -100,7 +102,7 @@ class Pattern:
             self.m = rows.stop
         ends = self.dims.cumsum()
         self.eliminations = Eliminations()
-        self.answers: dict[Any, Any] = {}
+        self.answers: dict[str, Any] = {}
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
         total = int(ends[-1]) if len(ends) else 0
