@@ -52,14 +52,18 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
     changed = abs(promised - downhill) >= (0.5 if last else 0.1) * downhill
     if changed or promised > (3 * tolerance) ** 2:  # three times is not worth a factorization
         return None
-    if last:
+    if last:  # no Jacobian is needed there; forgotten where it does not end the optimization
         Y, chi2 = problem.glance(X, dx)
-        return (Y, system) if _ends(Step(watch, Y, system, dx, promised, chi2=chi2), problem, watch) else None
-    Y, trial, _ = problem.attempt(X, dx)
-    if trial is None:
-        return None
-    watch.step(Step(watch, Y, trial, dx, promised), problem.lap(), reused=True)
-    return Y, trial
+        step = Step(watch, Y, system, dx, promised, chi2=chi2)
+        if stop.update_sigmas(step) is None:
+            return None
+    else:
+        Y, trial, _ = problem.attempt(X, dx)
+        if trial is None:
+            return None
+        step, system = Step(watch, Y, trial, dx, promised), trial
+    watch.step(step, problem.lap(), reused=True)
+    return Y, system
 
 
 def _nearly(watch: Watch, tolerance: float) -> bool:
@@ -70,17 +74,6 @@ def _nearly(watch: Watch, tolerance: float) -> bool:
     s, update = watch.history[-1].sigmas, watch.history[-1].update
     rate = update / watch.history[-2].update if len(watch.history) > 2 else 1.0
     return s * min(rate, 1.0) <= 10 * tolerance  # ten times is not worth a factorization
-
-
-def _ends(step: Step, problem: Problem, watch: Watch) -> bool:
-    """Take a step that ends the optimization; it is forgotten where it does not. Its system is the one before it."""
-    verdict = stop.ask((stop.update_sigmas,), step)
-    if verdict is None:
-        return False
-    watch.note(step, problem.lap(), reused=True)
-    watch.end(verdict.status, verdict.reason, verdict.rule)
-    watch.call_back()
-    return True
 
 
 FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED, Status.MAX_ITERATIONS)
