@@ -41,10 +41,7 @@ class ScanMission(Folder):
         ("a scan mission has coordinates of its own", ("crs",)),
         ("a scan mission starts from dead reckoning", ("init",)),
         ("a scan mission chooses its own in each round", ("method", "linear_solver")),
-        (
-            "the rounds of a scan mission stop by themselves",
-            ("max_iterations", "update_sigmas", "update_tol", "chi2_rtol"),
-        ),
+        ("rounds of a scan mission stop by themselves", ("max_iterations", "update_sigmas", "update_tol", "chi2_rtol")),
         ("a scan mission has only its keyframes and their drift", ("hold",)),
         ("the sigmas of a scan mission are those of [drift] in mission.toml and of its matches", ("sigmas",)),
         ("the first keyframe of a scan mission is fixed", ("gauge",)),
