@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +30,6 @@ from nls.graph import FactorGraph
 from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern, once
 from nls.values import Values, take
-
-G = TypeVar("G", bound=np.generic)
 
 
 def is_relative(factor: Factor) -> bool:
@@ -130,7 +128,7 @@ class PoseGraph:
     ----------
     pattern, group, batches : as they were given.
     kinds : the kinds of variables they join; their stacks, one after the other, are the nodes.
-    n, variables : the number of nodes, and their numbers (n,) among all variables; `whole` where these are all.
+    n, variables : the number of nodes, and their numbers (n,) among all variables.
     place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
     fixed : (n,) nodes that are held fixed; no start moves them.
     i, j : (m,) nodes; z : (m, size) measurements, of all batches one after the other.
@@ -154,31 +152,30 @@ class PoseGraph:
         joined = {kind for batch in self.batches for kind in batch.kinds[:2]}
         self.kinds = tuple([kind for kind in pattern.manifolds if kind in joined])
         ranges = [pattern.offsets[kind] + np.arange(len(pattern.numbers[kind])) for kind in self.kinds]
-        self.variables = _joined(ranges)
+        self.variables = np.concatenate(ranges)
         self.n, self.fixed = len(self.variables), fixed.take(self.variables)
-        self.whole = self.n == len(pattern.dims)
-        self.place = places(pattern) if self.whole else self.nodes(places(pattern).take(self.variables))
+        self.place = self.nodes(places(pattern).take(self.variables))
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
-        self.i, self.j = (self.nodes(_joined([batch.variables[slot] for batch in self.batches])) for slot in (0, 1))
-        self.z: Array = _joined(self._z)
+        self.i, self.j = (
+            self.nodes(np.concatenate([batch.variables[slot] for batch in self.batches])) for slot in (0, 1)
+        )
+        self.z: Array = np.concatenate(self._z)
 
     def nodes(self, variables: Index) -> Index:
         """Nodes (k,) of some variables (k,) in the manifold."""
-        if self.whole:
-            return variables
         node = np.empty(len(self.pattern.dims), dtype=np.intp)
         node[self.variables] = np.arange(self.n)
         return node.take(variables)
 
     def stack(self, values: Values) -> Array:
         """The nodes' values (n, size)."""
-        return _joined([values.stacks[kind].X for kind in self.kinds])
+        return np.concatenate([values.stacks[kind].X for kind in self.kinds])
 
     def replaced(self, values: Values, X: Array) -> Values:
         """Values with these nodes."""
         ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])[:-1]
-        return values.replaced(dict(zip(self.kinds, np.split(X, ends) if len(ends) else [X], strict=True)))
+        return values.replaced(dict(zip(self.kinds, np.split(X, ends), strict=True)))
 
     @cached_property
     def odometry(self) -> Mask:
@@ -230,7 +227,7 @@ class PoseGraph:
     def _of_edges(self, parts: list[Array]) -> Array:
         """(m, ...) numbers of all edges, from those of every batch: (k, ...), or (1, ...) where they are the same."""
         sized = zip(map(len, self.batches), parts, strict=True)
-        return _joined([x if len(x) == k else np.broadcast_to(x, (k, *x.shape[1:])) for k, x in sized])
+        return np.concatenate([x if len(x) == k else np.broadcast_to(x, (k, *x.shape[1:])) for k, x in sized])
 
     def sums(self, at_i: Array, at_j: Array) -> Array:
         """Sum (n, ...) at every node of the numbers (m, ...) that its edges have there."""
@@ -354,11 +351,6 @@ def stated(batch: Batch, trait: str, space: Manifold) -> Array | None:
         text = f"{trait} returned an array of shape {np.shape(z)}, expected {expected}, poses in {space}"
         raise GraphError(f"{factor!r:.80}: {text}", factor.keys, factor.name)
     return z
-
-
-def _joined(parts: Sequence[npt.NDArray[G]]) -> npt.NDArray[G]:
-    """Arrays one after the other; one alone is not copied."""
-    return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
 def _steps(batch: Batch, place: Index) -> Mask:
