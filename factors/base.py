@@ -29,7 +29,7 @@ from factors.return_values import checked_jacobians, checked_prediction, checked
 from factors.robust import Kernel, Robust
 from factors.slices import part, places, rows
 from factors.traits import Traits
-from models import LieGroup, Manifold
+from models import Manifold
 from models.abstract import Abstract
 from models.algebra import Array, Index, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
@@ -71,7 +71,7 @@ class Factor(Traits, Abstract):
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail: where the library chooses, it takes Levenberg-Marquardt.
-    framed : True when its `innovation` takes poses with their frames, `LieGroup.framed`.
+    framed : True when its `innovation` takes poses with their frames, `Manifold.framed`.
     frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
 
@@ -285,7 +285,7 @@ class Factor(Traits, Abstract):
 
     def with_frames(self, space: Manifold, z: Array) -> Array:
         """Measurements (n, size), with their frames where it takes them."""
-        return space.framed(z) if self.framed and isinstance(space, LieGroup) else z
+        return space.framed(z) if self.framed else z
 
     @staticmethod
     def from_function(

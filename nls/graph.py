@@ -240,7 +240,7 @@ class FactorGraph:
         try:
             if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice
                 raise underconstrained(LinearSystem.at(pattern, values), values)
-            watch = method.run(problem, values.replaced({}))
+            watch = method.run(problem, values.copy())
         except UnderconstrainedError as error:
             error.leave_out({f"nls.{type(method).__name__}()", f"gauge={gauge!r}"})
             raise

@@ -200,9 +200,8 @@ class LinearSystem:
 
     def column(self, index: int) -> tuple[Keys, str]:
         """The variable of one column of A, and the name of its component."""
-        starts = self.pattern.starts
-        variable = int(np.flatnonzero((starts >= 0) & (starts <= index))[-1])
-        return self.pattern.key(variable), self.pattern.component_names(variable)[index - starts[variable]]
+        variable, component = (int(owner[index]) for owner in self.pattern.column_owner())
+        return self.pattern.key(variable), self.pattern.component_names(variable)[component]
 
     @property
     def cols(self) -> list[str]:

@@ -14,7 +14,7 @@ from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
 from models.html_table import html_table
 from models.listing import some
-from models.manifolds.base import LieGroup, Manifold
+from models.manifolds.base import Manifold
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model
@@ -49,9 +49,9 @@ class Stack:
 
     @property
     def framed(self) -> Array:
-        """The elements of a group with their frames, `LieGroup.framed`, made once."""
+        """The elements with their frames, `Manifold.framed`, made once."""
         if self._framed is None:
-            self._framed = self.manifold.framed(self.X) if isinstance(self.manifold, LieGroup) else self.X
+            self._framed = self.manifold.framed(self.X)
             self.X = _locked(self._framed[:, : self.manifold.size])  # the numbers are kept once
         return self._framed
 

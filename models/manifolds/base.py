@@ -83,6 +83,10 @@ class Manifold(Abstract):
         """How far X (n, size) is from the neutral element, (n, dim): the tangent step, or numbers of its size."""
         return self.local(self.identity(len(X)), X)
 
+    def framed(self, X: Array) -> Array:
+        """X (n, size), and behind it what its rotations are made of; X itself of a space that has none, or has it."""
+        return X
+
     @abstractmethod
     def position(self, X: Array) -> Array:
         """Where to draw X: a stack (..., 2 or 3) in meters, (..., 0) for a space without places."""
@@ -215,10 +219,6 @@ class LieGroup(Manifold):
     def between(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
         """X^-1 o Y: Y as seen from X."""
         return self.compose(self.inverse(X), Y)
-
-    def framed(self, X: Array) -> Array:
-        """X (n, size), and behind it what its rotations are made of; X itself of a group that has none, or has it."""
-        return X
 
     def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
         """c = vector(Z^-1 X^-1 Y) (n, dim), how far Y is off from where a step Z leads from X; all three `framed`.

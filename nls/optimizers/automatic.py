@@ -90,10 +90,11 @@ def chi2_rises(step: Step) -> stop.Verdict | None:
 def turns_back(step: Step) -> stop.Verdict | None:
     """|A (dx + dx_before)| <= 0.2 |A dx|, twice in a row, and chi2 > 0.99 of the lowest: a jump between two points."""
     updates = step.watch.updates
-    falls = step.chi2 < 0.99 * min(record.chi2 for record in step.watch.history[:-1])
-    if len(updates) < 3 or step.sigmas < 0.8 * step.old.sigmas or falls or step.invisible:
+    if len(updates) < 3 or step.sigmas < 0.8 * step.old.sigmas or step.invisible:  # the cheapest first
         return None
-    if any(np.linalg.norm(step.system.times(a + b)) > 0.2 * step.sigmas for a, b in pairwise(updates)):
+    if step.chi2 < 0.99 * min(record.chi2 for record in step.watch.history[:-1]) or any(
+        np.linalg.norm(step.system.times(a + b)) > 0.2 * step.sigmas for a, b in pairwise(updates)
+    ):
         return None
     reason = f"three steps of {step.sigmas:.2g} sigmas undo each other; max|dx| {step.largest}"
     return stop.Verdict(Status.CYCLING, reason)
@@ -146,10 +147,10 @@ class Automatic(Optimizer):
             refusal = error
         if watch.status in FAILED and not watch.halted:
             watch.limit = self.stop.patient.max_iterations or 0
-        if watch.status in FAILED and not watch.halted and watch.step_count < watch.limit:
-            watch.resume()
-            watch.after_a_step = stop.AFTER_A_STEP
-            Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)
+            if watch.step_count < watch.limit:
+                watch.resume()
+                watch.after_a_step = stop.AFTER_A_STEP
+                Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)
         if refusal and not (watch.status is Status.CONVERGED and watch.free is None):
             refusal.values = watch.best
             raise refusal

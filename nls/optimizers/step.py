@@ -80,10 +80,13 @@ class Stop:
 
     def sigmas(self, chi2: float, dof: int) -> float:
         """The largest |A dx| of a step that ends it; 0 where only `update_tol` does."""
-        share, rtol = self.update_sigmas or 0.0, self.chi2_rtol or 0.0
-        if (self.update_sigmas, self.update_tol, self.chi2_rtol) == (None, None, None):
-            share = 1e-3
-        return max(share * math.sqrt(min(chi2, max(dof, 1))), math.sqrt(rtol * chi2))
+        return max(self.share * math.sqrt(min(chi2, max(dof, 1))), math.sqrt((self.chi2_rtol or 0.0) * chi2))
+
+    @property
+    def share(self) -> float:
+        """The `update_sigmas` in force: 1e-3 where no threshold is given."""
+        given = self.update_sigmas, self.update_tol, self.chi2_rtol
+        return 1e-3 if given == (None, None, None) else self.update_sigmas or 0.0
 
 
 class Record:

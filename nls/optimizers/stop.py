@@ -111,9 +111,9 @@ def update_sigmas(step: Step) -> Verdict | None:
 
 def small(step: Step) -> Verdict:
     """CONVERGED, with |A dx| and its threshold."""
-    stop, by_fall = step.watch.stop, math.sqrt((step.watch.stop.chi2_rtol or 0.0) * step.old.chi2)
-    named = by_fall == step.tolerance and stop.chi2_rtol
-    name = f"chi2_rtol {stop.chi2_rtol:g}" if named else f"update_sigmas {stop.update_sigmas or 1e-3:g}"
+    share, rtol = step.watch.stop.share, step.watch.stop.chi2_rtol or 0.0
+    by_fall = rtol > 0 and step.tolerance == math.sqrt(rtol * step.old.chi2)  # of two the one that stops first
+    name = f"chi2_rtol {rtol:g}" if by_fall else f"update_sigmas {share:g}"
     return Verdict(Status.CONVERGED, f"|A dx| {step.sigmas:.1e} sigmas, at most {step.tolerance:.1e} ({name})")
 
 

@@ -54,7 +54,6 @@ class Batch:
 
 def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
     """A question about a graph, whatever is held: the array that answers it is kept with the pattern, read-only."""
-
     name = f"{question.__module__}.{question.__name__}"
 
     @wraps(question)

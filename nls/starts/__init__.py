@@ -129,8 +129,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    known, relative = pose_graphs(graph, stated), all(says_poses(factor) for factor in graph.factors)
-    if not (relative and all(len(poses.roots) == 1 and poses.touched.all() for poses in known)):
+    known, relative = pose_graphs(graph, stated), only_poses(graph)
+    if not relative or any(len(poses.roots) != 1 or not poses.touched.all() for poses in known):
         stated = values  # a pose that no measurement moves keeps its value
     groups = {poses.group for poses in known}
     relaxed = SE2 in groups or SE3 in groups
@@ -141,7 +141,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     steps = groups or walks(graph)
     grows = bool(steps and (seen_points(graph, values) or (groups and walks(graph))))
     limits |= {"incremental": 10 * POOR} if grows else {}
-    robust = not candidates.relative and any(factor.kernel is not None for factor in graph.factors)
+    robust = not relative and any(factor.kernel is not None for factor in graph.factors)
     limits |= {"odometry": 0.0 if robust else POOR} if steps else {}
     for candidate, limit in limits.items():
         if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
@@ -149,7 +149,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
     poor = candidates.dof > 0 and candidates.misfit() > POOR * candidates.dof  # far above the noise
-    if not candidates.relative and len(limits) > 1 and (poor or robust):
+    if not relative and len(limits) > 1 and (poor or robust):
         candidates.compare(robust)
         if poor and grows and not candidates.explained() and "incremental" not in candidates.chi2 | candidates.refused:
             candidates.add("incremental", values, incremental)
@@ -158,6 +158,11 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         message = f"initial guess {candidate!r} was left out: {candidates.refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
     return candidates.best, candidates.name, candidates.chi2
+
+
+def only_poses(graph: FactorGraph) -> bool:
+    """Whether all measurements are relative poses, which chordal relaxation uses."""
+    return all(says_poses(factor) for factor in graph.factors)
 
 
 class Candidates:
@@ -173,7 +178,7 @@ class Candidates:
     chi2 : of every start, by name.
     refused : errors of those that do not exist or cannot be evaluated, by name.
     rows : measured ones.
-    relative : whether all measurements are relative poses, which chordal relaxation uses.
+    relative : see `only_poses`.
     believes_all : whether steps led to the best, where robust kernels ignore nothing and noise explains chi2.
     """
 
@@ -184,8 +189,7 @@ class Candidates:
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
         self.believes_all = False
-        self.rows = self.pattern.measured_rows
-        self.relative = all(says_poses(factor) for factor in graph.factors)
+        self.rows, self.relative = self.pattern.measured_rows, only_poses(graph)
 
     @cached_property
     def dof(self) -> int:
