@@ -113,7 +113,7 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
         else "- Ceres: not run, the Python given has no pyceres and pycolmap",
         f"- common chi2: {common:.1f}, {SAME} times the highest final chi2, so all runs reach it; lowest: "
         f"{lowest:.1f}, of the lowest one; Ceres stops when a step lowers chi2 by less than 1e-6 of it, leadline when "
-        "it also predicts no more, or after 100 steps",
+        "the undamped update is below 1e-3 of its uncertainty, or after 100 steps",
         "- initial guess of the file, first camera fixed, scale not fixed (damping decides); no robust loss; "
         "Levenberg-Marquardt",
         f"- seconds: best of {rounds} interleaved rounds; other work changes processor time little, wall time much; "

@@ -22,8 +22,10 @@ HEAD = [
     "- a fresh process for every run, rounds interleaved, medians; libraries are imported before the clock starts",
     "- ms: processor time from the file to the optimum (load, initial guess, optimize), one thread; other work hardly "
     "changes it. The last table has wall times",
-    "- every optimization stops when the cost falls by less than 1e-6 of it. 'optimum': within 1e-6 of the lowest "
-    "cost that a variant of that library reaches; 'another optimum': more than 1 % above it; 'not converged': between",
+    "- the others stop when the cost falls by less than 1e-6 of it; leadline when an update promises that, or 1e-6 a "
+    "degree of freedom where that is less",
+    "- 'optimum': within 1e-6 of the lowest cost that a variant of that library reaches; 'another optimum': more than "
+    "1 % above it; 'not converged': between",
     "- shown is the fastest variant that reached the lowest cost of its library. A variant ran only once if its first "
     "round took twice the fastest time, or ten times leadline's",
     "- chi2: every solution is evaluated here with g2o's residual and with GTSAM's. GTSAM's is Log, in space with 4 "
