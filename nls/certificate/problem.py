@@ -61,7 +61,7 @@ class Problem:
         TW = self.T * self.W[:, None]
         self.on_diagonal = graph.sums(TW @ self.T.mT, self.W[:, None] * np.eye(d + 1))
         self.off = -TW
-        self._laplacian = Laplacian(graph.i, graph.j, graph.n)
+        self._laplacian = Laplacian(graph.i, graph.j, graph.n, graph.pattern)
 
     def matrices(self, X: Array) -> Array:
         """M (n, d + 1, d) of poses (n, size)."""

@@ -9,8 +9,8 @@ from nls.linear.cholesky import Cholesky
 from nls.linear.dense import DENSE_COLUMNS, Small
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import LU
-from nls.sparse.elimination import Eliminations
 from nls.sparse.hessian import Hessian
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 
 
@@ -93,12 +93,12 @@ class Laplacian:
     ----------
     u, v : (P,) the pairs, repeats allowed: their blocks add up.
     V : the number of nodes.
-    eliminations : structure kept by others, such as `Pattern.eliminations`; None for a new one.
+    pattern : of the factor graph, which keeps the elimination for others.
     """
 
-    def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
+    def __init__(self, u: Index, v: Index, V: int, pattern: Pattern) -> None:
         self._decomposition = best_decomposition(3 * V)  # at most 3 columns a node in a start
-        self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
+        self._elimination = pattern.elimination(u, v, V, self._decomposition.order)
         self._factorizations: dict[int, Factorization] = {}
 
     def factorized(self, on_diagonal: Array, off: Array) -> Factorization:

@@ -1,7 +1,7 @@
 """The graph of variables: its connected components, and which pairs share a block of H in the order of elimination.
 
 All matrices over one graph of variables have an `Elimination` in common, whatever the sizes of their blocks. They are
-the two systems of a chordal start and the normal equations. It is found once per graph; `Eliminations` keeps the
+the two systems of a chordal start and the normal equations. It is found once per graph; a `Pattern` keeps the
 latest, ten whole numbers a pair.
 """
 
@@ -106,22 +106,3 @@ def first_of_equals(numbers: Index) -> Mask:
     first = np.ones(len(numbers), dtype=bool)
     np.not_equal(numbers[1:], numbers[:-1], out=first[1:])
     return first
-
-
-class Eliminations:
-    """The latest `Elimination`, kept for the next matrix over the same pairs.
-
-    A start and its optimization share one. Ordering and sorting the 20,687 pairs of city10000 take 9 ms, comparing them
-    0.02. A `Pattern` owns it, and so the graph that keeps the pattern.
-    """
-
-    def __init__(self) -> None:
-        self._latest: Elimination | None = None
-
-    def of(self, u: Index, v: Index, V: int, order: Order | Index | None) -> Elimination:
-        """The `Elimination` of these pairs; one whose order is given costs little, and is not kept."""
-        if not callable(order):
-            return Elimination(u, v, V, order)
-        if self._latest is None or not self._latest.serves(u, v, V, order):
-            self._latest = Elimination(u, v, V, order)
-        return self._latest

@@ -49,7 +49,7 @@ def fill_in(pattern: Pattern, held: Mask, order: Order) -> Fill:
     """Fill of R with A'A = R'R, the variables that are not held eliminated in an order."""
     blocks = pattern.holding(held).blocks
     u, v, V = blocks.u, blocks.v, len(blocks.dims)
-    return counted(blocks.dims, u, v, pattern.eliminations.of(u, v, V, order).variables) if V else Fill(0, 0.0)
+    return counted(blocks.dims, u, v, pattern.elimination(u, v, V, order).variables) if V else Fill(0, 0.0)
 
 
 def counted(dims: Index, u: Index, v: Index, eliminated: Index) -> Fill:

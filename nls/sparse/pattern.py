@@ -16,7 +16,7 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask, components
-from nls.sparse.elimination import Eliminations, Order
+from nls.sparse.elimination import Elimination, Order
 from nls.sparse.hessian import Blocks, Hessian, Scatter
 from nls.values import Values, take
 
@@ -80,8 +80,7 @@ class Pattern:
     dims : (V,) tangent dimension of every variable.
     starts : (V,) first free column of every variable; -1 where it is held.
     m, n : rows and free columns.
-    eliminations : structure kept between solves, also of the same graph with other variables held.
-    answers : what was asked about the graph, whatever is held; see `once`.
+    answers : what was asked about the graph, whatever is held; see `once` and `elimination`.
     """
 
     def __init__(self, factors: Sequence[Factor], values: Values, held: Mask | None = None) -> None:
@@ -100,7 +99,6 @@ class Pattern:
             self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
             self.m = rows.stop
         ends = self.dims.cumsum()
-        self.eliminations = Eliminations()
         self.answers: dict[str, Any] = {}
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
@@ -201,6 +199,17 @@ class Pattern:
         """The blocks of A'A over the free variables."""
         return Blocks(self.dims, self.held, [batch.slots for batch in self.batches])
 
+    def elimination(self, u: Index, v: Index, V: int, order: Order) -> Elimination:
+        """The `Elimination` of these pairs; the latest is kept for the next matrix over the same ones.
+
+        A start and its optimization share one. Ordering and sorting the 20,687 pairs of city10000 take 9 ms, comparing
+        them 0.02.
+        """
+        latest: Elimination | None = self.answers.get("elimination")
+        if latest is None or not latest.serves(u, v, V, order):
+            latest = self.answers["elimination"] = Elimination(u, v, V, order)
+        return latest
+
     def hessian(self, order: Order | Index | None = None) -> Hessian:
         """Structure of A'A over the free variables, eliminated in an order as for `Elimination`.
 
@@ -209,11 +218,11 @@ class Pattern:
         if self._hessian is not None and callable(order) and self._hessian.elimination.order is order:
             return self._hessian
         blocks = self.blocks
-        elimination = self.eliminations.of(blocks.u, blocks.v, len(blocks.dims), order)
-        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
-        if callable(order):
-            self._hessian = hessian
-        return hessian
+        pairs, sizes = (blocks.u, blocks.v, len(blocks.dims)), (blocks.dims, blocks.diagonal, blocks.off)
+        if not callable(order):  # costs little
+            return Hessian(Elimination(*pairs, order), *sizes)
+        self._hessian = Hessian(self.elimination(*pairs, order), *sizes)
+        return self._hessian
 
     def _columns(self, variables: Index, d: int) -> Index:
         """Columns (k, d) of the components of variables, -1 where they are held."""

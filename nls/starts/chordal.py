@@ -22,7 +22,6 @@ from nls.graph import FactorGraph
 from nls.linear.default import Laplacian
 from nls.linear.factorization import SingularSystemError
 from nls.posegraph import PoseGraph, pose_graphs
-from nls.sparse.elimination import Eliminations
 from nls.values import Values, refuse_other
 
 ONE = np.ones((1, 1, 1))
@@ -59,16 +58,15 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     [[1.0, 0.0, 1.570796], [1.0, 1.0, -3.141593], [-0.0, 1.0, -1.570796]]
     """
     refuse_other("chordal", graph, values)
-    eliminations = graph.pattern(values).eliminations  # the optimization goes on with the one that is made here
     for poses in pose_graphs(graph, values):
         if poses.group in (SE2, SE3):
-            values = poses.replaced(values, _relax(poses, poses.stack(values), eliminations))
+            values = poses.replaced(values, _relax(poses, poses.stack(values)))
     return values
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start that is not finite is refused when it is evaluated
-def _relax(poses: PoseGraph, X: Array, eliminations: Eliminations) -> Array:
-    system = _Relaxation(poses, eliminations)
+def _relax(poses: PoseGraph, X: Array) -> Array:
+    system = _Relaxation(poses)
     if not len(system.free):
         return X
     out = _plane(system, X[system.held]) if poses.group is SE2 else _space(system, X[system.held])
@@ -161,14 +159,14 @@ class _Relaxation:
     With 0 for the free ones the edges miss by e = T y_i + c - y_j, and H y = g: w e at j and -w T'e at i, summed.
     """
 
-    def __init__(self, poses: PoseGraph, eliminations: Eliminations) -> None:
+    def __init__(self, poses: PoseGraph) -> None:
         free = poses.touched.copy()
         free[poses.roots] = False
         self.poses, self.free, self.held = poses, free.nonzero()[0], (~free).nonzero()[0]
         self.free_edges = (free.take(poses.i) & free.take(poses.j)).nonzero()[0]
         number = np.cumsum(free) - 1
         u, v = number.take(poses.i.take(self.free_edges)), number.take(poses.j.take(self.free_edges))
-        self.laplacian = Laplacian(u, v, len(self.free), eliminations)  # of both systems
+        self.laplacian = Laplacian(u, v, len(self.free), poses.pattern)  # of both systems
 
     def minimizer(self, w: Array, T: Array, c: Array | float, held: Array) -> Array:
         """Of sum w |y_j - T y_i - c|^2, w (m,), T (m or 1, d, d) orthogonal, c (m, d, k), that keeps held (h, d, k)."""

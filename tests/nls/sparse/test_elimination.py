@@ -12,8 +12,10 @@ from scipy.sparse.csgraph import connected_components
 
 import nls.linear.cholesky as cholesky
 from models.algebra import Index
-from nls.sparse.elimination import Elimination, Eliminations, connected, firsts
+from nls.sparse.elimination import Elimination, connected, firsts
 from nls.sparse.fill import counted, rows_below
+from nls.sparse.pattern import Pattern
+from nls.values import Values
 from tests.nls.graphs import cube
 
 CHOLMOD = pytest.mark.skipif(cholesky.cholmod() is None, reason="needs CHOLMOD")
@@ -93,19 +95,18 @@ def test_an_elimination_is_kept_for_the_same_pairs_and_for_no_others() -> None:
     def forward(u: Index, v: Index, V: int) -> Index:
         return np.arange(V)
 
-    kept, u, v = Eliminations(), np.array([0, 1, 2]), np.array([1, 2, 3])
-    first = kept.of(u, v, 4, backward)
-    assert kept.of(u.copy(), v.copy(), 4, backward) is first
-    given = kept.of(u, v, 4, np.arange(4))  # its order is given: neither kept nor in the way of the latest
-    assert given.variables.tolist() == [0, 1, 2, 3]
-    assert kept.of(u, v, 4, backward) is first
+    pattern, u, v = Pattern([], Values()), np.array([0, 1, 2]), np.array([1, 2, 3])
+    first = pattern.elimination(u, v, 4, backward)
+    assert pattern.elimination(u.copy(), v.copy(), 4, backward) is first
+    assert pattern.hessian(np.arange(0)).elimination is not first  # its order is given: it is not in the way
+    assert pattern.elimination(u, v, 4, backward) is first
     for other in ((np.array([0, 1, 1]), v, 4, backward), (u, np.array([1, 2, 0]), 4, backward), (u, v, 5, backward)):
-        new = kept.of(*other)
+        new = pattern.elimination(*other)
         assert new is not first
         assert (new.u.tolist(), new.v.tolist(), len(new.variables)) == (other[0].tolist(), other[1].tolist(), other[2])
-        first = kept.of(u, v, 4, backward)
+        first = pattern.elimination(u, v, 4, backward)
         assert first.variables.tolist() == [3, 2, 1, 0]
-    assert kept.of(u, v, 4, forward).variables.tolist() == [0, 1, 2, 3]
+    assert pattern.elimination(u, v, 4, forward).variables.tolist() == [0, 1, 2, 3]
 
 
 # ---- connected components, against scipy's
