@@ -56,7 +56,8 @@ class Piece:
         self.pattern = pattern.holding(self.held)
         self.system = LinearSystem.at(self.pattern, self.world.truth)
         self.state, self.S = default_solver().analyze(self.pattern).factorization, self.system.H_blocks
-        self.H = self.state.hessian.matrix(self.S)  # lower triangle, in the order of elimination
+        hessian = self.state.hessian
+        self.H = hessian.matrix(hessian.data(self.S))  # lower triangle, in the order of elimination
         self.A = sp.csc_array(self.system.A)
         self.edges = len(self.world.graph)
 

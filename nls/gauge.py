@@ -136,9 +136,8 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
             stacklevel=_outside(),
         )
         fixed = fixed | ~touched
-    points = np.zeros(len(fixed), dtype=bool)
-    for kind, numbers in pattern.numbers.items():
-        points[pattern.offsets[kind] :][: len(numbers)] = pattern.manifolds[kind] in (R(2), R(3))
+    of_points = [manifold in (R(2), R(3)) for manifold in pattern.manifolds.values()]
+    points = np.repeat(of_points, [len(numbers) for numbers in pattern.numbers.values()])
     free = touched & ~calibrations(pattern) & ~anchored[label]
     chosen = _first_of_components(label, pattern, free & (points | ~oriented[label]))
     if not len(chosen):

@@ -36,7 +36,7 @@ COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
 
 
 @cache
-def cholmod() -> Any | None:
+def cholmod() -> Any:
     """The CHOLMOD binding, or None where it is not installed."""
     try:
         import sksparse.cholmod as module
@@ -47,9 +47,7 @@ def cholmod() -> Any | None:
 
 def _order(graph: sp.csc_matrix, method: str) -> Index:
     """Elimination order by a method of CHOLMOD, in postorder."""
-    module = cholmod()
-    assert module is not None
-    return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
+    return np.asarray(cholmod().analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
 
 
 class Cholmod(Decomposition):
@@ -74,14 +72,10 @@ class Cholmod(Decomposition):
         return metis if counted(unit_dims, u, v, metis).flops < flops else amd
 
     def __init__(self, hessian: Hessian, dtype: type = float) -> None:
-        module = cholmod()
-        assert module is not None
-        self._module, self._hessian, self._factorized = module, hessian, False
-        ones: Array = np.ones(len(hessian.indices), dtype=dtype)
-        self._H = sp.csc_matrix((ones, hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n))
-        self._H.has_sorted_indices = True
+        self._module, self._hessian, self._factorized = cholmod(), hessian, False
+        self._H = hessian.matrix(np.ones(len(hessian.indices), dtype=dtype))
         if dtype not in hessian.analyses:
-            hessian.analyses[dtype] = module.analyze(self._H, mode="auto", ordering_method="natural")
+            hessian.analyses[dtype] = self._module.analyze(self._H, mode="auto", ordering_method="natural")
         self._chol = hessian.analyses[dtype].copy()
 
     def __getstate__(self) -> tuple[Hessian, Array, bool]:

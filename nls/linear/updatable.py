@@ -52,7 +52,6 @@ class Updated:
 
     def __init__(self, H: sp.csc_matrix) -> None:
         module = cholmod()
-        assert module is not None
         self._chol = module.analyze(H, ordering_method="natural")
         try:
             self._chol.cholesky_inplace(H)

@@ -142,9 +142,9 @@ class Hessian:
             data[above] = data[above].conj()
         return sp.csc_array((data, indices, indptr), shape=(self.n, self.n))
 
-    def matrix(self, S: Array) -> sp.csc_matrix:
-        """Lower triangle as a sparse matrix."""
-        H = sp.csc_matrix((self.data(S), self.indices, self.indptr), shape=(self.n, self.n))
+    def matrix(self, data: Array) -> sp.csc_matrix:
+        """Lower triangle as a sparse matrix of these numbers."""
+        H = sp.csc_matrix((data, self.indices, self.indptr), shape=(self.n, self.n))
         H.has_sorted_indices = True
         return H
 

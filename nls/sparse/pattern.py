@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, wraps
+from itertools import accumulate
 from typing import Any, TypeVar
 
 import numpy as np
@@ -77,6 +78,7 @@ class Pattern:
 
     Attributes
     ----------
+    offsets : the first variable of every kind.
     dims : (V,) tangent dimension of every variable.
     starts : (V,) first free column of every variable; -1 where it is held.
     m, n : rows and free columns.
@@ -84,12 +86,12 @@ class Pattern:
     """
 
     def __init__(self, factors: Sequence[Factor], values: Values, held: Mask | None = None) -> None:
-        self.offsets, self.batches = offsets(values), []
         self.numbers = {name: stack.numbers for name, stack in values.stacks.items()}
         self.manifolds = {name: stack.manifold for name, stack in values.stacks.items()}
-        sizes = [len(stack) for stack in values.stacks.values()]
-        self.dims = np.repeat([s.manifold.dim for s in values.stacks.values()], sizes).astype(np.intp)
-        self.m = 0
+        sizes = [len(numbers) for numbers in self.numbers.values()]
+        self.offsets = dict(zip(self.numbers, accumulate(sizes, initial=0), strict=False))  # of none the last one
+        self.dims = np.array([m.dim for m in self.manifolds.values()], dtype=np.intp).repeat(sizes)
+        self.batches, self.m = [], 0
         for factor in factors:
             stacks = [values.stack(k.kind) for k in factor.keys]
             model = factor.bind(*(stack.manifold for stack in stacks))
@@ -285,12 +287,3 @@ def measuring(model: Model, columns: slice | Index = slice(None)) -> Index:
     nonzero = (W != 0 if W.ndim == 2 else (W != 0).any(axis=2))[:, columns].sum(axis=1)
     numbers: Index = nonzero - model.factor.eliminated
     return numbers.repeat(n) if len(W) == 1 else numbers
-
-
-def offsets(values: Values) -> dict[str, int]:
-    """First variable of each kind in the numbering."""
-    out, total = {}, 0
-    for name, stack in values.stacks.items():
-        out[name] = total
-        total += len(stack)
-    return out

@@ -129,7 +129,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    known, relative = pose_graphs(graph, stated), only_poses(graph)
+    known, relative = pose_graphs(graph, stated), all(map(says_poses, graph.factors))
     if not relative or any(len(poses.roots) != 1 or not poses.touched.all() for poses in known):
         stated = values  # a pose that no measurement moves keeps its value
     groups = {poses.group for poses in known}
@@ -137,7 +137,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     limits = {} if relaxed and stated is not values else {"file": 0.0}  # chi2 per row above which one is worth its cost
     limits |= {"chordal": 0.0} if relaxed else {}
     values = stated if relaxed else values
-    candidates = Candidates(graph, values)
+    candidates = Candidates(graph, values, relative)
     steps = groups or walks(graph)
     grows = bool(steps and (seen_points(graph, values) or (groups and walks(graph))))
     limits |= {"incremental": 10 * POOR} if grows else {}
@@ -148,8 +148,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
             candidates.add(candidate, values, STARTS[candidate])
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
-    poor = candidates.dof > 0 and candidates.misfit() > POOR * candidates.dof  # far above the noise
-    if not relative and len(limits) > 1 and (poor or robust):
+    poor = not relative and 0 < POOR * candidates.dof < candidates.misfit()  # far above the noise
+    if len(limits) > 1 and (poor or robust):
         candidates.compare(robust)
         if poor and grows and not candidates.explained() and "incremental" not in candidates.chi2 | candidates.refused:
             candidates.add("incremental", values, incremental)
@@ -160,17 +160,13 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     return candidates.best, candidates.name, candidates.chi2
 
 
-def only_poses(graph: FactorGraph) -> bool:
-    """Whether all measurements are relative poses, which chordal relaxation uses."""
-    return all(says_poses(factor) for factor in graph.factors)
-
-
 class Candidates:
     """Starts of a graph, and the best of them.
 
     Parameters
     ----------
     graph, values : the graph and what was given.
+    relative : whether all measurements are relative poses, which chordal relaxation uses.
 
     Attributes
     ----------
@@ -178,18 +174,17 @@ class Candidates:
     chi2 : of every start, by name.
     refused : errors of those that do not exist or cannot be evaluated, by name.
     rows : measured ones.
-    relative : see `only_poses`.
     believes_all : whether steps led to the best, where robust kernels ignore nothing and noise explains chi2.
     """
 
-    def __init__(self, graph: FactorGraph, values: Values) -> None:
+    def __init__(self, graph: FactorGraph, values: Values, relative: bool) -> None:
         self.graph, self.pattern, self.best, self.name = graph, graph.pattern(values), values, ""
         self.chi2: dict[str, float] = {}
         self.refused: dict[str, LeadlineError] = {}
         self._starts: dict[str, Values] = {}
         self._compared: list[float] = []  # chi2 of the starts from which steps were taken
         self.believes_all = False
-        self.rows, self.relative = self.pattern.measured_rows, only_poses(graph)
+        self.rows, self.relative = self.pattern.measured_rows, relative
 
     @cached_property
     def dof(self) -> int:

@@ -98,7 +98,7 @@ def test_any_elimination_order_gives_the_same_H(name: str) -> None:
     sample = SAMPLES[name]()
     system = sample.graph.linearize(sample.values)
     hessian = system.pattern.hessian(lambda u, v, V: np.random.default_rng(0).permutation(V))
-    lower, p = hessian.matrix(system.H_blocks), hessian.permutation
+    lower, p = hessian.matrix(hessian.data(system.H_blocks)), hessian.permutation
     H = (system.A.T @ system.A).toarray()[np.ix_(p, p)]
     np.testing.assert_allclose(lower.toarray(), np.tril(H), rtol=0, atol=1e-12 * np.abs(H).max())
     assert all((np.diff(lower.indices[a:b]) > 0).all() for a, b in pairwise(lower.indptr))

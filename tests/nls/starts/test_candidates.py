@@ -17,7 +17,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, Stop, Values, initialize, kinds
 from nls.missions.folder.table import csv_text
 from nls.optimizers import Result, Status
-from nls.starts import STARTS, Candidates
+from nls.starts import STARTS
 from tests.nls.graphs import between, forgotten, pose_graph
 from tests.nls.missions.folder.mission_files import folder
 
@@ -158,7 +158,7 @@ def test_a_start_that_lies_on_a_bad_fix_is_left_whatever_the_size(tmp_path: Path
     robust = graph.robust(Cauchy(1.0))
     start, name, chi2 = initialize(robust, values)
     assert name == "odometry + 20 steps"
-    assert chi2["file + 20 steps"] < 10 * Candidates(robust, values).rows
+    assert chi2["file + 20 steps"] < 10 * robust.pattern(values).measured_rows
     ends = [robust.optimize(values), robust.optimize(start)]
     away = [np.linalg.norm(end.values[x][bad, :2] - p[bad, :2]) for end in ends]
     assert away[1] < 3.0 < 40.0 < away[0]
