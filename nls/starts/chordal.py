@@ -59,19 +59,13 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     """
     refuse_other("chordal", graph, values)
     for poses in pose_graphs(graph, values):
-        if poses.group in (SE2, SE3):
-            values = poses.replaced(values, _relax(poses, poses.stack(values)))
+        if relaxed := {SE2: _plane, SE3: _space}.get(poses.group):
+            system, X = _Relaxation(poses), poses.stack(values)
+            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused when it is evaluated
+                out = relaxed(system, X[system.held]) if len(system.free) else X
+            out[system.held] = X[system.held]
+            values = poses.replaced(values, out)
     return values
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a start that is not finite is refused when it is evaluated
-def _relax(poses: PoseGraph, X: Array) -> Array:
-    system = _Relaxation(poses)
-    if not len(system.free):
-        return X
-    out = _plane(system, X[system.held]) if poses.group is SE2 else _space(system, X[system.held])
-    out[system.held] = X[system.held]
-    return out
 
 
 def _plane(system: _Relaxation, held: Array) -> Array:
