@@ -25,7 +25,7 @@ from models import LieGroup, Manifold
 from models.algebra import Array, Index, Mask, congruence, gram
 from models.errors import GraphError
 from models.manifolds.rn import Vectors
-from nls.gauge import fixed_variables
+from nls.gauge import by_number, fixed_variables
 from nls.graph import FactorGraph
 from nls.sparse.elimination import connected, firsts
 from nls.sparse.pattern import Batch, Pattern, once
@@ -46,9 +46,8 @@ def says_poses(factor: Factor) -> bool:
 def places(pattern: Pattern) -> Index:
     """(V,) place of every variable in the order by kind and number."""
     place = np.empty(len(pattern.dims), dtype=np.intp)
-    for kind, numbers in pattern.numbers.items():
-        begin = pattern.offsets[kind]
-        place[begin + np.argsort(numbers, kind="stable")] = begin + np.arange(len(numbers))
+    for kind, begin in pattern.offsets.items():
+        place[by_number(pattern, kind)] = begin + np.arange(len(pattern.numbers[kind]))
     return place
 
 
@@ -154,19 +153,18 @@ class PoseGraph:
         ranges = [pattern.offsets[kind] + np.arange(len(pattern.numbers[kind])) for kind in self.kinds]
         self.variables = np.concatenate(ranges)
         self.n, self.fixed = len(self.variables), fixed.take(self.variables)
+        self._node = np.empty(len(pattern.dims), dtype=np.intp)
+        self._node[self.variables] = np.arange(self.n)
         self.place = self.nodes(places(pattern).take(self.variables))
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
-        self.i, self.j = (
-            self.nodes(np.concatenate([batch.variables[slot] for batch in self.batches])) for slot in (0, 1)
-        )
+        ends = zip(*(batch.variables[:2] for batch in self.batches), strict=True)
+        self.i, self.j = (self.nodes(np.concatenate(variables)) for variables in ends)
         self.z: Array = np.concatenate(self._z)
 
     def nodes(self, variables: Index) -> Index:
         """Nodes (k,) of some variables (k,) in the manifold."""
-        node = np.empty(len(self.pattern.dims), dtype=np.intp)
-        node[self.variables] = np.arange(self.n)
-        return node.take(variables)
+        return self._node.take(variables)
 
     def stack(self, values: Values) -> Array:
         """The nodes' values (n, size)."""

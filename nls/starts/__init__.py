@@ -145,14 +145,14 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     limits |= {"odometry": 0.0 if robust else POOR} if steps else {}
     for candidate, limit in limits.items():
         if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
-            candidates.add(candidate, values, STARTS[candidate])
+            candidates.add(candidate)
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
     poor = not relative and 0 < POOR * candidates.dof < candidates.misfit()  # far above the noise
     if len(limits) > 1 and (poor or robust):
         candidates.compare(robust)
         if poor and grows and not candidates.explained() and "incremental" not in candidates.chi2 | candidates.refused:
-            candidates.add("incremental", values, incremental)
+            candidates.add("incremental")
             candidates.compare(robust)
     for candidate in [c for c in candidates.refused if c != "file"]:
         message = f"initial guess {candidate!r} was left out: {candidates.refused[candidate]}"
@@ -178,7 +178,7 @@ class Candidates:
     """
 
     def __init__(self, graph: FactorGraph, values: Values, relative: bool) -> None:
-        self.graph, self.pattern, self.best, self.name = graph, graph.pattern(values), values, ""
+        self.graph, self.values, self.pattern, self.best, self.name = graph, values, graph.pattern(values), values, ""
         self.chi2: dict[str, float] = {}
         self.refused: dict[str, LeadlineError] = {}
         self._starts: dict[str, Values] = {}
@@ -192,11 +192,11 @@ class Candidates:
         unknown = touched_variables(self.pattern) & ~fixed_variables(self.graph.fixed, self.best)
         return self.rows - int(self.pattern.dims[unknown].sum())
 
-    def add(self, name: str, values: Values, method: Callable[[FactorGraph, Values], Values]) -> None:
+    def add(self, name: str) -> None:
         """Compute a start."""
         try:
             with stage(f"init {name}"):
-                start = method(self.graph, values)
+                start = STARTS[name](self.graph, self.values)
                 if name == "chordal" and self.relative:  # the optimization goes on from there
                     system = LinearSystem.at(self.pattern, start)
                     system.keep(start)
