@@ -172,8 +172,9 @@ class PoseGraph:
 
     def replaced(self, values: Values, X: Array) -> Values:
         """Values with these nodes."""
-        ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])[:-1]
-        return values.replaced(dict(zip(self.kinds, np.split(X, ends), strict=True)))
+        begins = [self._node[self.pattern.offsets[kind]] for kind in self.kinds]
+        ends = [*begins[1:], self.n]
+        return values.replaced({kind: X[a:b] for kind, a, b in zip(self.kinds, begins, ends, strict=True)})
 
     @cached_property
     def odometry(self) -> Mask:
