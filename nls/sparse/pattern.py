@@ -10,6 +10,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from itertools import accumulate
+from operator import is_
 from typing import Any, TypeVar
 
 import numpy as np
@@ -130,15 +131,11 @@ class Pattern:
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
         """Whether the pattern is the numbering of some factors over some variables, wherever these are."""
-        return (
-            len(self.batches) == len(factors)
-            and all(batch.model.factor is factor for batch, factor in zip(self.batches, factors, strict=True))
-            and list(self.numbers) == list(values.stacks)
-            and all(
-                self.numbers[name] is stack.numbers and self.manifolds[name] is stack.manifold
-                for name, stack in values.stacks.items()
-            )
-        )
+        stacks = values.stacks.values()
+        ours = [*[batch.model.factor for batch in self.batches], *self.numbers.values(), *self.manifolds.values()]
+        others = [*factors, *[stack.numbers for stack in stacks], *[stack.manifold for stack in stacks]]
+        kinds_agree = list(self.numbers) == list(values.stacks)
+        return kinds_agree and len(ours) == len(others) and all(map(is_, ours, others))
 
     def refuse_extreme(self) -> None:
         """Refuse measurements and weights whose squares are no numbers.
@@ -187,8 +184,8 @@ class Pattern:
         """indices and indptr of A by rows, and which numbers of the blocks are in it (None: all, nothing is held)."""
         indices, counts = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for batch in self.batches:
-            slots = zip(batch.variables, batch.model.manifolds, strict=True)
-            columns = np.concatenate([self._columns(v, m.dim) for v, m in slots], axis=1)  # (k, D), -1 where held
+            slots = [(self.starts[variables][:, None], np.arange(d)) for variables, d in batch.slots]
+            columns = np.concatenate([np.where(s < 0, -1, s + k) for s, k in slots], axis=1)  # (k, D), -1 where held
             indices.append(np.repeat(columns, batch.model.dim, axis=0).reshape(-1))
             counts.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
         every = np.concatenate(indices)
@@ -225,11 +222,6 @@ class Pattern:
             return Hessian(Elimination(*pairs, order), *sizes)
         self._hessian = Hessian(self.elimination(*pairs, order), *sizes)
         return self._hessian
-
-    def _columns(self, variables: Index, d: int) -> Index:
-        """Columns (k, d) of the components of variables, -1 where they are held."""
-        start = self.starts[variables][:, None]
-        return np.where(start < 0, -1, start + np.arange(d))
 
     def by_column(self, parts: Iterable[Iterable[Array]]) -> Array:
         """Sums (n,) over all measurements, from parts (k, d) by batch and slot, in the free columns."""
