@@ -95,27 +95,25 @@ class Pattern:
         self.batches, self.m = [], 0
         for factor in factors:
             stacks = [values.stack(k.kind) for k in factor.keys]
-            model = factor.bind(*(stack.manifold for stack in stacks))
-            index = tuple(stack.index(k) for stack, k in zip(stacks, factor.keys, strict=True))
-            variables = tuple(i + self.offsets[s.kind] for i, s in zip(index, stacks, strict=True))
+            model, kinds = factor.bind(*[stack.manifold for stack in stacks]), tuple([stack.kind for stack in stacks])
+            index = tuple([stack.index(k) for stack, k in zip(stacks, factor.keys, strict=True)])
+            variables = tuple([i + self.offsets[kind] for i, kind in zip(index, kinds, strict=True)])
             rows = slice(self.m, self.m + len(factor) * model.dim)
-            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
+            self.batches.append(Batch(model, rows, kinds, index, variables))
             self.m = rows.stop
-        ends = self.dims.cumsum()
         self.answers: dict[str, Any] = {}
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
-        total = int(ends[-1]) if len(ends) else 0
-        self._sums = Scatter([batch.slots for batch in self.batches], ends - self.dims, total)
+        begins = self.dims.cumsum() - self.dims
+        self._sums = Scatter([batch.slots for batch in self.batches], begins, int(self.dims.sum()))
         self._hold(np.zeros(len(self.dims), dtype=bool) if held is None else held)
 
     def _hold(self, held: Mask) -> None:
         """Number the columns of the variables that are not held."""
         self.held = held
         free = np.where(held, 0, self.dims)
-        ends = free.cumsum()
-        self.starts = np.where(held, -1, ends - free)
-        self.n = int(ends[-1]) if len(ends) else 0
+        self.starts = np.where(held, -1, free.cumsum() - free)
+        self.n = int(free.sum())
         self._free_columns = (~held).repeat(self.dims).nonzero()[0] if held.any() else None
 
     def holding(self, held: Mask) -> Pattern:
