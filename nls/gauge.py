@@ -136,8 +136,8 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Ga
             stacklevel=_outside(),
         )
         fixed = fixed | ~touched
-    of_points = [manifold in (R(2), R(3)) for manifold in pattern.manifolds.values()]
-    points = np.repeat(of_points, [len(numbers) for numbers in pattern.numbers.values()])
+    of_points = np.array([manifold in (R(2), R(3)) for manifold in pattern.manifolds.values()], dtype=bool)
+    points = of_points.repeat([len(numbers) for numbers in pattern.numbers.values()])
     free = touched & ~calibrations(pattern) & ~anchored[label]
     chosen = _first_of_components(label, pattern, free & (points | ~oriented[label]))
     if not len(chosen):
