@@ -245,7 +245,7 @@ def _models(
     T_r = np.empty((len(groups), values.stacks[groups[0].kinds[0]].X.shape[1]))
     for b in np.unique(batches):
         batch, blocks, at = system.pattern.batches[b], system.blocks[b], np.flatnonzero(batches == b)
-        X, space, k, g = batch.gather(values), batch.model.manifolds[0], index[at], number[at]
+        (_, X), space, k, g = values.gather(batch.model.factor), batch.model.manifolds[0], index[at], number[at]
         assert isinstance(space, LieGroup)
         T_j, A_j = (np.where(late[at].reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][k], Y[0][k]) for Y in (X, blocks))
         begins = first[g] == at  # of the first batch of a group

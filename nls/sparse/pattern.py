@@ -43,15 +43,10 @@ class Batch:
         """Variables (k,) of every slot and their dimension."""
         return [(i, manifold.dim) for i, manifold in zip(self.variables, self.model.manifolds, strict=True)]
 
-    def gather(self, values: Values) -> list[Array]:
-        """The values (k, size) of every slot."""
-        return [take(values.stacks[k].X, i) for k, i in zip(self.kinds, self.index, strict=True)]
-
     def arguments(self, values: Values) -> list[Array]:
-        """The values of every slot, with frames where its factor takes them."""
-        if not self.model.factor.framed:
-            return self.gather(values)
-        return [take(values.stacks[k].framed, i) for k, i in zip(self.kinds, self.index, strict=True)]
+        """The values (k, size) of every slot, with frames where its factor takes them."""
+        stacks, framed = [values.stacks[kind] for kind in self.kinds], self.model.factor.framed
+        return [take(s.framed if framed else s.X, i) for s, i in zip(stacks, self.index, strict=True)]
 
 
 def once(question: Callable[[Pattern], Answer]) -> Callable[[Pattern], Answer]:
