@@ -355,26 +355,36 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
+TOGETHER = 20_000  # sightings evaluated in one call
+
+
 def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array], Array]:
-    """The function that takes elevations (k,) to the chi2 (k,) of all sightings of each landmark."""
+    """The function that takes elevations (g, k) to the chi2 (g, k) of all sightings of each landmark."""
     sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
     stack = values.stack(arcs.kind)
     bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in sightings]
 
-    def misfit(elevation: Array) -> Array:
-        L, chi2 = _placed(values, arcs, arcs.points(elevation)), np.zeros(len(stack))
+    def evaluated(elevations: Array) -> Array:
+        g, V, copies = len(elevations), len(stack), np.arange(len(elevations))[:, None]
+        moved = (V * copies + arcs.rows).reshape(-1)
+        L, chi2 = np.tile(stack.X.T, g).T, np.zeros(g * V)
+        L[moved] = arcs._replace(S=np.tile(arcs.S, (g, 1)), z=np.tile(arcs.z, (g, 1))).points(elevations.reshape(-1))
         for factor, model, X, row in bound:
-            s = np.square(model.error(X[0], take(L, row), *X[2:])).sum(axis=1)
-            chi2 += np.bincount(row, s if factor.kernel is None else factor.kernel.rho(s), minlength=len(stack))
-        return chi2[arcs.rows]
+            every, at = np.tile(np.arange(len(factor)), g), (V * copies + row).reshape(-1)
+            pose, *offset = [take(x, every) for x in (X[0], *X[2:])]
+            error = factor[every].bind(*model.manifolds).error(pose, take(L, at), *offset)
+            s = np.square(error).sum(axis=1)
+            chi2 += np.bincount(at, s if factor.kernel is None else factor.kernel.rho(s), minlength=len(chi2))
+        return np.asarray(chi2[moved].reshape(g, -1))
 
-    return misfit
+    g = max(1, TOGETHER // max(1, sum(map(len, sightings))))
+    return lambda elevations: np.concatenate([evaluated(elevations[k : k + g]) for k in range(0, len(elevations), g)])
 
 
 def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) -> Array:
     """Elevations (k,) of smallest misfit within +-limit: on a grid, then at the lowest point of a parabola."""
     grid = limit * np.arange(-steps, steps + 1) / steps
-    f = np.array([misfit(np.full(k, elevation)) for elevation in grid])  # (2 steps + 1, k)
+    f = misfit(np.repeat(grid[:, None], k, axis=1))  # (2 steps + 1, k)
     columns, lowest = np.arange(k), np.argmin(f, axis=0)
     best = np.where(f[steps] - f[lowest, columns] < FLAT, steps, lowest)
     inside = (best > 0) & (best < 2 * steps) & (best == lowest)
@@ -383,4 +393,4 @@ def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) ->
     bent = curvature > 0
     shift = np.where(bent, (left - right) / (2 * np.where(bent, curvature, 1.0)), 0.0)
     refined = grid[best] + shift * limit / steps
-    return np.where(misfit(refined) < center - FLAT, refined, grid[best])
+    return np.where(misfit(refined[None])[0] < center - FLAT, refined, grid[best])

@@ -165,18 +165,18 @@ def mirrored(graph: FactorGraph, values: Values, points: Keys, S: Array, h: Arra
     largest = np.maximum(aperture_of(graph, points.kind), np.abs(elevation))
     f = misfit_of(graph, values, Arcs(points.kind, values.stack(points.kind).index(points), S, h[:, :2]))
     side, step = np.where(elevation > 0, -1.0, 1.0), largest / steps
-    other, lowest = np.zeros(len(points)), f(np.zeros(len(points)))
+    other, lowest = np.zeros(len(points)), f(np.zeros((1, len(points))))[0]
     # then sixths of such a step, and 36ths, three to either side of the best so far
     for tried in (np.arange(1, steps + 1), np.arange(-3, 4) / 6, np.arange(-3, 4) / 36):
         size = np.clip(side * other + step * tried[:, None], 0.0, largest)
         grid = side * size
-        chi2 = np.array([f(row) for row in grid])
+        chi2 = f(grid)
         best = np.argmin(chi2, axis=0)
         better = chi2[best, columns] < lowest
         other = np.where(better, grid[best, columns], other)
         lowest = np.where(better, chi2[best, columns], lowest)
     # the poses have settled with the side that stands, so that the other one is a little worse
-    return np.asarray((lowest - f(elevation) < 9.0) & (np.abs(other - elevation) > 2.0 * sigma))
+    return np.asarray((lowest - f(elevation[None])[0] < 9.0) & (np.abs(other - elevation) > 2.0 * sigma))
 
 
 FOLLOWS = 1e-3  # rad
