@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
 from itertools import combinations
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conventions import check_convention, innovation
-from factors.declared import attributes, declared
+from factors.declared import attributes, copied, declared
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.missing import name_the_noise
@@ -204,7 +203,7 @@ class Factor(Traits, Abstract):
 
     def robust(self, kernel: Kernel) -> Factor:
         """The measurements under a robust kernel, instead of the one they may have."""
-        robust_factor = copy(self)
+        robust_factor = copied(self)
         robust_factor._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
         return robust_factor
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.declared import OWN, attributes, factors_within, refuse_undeclared
+from factors.declared import OWN, attributes, copied, factors_within, refuse_undeclared
 from factors.keys import Keys
 from factors.noise import Noise, SqrtInformation, square
 from factors.robust import Robust
 from factors.slices import below
 from models.algebra import Array
 
-__all__ = ["alike", "batch_of", "bound_batch", "form_of", "grouped", "joined", "joined_noise", "sort_of"]
+__all__ = ["batch_of", "bound_batch", "form_of", "grouped", "joined", "joined_noise", "sort_of"]
 
 
 def joined(models: Sequence[Model]) -> list[Factor]:
@@ -54,11 +54,6 @@ def grouped(models: Sequence[Model]) -> list[list[Model]]:
     for model in models:
         groups.setdefault((model.manifolds, sort_of(model.factor)), []).append(model)
     return list(groups.values())
-
-
-def alike(a: Model, b: Model) -> bool:
-    """Whether two batches may be one."""
-    return a.manifolds == b.manifolds and sort_of(a.factor) == sort_of(b.factor)
 
 
 def sort_of(factor: Factor) -> Hashable:
@@ -104,7 +99,7 @@ def bound_batch(group: Sequence[Model]) -> Factor:
 
 def batch_of(factors: Sequence[Factor], z: Sequence[Array], noise: Noise) -> Factor:
     """The batch of factors of one sort, see `sort_of`, with their measurements z (n, size) and the noise of all."""
-    whole, counts = copy(factors[0]), [len(factor) for factor in factors]
+    whole, counts = copied(factors[0]), [len(factor) for factor in factors]
     whole.keys = tuple(below(keys, counts) for keys in zip(*(factor.keys for factor in factors), strict=True))
     whole._z, whole._noise, whole._model = np.concatenate(z), noise, None
     whole._z.setflags(write=False)

@@ -3,8 +3,8 @@
 Measurements of one sort are one batch that grows: they are linearized together, however they arrived.
 """
 
-from collections.abc import Iterator
-from copy import copy
+from collections.abc import Hashable, Iterator, Mapping
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +12,8 @@ import numpy.typing as npt
 from scipy import sparse as sp
 
 from factors.base import Factor, Model
-from factors.declared import factors_within, refuse_undeclared
-from factors.joined import alike
+from factors.declared import copied, factors_within, refuse_undeclared
+from factors.joined import sort_of
 from factors.keys import Keys
 from factors.robust import Kernel
 from models import Manifold
@@ -154,7 +154,6 @@ class Variables:
 SLIGHTLY = 1e-6  # part of s, for the slope of a weight
 FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
 
-BatchMark = tuple[list[tuple[Factor, Factor]], int, int, list[npt.NDArray[Any]]]
 Place = tuple[str | int, ...]  # attribute, place in a tuple; before them the attribute of a factor within
 
 
@@ -176,9 +175,9 @@ class GrowingBatch:
         self.variables, self._first, self.kernel = variables, model, model.factor.kernel
         factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
         self._own = {place: Growing(own[:0]) for place, own in _own(factor).items()}
-        self._numbers = [Growing(np.zeros(0, dtype=np.int64)) for _ in variables]
         self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
-        self._z, self._W = Growing(model.z[:0], "F"), Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
+        self._z = Growing(model.framed_z[:0], "F")
+        self._W = Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
         self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
         self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
         self._linearized = 0
@@ -188,25 +187,25 @@ class GrowingBatch:
         return len(self._z)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_sparse": None}
+        return {name: value for name, value in vars(self).items() if name != "sort"} | {"_sparse": None}
 
     @property
     def factor(self) -> Factor:
         """The first measurements, as they were given."""
         return self._first.factor
 
-    def takes(self, model: Model) -> bool:
-        """Whether measurements are of this sort."""
-        return model.W.ndim == self._first.W.ndim and alike(self._first, model)
+    @cached_property
+    def sort(self) -> Hashable:
+        """What all its measurements have in common, `sort_of_model`."""
+        return sort_of_model(self._first)
 
     def append(self, model: Model, given: Factor) -> None:
         """Add measurements whose variables are there, of a factor that was given."""
         n = len(model.z)
         self.given.append((given, model.factor))
-        for slot, keys in enumerate(model.factor.keys):
-            self._numbers[slot].append(keys.numbers, n)
-            self._index[slot].append(self.variables[slot].index(keys), n)
-        self._z.append(model.z, n)
+        for v, index, keys in zip(self.variables, self._index, model.factor.keys, strict=True):
+            index.append(v.index(keys), n)
+        self._z.append(model.framed_z, n)
         self._W.append(model.W, n)
         for place, own in _own(model.factor).items():
             self._own[place].append(own, n)
@@ -215,11 +214,11 @@ class GrowingBatch:
             rows.grow(n)
         self._sparse = None
 
-    def mark(self) -> BatchMark:
+    def mark(self) -> tuple[Any, ...]:
         """Measurements that are there: rows of A and b are not copied, and follow later linearizations."""
         return self.given, len(self.given), self._linearized, [own.rows for own in self._parts()]
 
-    def back_to(self, mark: BatchMark) -> None:
+    def back_to(self, mark: tuple[Any, ...]) -> None:
         """Be as at a mark; the variables are."""
         self.given, count, self._linearized, parts = mark
         del self.given[count:]
@@ -258,7 +257,7 @@ class GrowingBatch:
 
     def _parts(self) -> Iterator[Growing]:
         """Everything that has a row a measurement."""
-        yield from (*self._numbers, *self._index, *self._own.values())
+        yield from (*self._index, *self._own.values())
         yield from (self._z, self._W, self._A, self._columns, self._b, self._cost)
 
     def catch_up(self) -> float:
@@ -272,17 +271,17 @@ class GrowingBatch:
 
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
-        kinds = zip(self._first.factor.keys, self._numbers, strict=True)
-        keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
+        slots = zip(self.variables, self._index, strict=True)
+        keys = tuple(Keys(v.kind, v.numbers[index.rows[rows]]) for v, index in slots)
         factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
-        z = factor.with_frames(self._first.space, self._z.rows[rows])
-        model = self._first._replace(factor=factor, framed_z=z, W=self._W.rows[rows])
+        model = self._first._replace(factor=factor, framed_z=self._z.rows[rows], W=self._W.rows[rows])
         factor._model = model
         return model
 
-    def linearize(self, rows: slice = slice(None)) -> None:
-        """Rows of A and b at the present values."""
-        X = [take(v.X, index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
+    def linearize(self, rows: slice = slice(None), framed: Mapping[str, Array] | None = None) -> None:
+        """Rows of A and b at the present values; of all variables also with their frames where these are known."""
+        known = framed if framed and self.factor.framed else {v.kind: v.X for v in self.variables}
+        X = [take(known[v.kind], index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
         A, b = self.model(rows).linearize(*X)
         if self.kernel is None:
             cost = np.square(b).sum(axis=1)
@@ -333,6 +332,11 @@ class GrowingBatch:
         return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
 
 
+def sort_of_model(model: Model) -> Hashable:
+    """Equal where measurements can be rows of one `GrowingBatch`."""
+    return model.manifolds, model.W.ndim, sort_of(model.factor)
+
+
 def part(factor: Factor, mask: Mask) -> Factor | None:
     """Some measurements (n,) of a factor; None where there are none, or only its function knows them."""
     if not mask.any() or (factor.opaque and not mask.all()):
@@ -357,7 +361,7 @@ def _own(factor: Factor) -> dict[Place, Array]:
 
 def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
     """A factor with other measurements, their keys and their own arrays."""
-    whole = copy(factor)
+    whole = copied(factor)
     whole.keys = keys
     for name in factor.per_measurement:
         value = getattr(factor, name)

@@ -6,6 +6,7 @@ iterations due to its age have cost as much as making it.
 """
 
 from collections.abc import Iterable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array, Index, Mask, Numbers
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
-from nls.incremental.growing_arrays import BatchMark, GrowingBatch, Variables
+from nls.incremental.growing_arrays import GrowingBatch, Variables, sort_of_model
 from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
 from nls.linear.factorization import SingularSystemError
@@ -29,9 +30,6 @@ from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
-
-
-Mark = tuple[dict[str, Any], dict[str, tuple[Array, Numbers, Index]], list[BatchMark], tuple[int, int]]
 
 
 class GrowingSystem:
@@ -107,7 +105,8 @@ class GrowingSystem:
     def enter(self, factor: Factor, given: Factor) -> None:
         """Add measurements of variables that are there, of a factor that was given."""
         model, variables = self.model(factor), [self.variables[keys.kind] for keys in factor.keys]
-        batch = next((batch for batch in self.batches if batch.takes(model)), None)
+        sort = sort_of_model(model)
+        batch = next((batch for batch in self.batches if batch.sort == sort), None)
         if batch is None:
             batch = GrowingBatch(model, variables)
             self.batches.append(batch)
@@ -122,14 +121,14 @@ class GrowingSystem:
         """Linearize what has come; its cost."""
         return sum(batch.catch_up() for batch in self.batches)
 
-    def mark(self) -> Mark:
+    def mark(self) -> tuple[Any, ...]:
         """Attributes, variables, batches, and how much is in the preconditioner."""
-        state = {**vars(self), "batches": [*self.batches], "_entered": [*self._entered]}
+        state = {**kept(self), "variables": self.variables}  # others have it, too
         variables = {kind: v.mark() for kind, v in self.variables.items()}
         F = self._preconditioner
         return state, variables, [batch.mark() for batch in self.batches], (F.used, F.rows) if F else (0, 0)
 
-    def back_to(self, mark: Mark) -> None:
+    def back_to(self, mark: tuple[Any, ...]) -> None:
         """Be as at a mark; the preconditioner is made anew where it has taken rows since."""
         state, variables, batches, (used, rows) = mark
         vars(self).update(state)
@@ -274,8 +273,9 @@ class GrowingSystem:
 
     def _linearize(self) -> None:
         """All measurements at values that have changed."""
+        framed = {kind: v.manifold.framed(v.X) for kind, v in self.variables.items()}
         for batch in self.batches:
-            batch.linearize()
+            batch.linearize(framed=framed)
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
@@ -322,6 +322,11 @@ def _sum(parts: list[Array], n: int) -> Array:
     total = sum(parts[1:], parts[0])
     total[n:] = 0.0
     return total
+
+
+def kept(thing: object) -> dict[str, Any]:
+    """The attributes of an object, with copies of its lists, sets and tables."""
+    return {k: copy(value) if isinstance(value, list | set | dict) else value for k, value in vars(thing).items()}
 
 
 def touched(v: Variables, batches: Iterable[GrowingBatch], by: dict[str, Mask] | None = None) -> Mask:

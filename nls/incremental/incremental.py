@@ -40,7 +40,7 @@ from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import part
-from nls.incremental.growing_system import FALL_BOUND, GrowingSystem
+from nls.incremental.growing_system import FALL_BOUND, GrowingSystem, kept
 from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
 from nls.incremental.new_variables import LIMIT, New, lower_start
 from nls.linear.updatable import updatable_class
@@ -157,11 +157,11 @@ class Incremental:
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:
         """All is as before where something fails, also where the user interrupts."""
-        parts: tuple[Any, ...] = (self._decision, self._window, self._arrivals, self._system)
         with ExitStack() as undo:
             undo.callback(vars(self).update, gap=self.gap, _undecided=self._undecided)
-            for part in parts:
-                undo.callback(part.back_to, part.mark())
+            for part in (self._decision, self._window, self._arrivals):
+                undo.callback(vars(part).update, kept(part))
+            undo.callback(self._system.back_to, self._system.mark())
             yield
             undo.pop_all()
 

@@ -55,14 +55,6 @@ class Decision:
         self.rejected: list[tuple[Factor, Factor]] = []
         self._new = 0
 
-    def mark(self) -> tuple[list[tuple[Factor, Factor]], int]:
-        """Rejected measurements, and how many closures came since."""
-        return self.rejected, self._new
-
-    def back_to(self, mark: tuple[list[tuple[Factor, Factor]], int]) -> None:
-        """Be as at a mark."""
-        self.rejected, self._new = mark
-
     def is_due(self, factors: Sequence[Factor]) -> bool:
         """Whether enough closures have come, with those among some factors."""
         if self.every is None:
@@ -118,15 +110,6 @@ class Window:
         self._tracks: set[str] = set()  # kinds that odometry joins
         self._sensors: set[str] = set()  # kinds that a motion of everything does not move
         self._left: dict[str, dict[int, Array]] = {}
-
-    def mark(self) -> tuple[int, set[str], set[str]]:
-        """How much is behind, and the sorts of kinds; what left is not in it."""
-        return len(self.behind), {*self._tracks}, {*self._sensors}
-
-    def back_to(self, mark: tuple[int, set[str], set[str]]) -> None:
-        """Be as at a mark."""
-        n, self._tracks, self._sensors = mark
-        del self.behind[n:]
 
     def reached(self, factor: Factor) -> Factor | None:
         """The measurements of a factor that are about no pose that left; the others are `behind`."""
@@ -266,15 +249,6 @@ class Arrivals:
                     of_kind[variable[1]] = [factor for factor, _ in measurements]
         for kind, (space, of_kind) in waiting.items():
             yield from points(self._known, kind, space, of_kind)
-
-    def mark(self) -> tuple[Known, list[tuple[Factor, Factor]]]:
-        """Variables to come, and waiting measurements."""
-        return self._known, self._pending.copy()
-
-    def back_to(self, mark: tuple[Known, list[tuple[Factor, Factor]]]) -> None:
-        """Forget what came since a mark."""
-        self._known, self._pending = mark
-        self._tried.clear()
 
     @property
     def pending(self) -> tuple[Factor, ...]:

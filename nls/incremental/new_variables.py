@@ -100,20 +100,20 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
     """Where the first of some measurements puts the variable of a slot; None where it does not say."""
     if factor.opaque:
         return None
-    first = factor if len(factor) == 1 else factor[[0]]
-    spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(first.keys)]
-    model = first.bind(*spaces)
+    spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(factor.keys)]
+    model = factor.bind(*spaces)
     W = model.W[0]
     if model.dim < space.dim or not (W.all() if W.ndim == 1 else np.linalg.det(W)):
         return None
-    if isinstance(first, Prior) and first.offset is None:
+    if isinstance(factor, Prior) and factor.offset is None:
         return np.asarray(model.z[0])
-    X = [np.zeros((1, space.size)) if k == slot else known.value(keys) for k, keys in enumerate(first.keys)]
-    z = first.relative_poses(model)
+    X = [np.zeros((1, space.size)) if k == slot else known.value(keys[:1]) for k, keys in enumerate(factor.keys)]
+    z = factor.relative_poses(model)
     if z is not None and isinstance(space, LieGroup) and spaces[1 - slot] is space:
-        return np.asarray(space.compose(X[1 - slot], z if slot == 1 else space.inverse(z))[0])
+        return np.asarray(space.compose(X[1 - slot], z[:1] if slot == 1 else space.inverse(z[:1]))[0])
+    first = factor[:1]
     if isinstance(first, Sighting) and first.locates and slot == 1 and isinstance(spaces[0], LieGroup):
-        return np.asarray(first.locate(spaces[0], first.sensor_pose(spaces[0], X[0], *X[2:]), model.z)[0])
+        return np.asarray(first.locate(spaces[0], first.sensor_pose(spaces[0], X[0], *X[2:]), model.z[:1])[0])
     return None
 
 

@@ -15,7 +15,7 @@ import pytest
 import sim
 from factors import Bearing, Between, Factor, Huber, Isotropic, Prior
 from models import SE2, R
-from models.errors import GraphError, GraphFileError, LeadlineError
+from models.errors import GraphError, GraphFileError, LeadlineError, ResourceLimitError
 from nls import FactorGraph, Incremental, Values, kinds, save
 from nls.incremental import checkpoint
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
@@ -140,7 +140,7 @@ def test_what_is_damaged_is_refused_or_the_same(tmp_path: Path) -> None:
         path.write_bytes(data)
         try:
             same(Incremental.load(path), smoother)
-        except GraphFileError as error:
+        except (GraphFileError, ResourceLimitError) as error:  # a size may be damaged
             refused.append(str(error))
     assert len(refused) > 150  # what is left are dates of the archive
     assert all(message.startswith(str(path)) for message in refused)
@@ -186,7 +186,7 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
 
     entries = [{"is": "os.system", "of": "true"}, {"is": "Growing", "of": {}}, {"is": "list", "of": {"items": 3}}]
     forged = [crafted(smoother, swap("entries", (entry,))) for entry in entries]
-    forged += [crafted(smoother, swap(*pair)) for pair in (("smoother", 7), ("version", 2), ("factors", None))]
+    forged += [crafted(smoother, swap(*pair)) for pair in (("smoother", 7), ("version", 1), ("factors", None))]
     for data in (old, pickle.dumps(Touch(touched)), arrays.getvalue(), b"", b"hello", *forged):
         path.write_bytes(data)
         with pytest.raises(LeadlineError, match="checkpoint"):
@@ -197,11 +197,11 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
         Incremental.load(tmp_path / "graph.npz")
 
 
-HELD = {  # by a checkpoint of version 1: with other attributes it is another version
+HELD = {  # by a checkpoint of version 2: with other attributes it is another version
     "Arrivals": "_known _window _pending _tried",
     "Decision": "every rejected _new",
     "Growing": "rows room order",
-    "GrowingBatch": "given variables _first kernel _own _numbers _index _z _W _A _columns _b _cost _linearized _sparse",
+    "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized _sparse",
     "GrowingSystem": "variables batches iterations factorizations _preconditioner _entered _age held _part",
     "Known": "variables spaces starts",
     "Preconditioner": "used rows n width _begun _added",
@@ -220,4 +220,4 @@ def test_other_attributes_are_another_version() -> None:
 
     drive(smoother, ring())
     crafted(smoother, look)
-    assert (checkpoint.VERSION, held) == (1, HELD)
+    assert (checkpoint.VERSION, held) == (2, HELD)
