@@ -377,8 +377,8 @@ def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array
             chi2 += np.bincount(at, s if factor.kernel is None else factor.kernel.rho(s), minlength=len(chi2))
         return np.asarray(chi2[moved].reshape(g, -1))
 
-    g = max(1, TOGETHER // max(1, sum(map(len, sightings))))
-    return lambda elevations: np.concatenate([evaluated(elevations[k : k + g]) for k in range(0, len(elevations), g)])
+    chunk = max(1, TOGETHER // max(1, sum(map(len, sightings))))
+    return lambda E: np.concatenate([evaluated(E[k : k + chunk]) for k in range(0, len(E), chunk)])
 
 
 def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) -> Array:
