@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from itertools import combinations
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +84,7 @@ class Factor(Traits, Abstract):
     shared: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
+    __copy__ = copied
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -117,7 +119,7 @@ class Factor(Traits, Abstract):
     def __len__(self) -> int:
         return len(self.keys[0]) if self.keys else 0
 
-    def __getitem__(self, index: int | slice | npt.ArrayLike) -> Factor:
+    def __getitem__(self, index: int | slice | npt.ArrayLike) -> Self:
         """A factor of this kind with some of the measurements, by number, slice, array of numbers or mask (n,).
 
         What all measurements share stays shared; a robust kernel stays.
@@ -138,7 +140,7 @@ class Factor(Traits, Abstract):
         >>> near, near.z, near.noise.sigma
         (Range(x[3, 4], l[0, 0]), array([10., 11.]), array([0.1, 0.2]))
         """
-        subset: Factor = part(self, places(index, len(self), self.name))
+        subset: Self = part(self, places(index, len(self), self.name))
         return subset
 
     def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
@@ -203,7 +205,7 @@ class Factor(Traits, Abstract):
 
     def robust(self, kernel: Kernel) -> Factor:
         """The measurements under a robust kernel, instead of the one they may have."""
-        robust_factor = copied(self)
+        robust_factor = copy(self)
         robust_factor._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
         return robust_factor
 

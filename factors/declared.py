@@ -44,7 +44,7 @@ def attributes(factor: Any) -> dict[str, Any]:
 
 
 def copied(factor: T) -> T:
-    """A factor that holds the same, not bound yet; `copy.copy` goes through pickling, which takes ten times as long."""
+    """`copy.copy` of a factor: one that holds the same, not bound yet. Through pickling it takes ten times as long."""
     other = object.__new__(type(factor))
     for name, value in {**attributes(factor), "_model": None}.items():
         setattr(other, name, value)

@@ -7,7 +7,7 @@ import pickle
 import sys
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class FunctionFactor(Factor):
         super().__init__(keys, np.zeros(dim), Isotropic() if noise is None else noise)
         self.slots, self.relative = (None,) * len(keys), relative
 
-    def __getitem__(self, index: object) -> Factor:
+    def __getitem__(self, index: object) -> NoReturn:
         raise self._refusal(
             "a factor from a function cannot be sliced: only your function knows its data; make "
             "one of the part you want"
@@ -80,12 +80,9 @@ class FunctionFactor(Factor):
                     ) from error
         return super().__reduce_ex__(protocol)
 
-    def __copy__(self) -> FunctionFactor:
-        return self.__deepcopy__(None)
-
-    def __deepcopy__(self, memo: dict[int, Any] | None) -> FunctionFactor:
-        clone, state = object.__new__(type(self)), self.__getstate__()
-        clone.__setstate__(state if memo is None else deepcopy(state, memo))
+    def __deepcopy__(self, memo: dict[int, Any]) -> FunctionFactor:
+        clone = object.__new__(type(self))
+        clone.__setstate__(deepcopy(self.__getstate__(), memo))
         return clone
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.declared import OWN, attributes, copied, factors_within, refuse_undeclared
+from factors.declared import OWN, attributes, factors_within, refuse_undeclared
 from factors.keys import Keys
 from factors.noise import Noise, SqrtInformation, square
 from factors.robust import Robust
@@ -99,7 +99,7 @@ def bound_batch(group: Sequence[Model]) -> Factor:
 
 def batch_of(factors: Sequence[Factor], z: Sequence[Array], noise: Noise) -> Factor:
     """The batch of factors of one sort, see `sort_of`, with their measurements z (n, size) and the noise of all."""
-    whole, counts = copied(factors[0]), [len(factor) for factor in factors]
+    whole, counts = copy(factors[0]), [len(factor) for factor in factors]
     whole.keys = tuple(below(keys, counts) for keys in zip(*(factor.keys for factor in factors), strict=True))
     whole._z, whole._noise, whole._model = np.concatenate(z), noise, None
     whole._z.setflags(write=False)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 from factors.base import Factor
-from factors.declared import copied, factors_within
+from factors.declared import factors_within
 from factors.keys import Keys
 from models.algebra import Array
 
@@ -37,7 +38,7 @@ def replaced(factor: Factor, keys: Sequence[Keys] | None = None, z: Array | None
     >>> replaced(step, keys=step.keys[::-1], z=np.array([[1.0, 0.0, -0.5]]))
     Between(x1, x0)
     """
-    substitute = copied(factor)
+    substitute = copy(factor)
     if keys is not None:
         if [len(k) for k in keys] != [len(factor)] * len(factor.keys):
             raise factor._refusal(

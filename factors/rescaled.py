@@ -5,8 +5,9 @@ Sigma <- D Sigma D,   W <- W D^-1,   D = diag(scale) by component
 
 from __future__ import annotations
 
+from copy import copy
+
 from factors.base import Factor, Model
-from factors.declared import copied
 from factors.noise import Covariance, Diagonal, Information, Isotropic, Noise, SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
@@ -38,7 +39,7 @@ def rescaled(model: Model, scale: Array) -> Factor:
     """
     if len(scale) > 1 and (scale == scale[:1]).all():
         scale = scale[:1]
-    factor = copied(model.factor)
+    factor = copy(model.factor)
     factor._noise = _noise(model.factor.noise, scale, model)
     return factor
 

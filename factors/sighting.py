@@ -12,13 +12,13 @@ H_l = J_g R_S'                   of a pose as target: J_g R_S' [R_L, 0]
 from __future__ import annotations
 
 from abc import abstractmethod
+from copy import copy
 from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
-from factors.declared import copied
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset, named_singularity, pose_group
 from factors.noise import Noise
@@ -106,7 +106,7 @@ class Sighting(Factor):
         >>> contact.mounted(o[0])
         RangeAzimuth(x0, l0, o0)
         """
-        mounted_factor = copied(self)
+        mounted_factor = copy(self)
         pose, target = self.keys[:2]
         Sighting.__init__(mounted_factor, pose, target, self.z, self.noise, offset)
         mounted_factor.slots = (*self.slots[:2], *mounted_factor.slots[2:])

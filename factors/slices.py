@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
 
-from factors.declared import copied, factors_within, refuse_undeclared
+from factors.declared import factors_within, refuse_undeclared
 from factors.keys import Keys
 from models.algebra import Array, Index
 from models.errors import GraphError
@@ -57,7 +58,7 @@ def part(factor: Any, index: Index) -> Any:
     sizes = factor.sizes() if model is None else (model.space.size,)
     if (per_row := one_each(factor.z, n, sizes)) is None:
         raise factor._refusal(f"z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)")
-    subset = copied(factor)
+    subset = copy(factor)
     subset.keys = tuple(k[index] for k in factor.keys)
     subset._z = rows(factor.z, index, n) if per_row else factor.z
     subset._noise = factor.noise.take(index, n)

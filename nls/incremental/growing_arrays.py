@@ -4,6 +4,7 @@ Measurements of one sort are one batch that grows: they are linearized together,
 """
 
 from collections.abc import Hashable, Iterator, Mapping
+from copy import copy
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from scipy import sparse as sp
 
 from factors.base import Factor, Model
-from factors.declared import copied, factors_within, refuse_undeclared
+from factors.declared import factors_within, refuse_undeclared
 from factors.joined import sort_of
 from factors.keys import Keys
 from factors.robust import Kernel
@@ -361,7 +362,7 @@ def _own(factor: Factor) -> dict[Place, Array]:
 
 def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
     """A factor with other measurements, their keys and their own arrays."""
-    whole = copied(factor)
+    whole = copy(factor)
     whole.keys = keys
     for name in factor.per_measurement:
         value = getattr(factor, name)

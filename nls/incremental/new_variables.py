@@ -111,8 +111,8 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
     z = factor.relative_poses(model)
     if z is not None and isinstance(space, LieGroup) and spaces[1 - slot] is space:
         return np.asarray(space.compose(X[1 - slot], z[:1] if slot == 1 else space.inverse(z[:1]))[0])
-    first = factor[:1]
-    if isinstance(first, Sighting) and first.locates and slot == 1 and isinstance(spaces[0], LieGroup):
+    if isinstance(factor, Sighting) and factor.locates and slot == 1 and isinstance(spaces[0], LieGroup):
+        first = factor[:1]
         return np.asarray(first.locate(spaces[0], first.sensor_pose(spaces[0], X[0], *X[2:]), model.z[:1])[0])
     return None
 

@@ -355,7 +355,7 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
-TOGETHER = 20_000  # sightings evaluated in one call
+TOGETHER = 20_000  # sightings times elevations, at most, that are evaluated in one call
 
 
 def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array], Array]:
@@ -370,15 +370,19 @@ def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array
         L, chi2 = np.tile(stack.X.T, g).T, np.zeros(g * V)
         L[moved] = arcs._replace(S=np.tile(arcs.S, (g, 1)), z=np.tile(arcs.z, (g, 1))).points(elevations.reshape(-1))
         for factor, model, X, row in bound:
-            every, at = np.tile(np.arange(len(factor)), g), (V * copies + row).reshape(-1)
-            pose, *offset = [take(x, every) for x in (X[0], *X[2:])]
-            error = factor[every].bind(*model.manifolds).error(pose, take(L, at), *offset)
-            s = np.square(error).sum(axis=1)
+            if g > 1:
+                every = np.tile(np.arange(len(factor)), g)
+                model, X = factor[every].bind(*model.manifolds), tuple([take(x, every) for x in X])
+            at = (V * copies + row).reshape(-1)
+            s = np.square(model.error(X[0], take(L, at), *X[2:])).sum(axis=1)
             chi2 += np.bincount(at, s if factor.kernel is None else factor.kernel.rho(s), minlength=len(chi2))
         return np.asarray(chi2[moved].reshape(g, -1))
 
-    chunk = max(1, TOGETHER // max(1, sum(map(len, sightings))))
-    return lambda E: np.concatenate([evaluated(E[k : k + chunk]) for k in range(0, len(E), chunk)])
+    def misfit(elevations: Array) -> Array:
+        together = len(elevations) * sum(map(len, sightings)) <= TOGETHER
+        return np.concatenate([*map(evaluated, [elevations] if together else elevations[:, None])])
+
+    return misfit
 
 
 def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) -> Array:
