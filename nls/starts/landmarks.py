@@ -378,11 +378,8 @@ def misfit_of(graph: FactorGraph, values: Values, arcs: Arcs) -> Callable[[Array
             chi2 += np.bincount(at, s if factor.kernel is None else factor.kernel.rho(s), minlength=len(chi2))
         return np.asarray(chi2[moved].reshape(g, -1))
 
-    def misfit(elevations: Array) -> Array:
-        together = len(elevations) * sum(map(len, sightings)) <= TOGETHER
-        return np.concatenate([*map(evaluated, [elevations] if together else elevations[:, None])])
-
-    return misfit
+    most = TOGETHER // max(1, sum(map(len, sightings)))
+    return lambda grid: np.concatenate([*map(evaluated, [grid] if len(grid) <= most else grid[:, None])])
 
 
 def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) -> Array:
