@@ -31,7 +31,7 @@ from nls.io.native.native import name_of_space, space_named
 from nls.io.native.structure import MISMATCHES, decoded, encoded
 from nls.linear.updatable import Preconditioner
 
-FORMAT, VERSION = "leadline smoother", 2
+FORMAT, VERSION = "leadline smoother", 3
 STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
 SEQUENCES: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set}

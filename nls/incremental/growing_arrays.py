@@ -130,10 +130,6 @@ class Variables:
     def _find(self) -> None:
         self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
 
-    def known(self, keys: Keys) -> Mask:
-        """Which variables (k,) are there."""
-        return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
-
     def index(self, keys: Keys) -> Index:
         """Rows (k,) of variables.
 
@@ -169,6 +165,7 @@ class GrowingBatch:
     Attributes
     ----------
     given : factors as they were given, and the part of each that is here, in the order of the rows.
+    total : cost of all measurements at their linearization.
     """
 
     def __init__(self, model: Model, variables: list[Variables]) -> None:
@@ -181,7 +178,7 @@ class GrowingBatch:
         self._W = Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
         self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
         self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
-        self._linearized = 0
+        self._linearized, self.total = 0, 0.0
         self._sparse: tuple[sp.csr_array, sp.csc_array] | None = None
 
     def __len__(self) -> int:
@@ -208,7 +205,7 @@ class GrowingBatch:
             index.append(v.index(keys), n)
         self._z.append(model.framed_z, n)
         self._W.append(model.W, n)
-        for place, own in _own(model.factor).items():
+        for place, own in _own(model.factor).items() if self._own else ():
             self._own[place].append(own, n)
         self._cost.append(np.zeros(1), n)
         for rows in (self._A, self._columns, self._b):
@@ -249,6 +246,7 @@ class GrowingBatch:
         self._sparse = None
         for own in self._parts():
             own.drop(rows)
+        self.total = float(self._cost.rows.sum())
 
     def renumber(self, rows: dict[str, Index]) -> None:
         """The variables of some kinds have new rows."""
@@ -268,7 +266,7 @@ class GrowingBatch:
             self.place(rows)
             self.linearize(rows)
             self._linearized = len(self)
-        return self.cost(rows)
+        return float(self._cost.rows[rows].sum())
 
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
@@ -288,15 +286,11 @@ class GrowingBatch:
             cost = np.square(b).sum(axis=1)
         else:
             A, b, cost = _weighted(self.kernel, A, b)
-        at = 0
-        for block in A:
-            self._A.rows[rows, :, at : at + block.shape[2]] = block
-            at += block.shape[2]
+        (_, m, D), k = self._A.rows.shape, len(b)
+        side_by_side = np.concatenate([block.transpose(1, 2, 0) for block in A], axis=1)  # (m, D, k)
+        self._A.rows[rows].reshape(k, m * D)[...] = side_by_side.reshape(m * D, k).T  # by three axes: twice as long
         self._b.rows[rows], self._cost.rows[rows] = b, cost
-
-    def cost(self, rows: slice = slice(None)) -> float:
-        """Of the measurements, at their linearization."""
-        return float(self._cost.rows[rows].sum())
+        self.total = float(self._cost.rows.sum())
 
     def place(self, rows: slice = slice(None)) -> None:
         """Take the columns of A anew from those of the variables."""

@@ -6,7 +6,6 @@ iterations due to its age have cost as much as making it.
 """
 
 from collections.abc import Iterable
-from copy import copy
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ class GrowingSystem:
     @property
     def chi2(self) -> float:
         """Cost at the present values."""
-        return sum(batch.cost() for batch in self.batches)
+        return sum(batch.total for batch in self.batches)
 
     @property
     def fit(self) -> Fit:
@@ -236,8 +235,8 @@ class GrowingSystem:
             before, rz = rz, float(r @ z)
             self.iterations += 1
             self._age += iteration > 0
-            # where more than enough has fallen another step follows anyway: a tenth may be left
-            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.1 * fall):
+            # where more than enough has fallen another step follows anyway: a hundredth may be left
+            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
                 break
             d = z + (rz / before) * d
         return dx, fall + OLD_FALL_BOUND * rz
@@ -258,7 +257,7 @@ class GrowingSystem:
         first = min(2 * self._part, 1.0)  # of a step like the last one
         for part in (*first * 0.5 ** np.arange(8), 0.0):
             for kind, v in self.variables.items():
-                step = dx[v.columns[:, None] + np.arange(v.manifold.dim)]
+                step = dx.take(v.columns + np.arange(v.manifold.dim)[:, None]).T
                 v.X[...] = v.manifold.retract(begin[kind], part * step)
             try:
                 self._linearize()
@@ -326,7 +325,7 @@ def _sum(parts: list[Array], n: int) -> Array:
 
 def kept(thing: object) -> dict[str, Any]:
     """The attributes of an object, with copies of its lists, sets and tables."""
-    return {k: copy(value) if isinstance(value, list | set | dict) else value for k, value in vars(thing).items()}
+    return {name: v.copy() if type(v) in (list, set, dict) else v for name, v in vars(thing).items()}
 
 
 def touched(v: Variables, batches: Iterable[GrowingBatch], by: dict[str, Mask] | None = None) -> Mask:

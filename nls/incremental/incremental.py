@@ -212,7 +212,7 @@ class Incremental:
                 residuals = residuals or factor is not exact
         if residuals:
             self.gap += self._system.catch_up()
-        if self.gap > self._allowed(1.0):
+        if self.gap > self._allowed:
             self.settle()
 
     @property
@@ -220,9 +220,10 @@ class Incremental:
         """Of all measurements at the present values."""
         return self._system.chi2
 
-    def _allowed(self, part: float) -> float:
-        """A part of the tolerance."""
-        return part * self.tol * max(self.chi2, 1.0)
+    @property
+    def _allowed(self) -> float:
+        """The largest gap within the tolerance."""
+        return self.tol * max(self.chi2, 1.0)
 
     @single_thread()
     def settle(self) -> None:
@@ -230,9 +231,10 @@ class Incremental:
         last = 0.0
         for share in (1.0, *(SETTLED,) * 30):  # passes at most
             self.passes += 1
-            dx, fall = self._system.step(self._allowed(SETTLED) / FALL_BOUND)
+            allowed = self._allowed
+            dx, fall = self._system.step(SETTLED * allowed / FALL_BOUND)
             self.gap = self._system.bound(fall, last)
-            if self.gap <= self._allowed(share):
+            if self.gap <= share * allowed:
                 return
             if math.isinf(fall) or not self._system.move(dx, fall):
                 break
@@ -244,7 +246,7 @@ class Incremental:
         self.batch_solutions += 1
         result = self.graph.optimize(self.values, LevenbergMarquardt(LIMIT))
         self._system.put(result.values)
-        _, fall = self._system.step(self._allowed(SETTLED) / FALL_BOUND)
+        _, fall = self._system.step(SETTLED * self._allowed / FALL_BOUND)
         self.gap = self._system.bound(min(fall, LIMIT.sigmas(self.chi2, result.dof) ** 2) if result.converged else fall)
 
     def remove(self, factors: Factor | Sequence[Factor]) -> None:
@@ -295,7 +297,7 @@ class Incremental:
     def __contains__(self, key: Keys) -> bool:
         """Whether a variable is in the estimate: it does not wait, and has not left."""
         variables = self._system.variables.get(key.kind)
-        return variables is not None and bool(variables.known(key).all())
+        return variables is not None and all(number in variables.place for number in key.numbers.tolist())
 
     def __getitem__(self, keys: Keys) -> Array:
         """The estimate of a variable, or of several of a kind."""

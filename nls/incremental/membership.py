@@ -191,9 +191,10 @@ class Arrivals:
 
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
-        spaces = tuple(self._known.space(keys.kind) for keys in factor.keys)
-        poses = any(self._known.space(kind) in (SE2, SE3) for kind in {*self._known.variables, *self._known.spaces})
-        return not factor.relative or (factor.knows_axes(spaces) and poses)
+        known = self._known
+        if not (factor.relative and factor.knows_axes(tuple([known.space(keys.kind) for keys in factor.keys]))):
+            return not factor.relative
+        return any(known.space(kind) in (SE2, SE3) for kind in {*known.variables, *known.spaces})
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
@@ -220,11 +221,13 @@ class Arrivals:
         """Factors as given, and their measurements all of whose variables are in the estimate; the others wait on."""
         pending, self._pending = self._pending, []
         for given, factor in pending:
-            ready: Mask = np.logical_and.reduce([self._known.has(keys) for keys in factor.keys])
-            usable = part(factor, ready)
-            if not ready.all():
-                self._pending.append((given, factor if usable is None else factor[~ready]))
-            if usable is not None:
+            ready = self._known.ready(factor)
+            usable: Factor | None = factor
+            if not all(ready):
+                mask = np.array(ready)
+                usable = part(factor, mask)
+                self._pending.append((given, factor if usable is None else factor[~mask]))
+            if usable is not None and ready:
                 yield given, usable
 
     def _joining(self) -> Iterator[New]:
@@ -269,7 +272,8 @@ class Arrivals:
         """Variables that wait, in the order of their measurements, and the factors these are in."""
         unknown: dict[Variable, list[Factor]] = {}
         for _, factor in self._pending:
-            waits = ((keys.kind, n) for keys in factor.keys for n in keys.numbers[~self._known.has(keys)].tolist())
+            places = [(keys, self._known.place(keys.kind)) for keys in factor.keys]
+            waits = ((keys.kind, n) for keys, place in places for n in keys.numbers.tolist() if n not in place)
             for variable in dict.fromkeys(waits):
                 unknown.setdefault(variable, []).append(factor)
         return unknown

@@ -59,8 +59,17 @@ class Known:
 
     def has(self, keys: Keys) -> Mask:
         """Which variables (k,) are in the estimate."""
-        variables = self.variables.get(keys.kind)
-        return np.zeros(len(keys), dtype=bool) if variables is None else variables.known(keys)
+        place = self.place(keys.kind)
+        return np.array([number in place for number in keys.numbers.tolist()], dtype=bool)
+
+    def place(self, kind: str) -> dict[int, int]:
+        """Rows of the variables of a kind that are in the estimate, by number."""
+        return self.variables[kind].place if kind in self.variables else {}
+
+    def ready(self, factor: Factor) -> list[bool]:
+        """Which measurements (n,) of a factor are about variables of the estimate alone."""
+        slots = [map(self.place(keys.kind).__contains__, keys.numbers.tolist()) for keys in factor.keys]
+        return [*map(all, zip(*slots, strict=True))]
 
     def value(self, keys: Keys) -> Array:
         """(k, size) of variables of the estimate."""

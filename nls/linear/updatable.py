@@ -25,7 +25,7 @@ from nls.linear.lu import factored
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
-RESERVE = 600  # columns for variables to come
+RESERVE, GROWTH = 200, 16  # columns for variables to come: at least so many, or one for so many that are there
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
 
 
@@ -115,12 +115,13 @@ class Preconditioner:
     """
 
     def __init__(self, hessian: Hessian, S: Array) -> None:
-        self.used, self.rows, self.n = hessian.n, 0, hessian.n + RESERVE
+        more = max(RESERVE, hessian.n // GROWTH)
+        self.used, self.rows, self.n = hessian.n, 0, hessian.n + more
         self.width = self.n + 16  # numbers of a variable that is held, at most
         small = 1e-6 * float(hessian.diagonal(S).mean())  # in reserve
-        reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
-        indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
-        data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])
+        reserve = hessian.n + np.arange(more, dtype=np.int32)
+        indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(more, dtype=np.int32)])
+        data = np.concatenate([hessian.data(S), np.full(more, small)])
         self._begun = data, np.concatenate([hessian.indices, reserve]), indptr
         self._added: list[Parts] = []
         self._begin()
