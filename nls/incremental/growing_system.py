@@ -28,7 +28,8 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
-OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
+OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
+LEAST = 0.125  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
 
 
 class GrowingSystem:
@@ -224,7 +225,7 @@ class GrowingSystem:
         z = F.solve(r)
         rz, d, fall = float(r @ z), z, 0.0
         if OLD_FALL_BOUND * rz <= enough:
-            return dx, OLD_FALL_BOUND * max(rz, 0.0)
+            return dx, max(OLD_FALL_BOUND * rz, LEAST * enough)
         for iteration in range(60):
             q = _sum([At @ (A @ d) for A, At in rows], F.n)
             alpha = rz / float(d @ q)
