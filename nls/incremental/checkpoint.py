@@ -34,7 +34,7 @@ from nls.linear.updatable import Preconditioner
 FORMAT, VERSION = "leadline smoother", 3
 STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
-SEQUENCES: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set}
+HOLDERS: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set, "dict": dict}
 S = TypeVar("S")
 Plain = Any  # what `nls.io.native.data.json_of` writes
 
@@ -139,10 +139,8 @@ class _Writer:
             return {"is": "space", "of": name_of_space(thing, "the smoother")}
         if isinstance(thing, Kernel | Keys):
             return {"is": "thing", "of": encoded(thing)}
-        if isinstance(thing, dict):
-            return {"is": "dict", "of": (self._sequence([*thing]), self._sequence([*thing.values()]))}
-        if isinstance(thing, list | tuple | set):
-            return {"is": type(thing).__name__, "of": self._sequence([*thing])}
+        if (holder := type(thing).__name__) in HOLDERS:
+            return {"is": holder, "of": self._sequence([*(thing.items() if holder == "dict" else thing)])}
         if type(thing) not in self._classes:
             raise GraphError(f"{thing!r:.60} cannot be stored in a checkpoint")
         state = thing.__getstate__()
@@ -218,10 +216,8 @@ class _Reader:
             return space_named(plain)
         if kind == "thing":
             return decoded(plain)
-        if kind == "dict":
-            return dict(zip(*map(self._sequence, plain), strict=True))
-        if kind in SEQUENCES:
-            return SEQUENCES[kind](self._sequence(plain))
+        if kind in HOLDERS:
+            return HOLDERS[kind](self._sequence(plain))
         cls = self._classes[kind]
         made, state = object.__new__(cls), {name: self.of(value) for name, value in plain.items()}
         made.__setstate__(state) if hasattr(cls, "__setstate__") else vars(made).update(state)

@@ -26,14 +26,15 @@ from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
 RESERVE, GROWTH = 200, 16  # columns for variables to come: at least so many, or one for so many that are there
+SMALL = 3  # numbers of variables whose columns are few enough to be factorized one by one
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
 
 
 class Updated:
     """H = L D L' by CHOLMOD; new rows change the columns of L above their variables: H <- H + C C'.
 
-    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
-    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
+    Of supernodes CHOLMOD makes columns where the first rows come, and their zeros stay in L: a solution of city10000
+    then takes 0.49 ms instead of 0.39. But a factorization of sphere2500 takes 11 ms by supernodes, 50 by columns.
 
     Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
     35(4), 2009.
@@ -41,6 +42,7 @@ class Updated:
     Parameters
     ----------
     H : lower triangle of a positive definite matrix (n, n), in the order of elimination.
+    by_columns : whether to factorize without supernodes; when omitted, CHOLMOD chooses.
 
     Raises
     ------
@@ -50,9 +52,9 @@ class Updated:
 
     name = "rank updates (CHOLMOD)"
 
-    def __init__(self, H: sp.csc_matrix) -> None:
+    def __init__(self, H: sp.csc_matrix, by_columns: bool = False) -> None:
         module = cholmod()
-        self._chol = module.analyze(H, ordering_method="natural")
+        self._chol = module.analyze(H, ordering_method="natural", mode="simplicial" if by_columns else "auto")
         try:
             self._chol.cholesky_inplace(H)
         except module.CholmodNotPositiveDefiniteError as error:
@@ -73,7 +75,7 @@ class Refactorized:
 
     name = "a new factorization for new rows (SuperLU)"
 
-    def __init__(self, H: sp.csc_matrix) -> None:
+    def __init__(self, H: sp.csc_matrix, by_columns: bool = False) -> None:
         self._H = sp.csc_matrix(H + sp.tril(H, -1).T)
         self._factorize()
 
@@ -124,6 +126,7 @@ class Preconditioner:
         data = np.concatenate([hessian.data(S), np.full(more, small)])
         self._begun = data, np.concatenate([hessian.indices, reserve]), indptr
         self._added: list[Parts] = []
+        self._by_columns = bool((hessian.dims <= SMALL).all())
         self._begin()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -137,7 +140,7 @@ class Preconditioner:
 
     def _begin(self) -> None:
         """Factorize, and enter the rows that were added."""
-        self._factor = updatable_class()(sp.csc_matrix(self._begun, shape=(self.n, self.n)))
+        self._factor = updatable_class()(sp.csc_matrix(self._begun, shape=(self.n, self.n)), self._by_columns)
         for rows in self._added:
             self._enter(rows)
 
