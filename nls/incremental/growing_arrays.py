@@ -130,6 +130,10 @@ class Variables:
     def _find(self) -> None:
         self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
 
+    def known(self, keys: Keys) -> Mask:
+        """Which variables (k,) are there."""
+        return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
+
     def index(self, keys: Keys) -> Index:
         """Rows (k,) of variables.
 

@@ -297,7 +297,7 @@ class Incremental:
     def __contains__(self, key: Keys) -> bool:
         """Whether a variable is in the estimate: it does not wait, and has not left."""
         variables = self._system.variables.get(key.kind)
-        return variables is not None and all(number in variables.place for number in key.numbers.tolist())
+        return variables is not None and bool(variables.known(key).all())
 
     def __getitem__(self, keys: Keys) -> Array:
         """The estimate of a variable, or of several of a kind."""

@@ -59,8 +59,8 @@ class Known:
 
     def has(self, keys: Keys) -> Mask:
         """Which variables (k,) are in the estimate."""
-        place = self.place(keys.kind)
-        return np.array([number in place for number in keys.numbers.tolist()], dtype=bool)
+        variables = self.variables.get(keys.kind)
+        return np.zeros(len(keys), dtype=bool) if variables is None else variables.known(keys)
 
     def place(self, kind: str) -> dict[int, int]:
         """Rows of the variables of a kind that are in the estimate, by number."""
