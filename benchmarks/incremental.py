@@ -6,6 +6,8 @@ Both give the newest pose at every step and all poses at every tenth. At every f
 minimum of what was measured up to then: the lowest of the batch solutions from a chordal start and from the poses of
 every smoother of one convention. Where GTSAM is missing, and on logs with landmarks, our side runs alone; these have no
 chordal start. w10000 is in GTSAM's wheel.
+
+"fixed lag" is a long drive of which the newest poses are kept, beside GTSAM's `IncrementalFixedLagSmoother`.
 """
 
 from __future__ import annotations
@@ -20,14 +22,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from harness import GTSAM, Table, fresh, make_page
+from harness import GTSAM, Table, fresh, make_page, peak_memory
 from posegraphs import SETS, prepare
 
 import nls
 import sim
 from factors import Cauchy
+from models import SE2
 from nls.incremental.steps import steps
 
+sys.path.append(str(Path(__file__).parent / "evidence"))
 Array = npt.NDArray[np.float64]
 NAMES = ("intel", "manhattan", "input_M3500", "city10000", "sphere2500")
 WHEEL = "w10000"
@@ -35,12 +39,13 @@ LARGE = ("city10000", WHEEL)  # one round
 SETTINGS = ((0.1, 10), (0.1, 1), (0.01, 10), (0.01, 1))  # relinearization threshold and skip of iSAM2
 LOGS = ("plaza2", "Victoria Park", "MRCLAM 3", "hauv-floor", "hauv-floor 8 legs", "hauv-hull")
 TOL, CHECK, WHOLE = 1e-3, 50, 10
+DRIVE, LAG, POSES, EARLY = "fixed lag", 50, 20_000, 1000  # poses that are kept, in all, and up to the first memory
+WINDOWS = ((0.1, 10, 1), (0.001, 1, 3))  # threshold and skip of GTSAM's smoother, and its updates a step
 PATIENCE = 900.0  # s; a longer run is ended
 
 
 def problem_of(name: str) -> tuple[Any, Any, str]:
     """Graph, values and the kind of the poses, of a log or a file."""
-    sys.path.insert(0, str(Path(__file__).parent / "evidence"))
     data = Path(os.environ["LEADLINE_DATA"])
     if name == "plaza2":
         return *nls.load(data / "range-only" / "plaza2.pyfg.gz")[:2], "A"
@@ -84,6 +89,30 @@ def drive(name: str, out: str) -> None:
                 best = smoother.graph.optimize(smoother.values).chi2_final
                 offs.append(((smoother.chi2 - best) / max(best, 1.0), smoother.chi2 - best))
     np.savez(out, seconds=seconds, gaps=gaps, offs=offs, **kept)
+
+
+def drive_far(out: str) -> None:
+    """Our side with a lag, in a process of its own."""
+    world, smoother, seconds, memory = far(), nls.Incremental(TOL, lag=LAG), [], []
+    graph = nls.FactorGraph(world.factors)
+    graph.pattern(world.truth)  # bound
+    first, last = nls.Keys("x", 0), nls.Keys("x", POSES - 1)
+    smoother.update([], world.truth.spaces().extended(first, world.truth[first][None]))
+    for n, step in enumerate(steps(graph.factors)):
+        began = process_time()
+        smoother.update(step.factors)
+        smoother[step.pose]
+        seconds.append(process_time() - began)
+        if n in (EARLY, POSES - 1):
+            memory.append(peak_memory(reset=True))
+    np.savez(out, seconds=seconds, memory=memory, X=smoother[last], P=smoother.covariance(last, frame="body"))
+
+
+def far() -> Any:
+    """A long drive in circles: steps, scan matches and position fixes."""
+    from window import matched
+
+    return matched(0, POSES - 1, (5, 20))
 
 
 def above(graph: Any, values: Any, kept: list[dict[int, Array]]) -> list[Array]:
@@ -133,7 +162,7 @@ def row(name: str, title: str, runs: list[dict[str, Any]], off: Array, ratio: st
 def measured(name: str, rounds: int, gtsam: str | None, folder: Path) -> list[list[str]]:
     """The rows of a set: ours, and iSAM2 with each setting."""
     if name in LOGS:
-        command = [sys.executable, __file__, "--child", name, str(folder / "run.npz")]
+        command = [sys.executable, __file__, "--child", "set", name, str(folder / "run.npz")]
         results = [r for _ in range(rounds) if (r := run(command, folder / "run.npz")) is not None]
         return [row(name, "leadline", results, results[-1]["offs"], "")] if results else []
     if name == WHEEL:
@@ -143,7 +172,7 @@ def measured(name: str, rounds: int, gtsam: str | None, folder: Path) -> list[li
         SETS[WHEEL] = subprocess.run(ask, check=True, capture_output=True, text=True).stdout.strip(), "toro"
     problem = prepare(name, folder, os.environ["LEADLINE_DATA"])
     path, out = problem.files.graph, folder / "run.npz"
-    commands = {"leadline": [sys.executable, __file__, "--child", str(path), str(out)]}
+    commands = {"leadline": [sys.executable, __file__, "--child", "set", str(path), str(out)]}
     for threshold, skip in SETTINGS if gtsam else ():
         script = Path(__file__).parent / "peers" / "isam2.py"
         numbers = [str(value) for value in (threshold, skip, CHECK, WHOLE)]
@@ -168,30 +197,71 @@ def measured(name: str, rounds: int, gtsam: str | None, folder: Path) -> list[li
     return rows
 
 
-def page(data: Path, sets: list[str], rounds: int, gtsam: str | None) -> list[str]:
-    """The page without its head."""
+def with_a_lag(gtsam: str | None, folder: Path) -> list[str]:
+    """A long drive: ours, and GTSAM's smoother with each setting."""
+    from window import fixed_lag
+
+    titles = ["smoother", "s", "mean, ms", "first tenth", "middle", "last tenth", "p99", "largest"]
+    table = Table([*titles, f"MB after {EARLY:,}", "MB in the end", "last pose off"])
+    ours = run([sys.executable, __file__, "--child", DRIVE, str(folder / "run.npz")], folder / "run.npz")
+    if ours is None:
+        return []
+    runs = {"leadline": ours}
+    for threshold, skip, updates in WINDOWS if gtsam else ():  # a lag in seconds keeps one pose more
+        theirs = fixed_lag(gtsam, [far()], LAG - 1, threshold, skip, updates)
+        runs[f"GTSAM {threshold:g}, {skip}; updates: {updates}"] = {name: rows[0] for name, rows in theirs.items()}
+    for title, one in runs.items():
+        ms, off = 1e3 * one["seconds"], SE2.local(ours["X"], one["X"])
+        first, middle, last = np.array_split(ms, 10)[0], np.array_split(ms, 5)[2], np.array_split(ms, 10)[9]
+        means = (part.mean() for part in (ms, first, middle, last))
+        cells = [title, f"{ms.sum() / 1e3:.1f}", *(f"{mean:.2f}" for mean in means)]
+        cells += [f"{np.quantile(ms, 0.99):.2f}", f"{ms.max():.1f}", *(f"{size / 2**20:.1f}" for size in one["memory"])]
+        table.add(*cells, "" if one is ours else f"{np.sqrt(off @ np.linalg.solve(ours['P'], off)):.3f}")
+    return [
+        "## Fixed lag",
+        f"A drive of {POSES:,} poses in the plane; {LAG} are kept. The measurements are made by "
+        "code, seed 0: a step, scan matches 5 and 20 poses back, and a position fix at every tenth pose.",
+        *table,
+        "- first tenth, middle, last tenth: mean ms of a step",
+        f"- MB: memory of the process that is resident after {EARLY:,} poses and in the end. Ours keeps the "
+        "last estimate of every pose that left",
+        "- last pose off: from ours, in sigmas",
+        "- GTSAM: `IncrementalFixedLagSmoother` of its wheel with its relinearization threshold and skip, and the "
+        "updates of a step",
+    ]
+
+
+def with_all(sets: list[str], rounds: int, gtsam: str | None, folder: Path) -> list[str]:
+    """Sets of which both keep all poses."""
     titles = ["set", "smoother", "s", "ours / fastest", "mean, ms", "last tenth", "p99", "largest", "above at most"]
     table = Table([*titles, "above in the end", "beyond its gap"], names=2)
-    with tempfile.TemporaryDirectory() as folder:
-        for name in sets:
-            for cells in measured(name, rounds, gtsam, Path(folder)):
-                table.add(*cells)
+    for name in sets:
+        for cells in measured(name, rounds, gtsam, folder):
+            table.add(*cells)
     return [
+        *table,
         f"- Figures are medians of {rounds} rounds ({' and '.join(LARGE)}: 1 round). Every run is a fresh "
         "process; the smoothers take turns",
         "- ms: processor time of a step, one thread; last tenth: mean of the last tenth of the steps",
         "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, by Cholesky, or QR where Cholesky fails",
         f"- above: how far chi2 is above the batch minimum, at every {CHECK}th step",
         "- beyond its gap: how often chi2 exceeds the smoother's own estimate of its distance from the minimum",
-        *table,
     ]
 
 
+def page(data: Path, sets: list[str], rounds: int, gtsam: str | None) -> list[str]:
+    """The page without its head."""
+    others = [name for name in sets if name != DRIVE]
+    with tempfile.TemporaryDirectory() as folder:
+        lines = with_all(others, rounds, gtsam, Path(folder)) if others else []
+        return lines + (with_a_lag(gtsam, Path(folder)) if DRIVE in sets else [])
+
+
 if __name__ == "__main__":
-    default = [*NAMES, WHEEL, *LOGS]
-    names = {"nargs": "+", "choices": [*SETS, WHEEL, *LOGS], "default": default, "metavar": "NAME"}
+    default = [*NAMES, WHEEL, *LOGS, DRIVE]
+    names = {"nargs": "+", "choices": [*SETS, WHEEL, *LOGS, DRIVE], "default": default, "metavar": "NAME"}
     make_page(
-        *("Online SLAM beside iSAM2", page, drive),
+        *("Online SLAM beside iSAM2", page, {"set": drive, DRIVE: drive_far}),
         sets=names | {"help": "of public graphs and logs"},
         rounds=(3, "runs of each, interleaved"),
         gtsam=GTSAM,

@@ -43,10 +43,10 @@ class World(NamedTuple):
     numbers: dict[str, Array]
 
 
-def path(turn: float, length: float) -> Array:
-    """Poses (n, 3) of equal steps."""
+def path(turn: float, length: float, n: int = POSES) -> Array:
+    """Poses (n + 1, 3) of equal steps."""
     X = [np.array([-3.0, 0.0, 0.3])]
-    for _ in range(POSES):
+    for _ in range(n):
         X.append(SE2.compose(X[-1], np.array([length, 0.0, turn])))
     return np.array(X)
 
@@ -75,21 +75,23 @@ def among(seed: int, turn: float, length: float, sharper: float = 1.0, reach: fl
     return World(factors, Values({x: (SE2, X), l: (R(2), p[seen], seen)}), numbers | sigmas)
 
 
-def matched(seed: int) -> World:
-    """A vehicle with odometry, scan matches five poses back and a position fix at every tenth pose."""
-    rng, X, k = np.random.default_rng(seed), path(0.1, 1.0), np.arange(POSES)
+def matched(seed: int, n: int = POSES, backs: tuple[int, ...] = (5,)) -> World:
+    """A vehicle with odometry, scan matches some poses back and a position fix at every tenth pose."""
+    rng, X, k = np.random.default_rng(seed), path(0.1, 1.0, n), np.arange(n)
     first = SE2.retract(X[:1], rng.normal(0, FIRST, (1, 3)))
-    step = SE2.retract(SE2.between(X[:-1], X[1:]), rng.normal(0, STEP, (POSES, 3)))
-    match = SE2.retract(SE2.between(X[:-5], X[5:]), rng.normal(0, MATCH, (POSES - 4, 3)))
+    step = SE2.retract(SE2.between(X[:-1], X[1:]), rng.normal(0, STEP, (n, 3)))
+    ways = {back: SE2.between(X[:-back], X[back:]) for back in backs}
+    match = {back: SE2.retract(way, rng.normal(0, MATCH, way.shape)) for back, way in ways.items()}
     fixed = k[10::10]
     fix = X[fixed, :2] + rng.normal(0, FIX, (len(fixed), 2))
     factors = [
         Prior(x[0], first, Diagonal(FIRST)),
         Between(x[k], x[k + 1], step, Diagonal(STEP)),
-        Between(x[k[:-4]], x[k[:-4] + 5], match, Diagonal(MATCH)),
+        *(Between(x[: len(z)], x[back : n + 1], z, Diagonal(MATCH)) for back, z in match.items()),
         Position(x[fixed], fix, Diagonal([FIX, FIX])),
     ]
-    numbers = {"first": first[0], "step": step, "match": match, "fixed": fixed, "fix": fix}
+    numbers = {"first": first[0], "step": step, "fixed": fixed, "fix": fix}
+    numbers |= {f"match {back}": z for back, z in match.items()}
     sigmas = {"sigma_first": FIRST, "sigma_step": STEP, "sigma_match": MATCH, "sigma_fix": np.array([FIX, FIX])}
     return World(factors, Values({x: (SE2, X)}), numbers | sigmas)
 
@@ -147,19 +149,25 @@ def peer(gtsam: str, world: Callable[[int], World], seeds: int, lag: int) -> Arr
     made = [world(seed) for seed in range(seeds)]
     if not made[0].numbers:
         return None
-    with tempfile.TemporaryDirectory() as folder:
-        file, out = Path(folder) / "worlds.npz", Path(folder) / "out.npz"
-        arrays: dict[str, Any] = {f"{k}/{name}": a for k, w in enumerate(made) for name, a in w.numbers.items()}
-        np.savez(file, count=seeds, **arrays)
-        fresh(gtsam, "-P", Path(__file__).parents[1] / "peers" / "fixed_lag.py", file, out, lag).check_returncode()
-        with np.load(out) as found:
-            X, P = found["X"], found["P"]
+    runs = fixed_lag(gtsam, made, lag)
     rows = []
-    for w, one, covariance in zip(made, X, P, strict=True):
+    for w, one, covariance in zip(made, runs["X"], runs["P"], strict=True):
         last, space = last_of(w)
         best = FactorGraph(w.factors).optimize(w.truth.copy()).values
         rows.append(judged(space, w.truth[last], best[last], one, covariance))
     return np.array(rows)
+
+
+def fixed_lag(gtsam: str, worlds: list[World], lag: int, *numbers: float) -> dict[str, Array]:
+    """What GTSAM's smoother makes of worlds, see benchmarks/peers/fixed_lag.py."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, out = Path(folder) / "worlds.npz", Path(folder) / "out.npz"
+        arrays: dict[str, Any] = {f"{k}/{name}": a for k, w in enumerate(worlds) for name, a in w.numbers.items()}
+        np.savez(file, count=len(worlds), **arrays)
+        script = Path(__file__).parents[1] / "peers" / "fixed_lag.py"
+        fresh(gtsam, "-P", script, file, out, lag, *numbers).check_returncode()
+        with np.load(out) as runs:
+            return dict(runs)
 
 
 def headings(seeds: int, gtsam: str | None) -> list[str]:
