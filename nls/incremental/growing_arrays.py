@@ -147,7 +147,7 @@ class Variables:
         except KeyError as error:
             raise GraphError(f"{self.kind}{error.args[0]} is not in the estimate", [keys]) from None
 
-    def stack(self, rows: slice | Mask = slice(None)) -> Stack:
+    def stack(self, rows: slice | Mask | Index = slice(None)) -> Stack:
         """A copy of the estimate, or of some of it (n,)."""
         return Stack(self.kind, self.manifold, self.X[rows].copy(order="F"), self.numbers[rows].copy())
 
@@ -243,9 +243,12 @@ class GrowingBatch:
 
     def drop(self, rows: Mask) -> None:
         """Forget some measurements (n,)."""
-        gone = np.split(rows, np.cumsum([len(factor) for _, factor in self.given]))
-        rest = [(given, part(factor, ~of)) for (given, factor), of in zip(self.given, gone, strict=False)]
-        self.given = [(given, kept) for given, kept in rest if kept is not None]
+        of = np.repeat(np.arange(len(self.given)), [len(factor) for _, factor in self.given])
+        self.given = [*self.given]  # marks have the other list
+        for k in np.unique(of[rows])[::-1].tolist():
+            given, factor = self.given[k]
+            rest = part(factor, ~rows[of == k])
+            self.given[k : k + 1] = [] if rest is None else [(given, rest)]
         self._linearized -= int(np.count_nonzero(rows[: self._linearized]))
         self._sparse = None
         for own in self._parts():
@@ -326,9 +329,9 @@ class GrowingBatch:
         D = self._A.rows.shape[2]
         return self._A.rows[begin:].reshape(-1, D), self._columns.rows[begin:].reshape(-1, D)
 
-    def blocks(self) -> tuple[Array, ...]:
-        """A (n, m, d) of every slot."""
-        return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
+    def blocks(self, rows: slice | Mask = slice(None)) -> tuple[Array, ...]:
+        """A (n, m, d) of every slot, of all measurements or some."""
+        return tuple(np.split(self._A.rows[rows], np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
 
 
 def sort_of_model(model: Model) -> Hashable:

@@ -17,7 +17,6 @@ from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from nls.gauge import choose_gauge, touched_variables
 from nls.incremental.growing_arrays import GrowingBatch, Variables, sort_of_model
-from nls.incremental.marginal import priors_left
 from nls.linear import best_decomposition
 from nls.linear.factorization import SingularSystemError
 from nls.linear.underconstrained import underconstrained
@@ -39,7 +38,7 @@ class GrowingSystem:
     ----------
     variables : by kind.
     iterations, factorizations : so far.
-    held : a variable of every part of the map that nothing but the gauge holds.
+    held : a variable of every part of the map that nothing but the gauge holds; it may have left since.
     """
 
     def __init__(self) -> None:
@@ -155,26 +154,22 @@ class GrowingSystem:
             if rows.any():
                 batch.drop(rows)
         self.batches = [batch for batch in self.batches if len(batch)]
-        self._entered = [len(batch) for batch in self.batches]
-        self.renew()
 
-    def marginalize(self, gone: dict[str, Mask]) -> None:
-        """Take out variables (n,) by kind, and the measurements of them; what these say of the others enters.
+    def exchange(self, rows: list[Mask], gone: dict[str, Mask], priors: Iterable[Factor]) -> None:
+        """Have priors instead of measurements (n,) of every batch, and of variables (n,) by kind.
 
-        Raises
-        ------
-        UnderconstrainedError
-            The measurements do not determine what leaves; all is as before.
+        The preconditioner keeps the columns of what leaves. Its solutions for 0 there are those with the priors.
         """
-        rows = [batch.touches(gone) for batch in self.batches]
-        factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
-        leaving = [Keys(kind, self.variables[kind].numbers[mask]) for kind, mask in gone.items()]
-        priors = priors_left(factors, self.values, leaving)
+        if self._age:
+            self.renew()  # else a heading that is hardly known seems settled before it is
+        elif self._preconditioner is not None:
+            self._refreshed()
         self.drop(rows)
         self.leave(gone)
         for prior in priors:
             self.enter(prior, prior)
         self.catch_up()
+        self._entered = [len(batch) for batch in self.batches]
 
     def leave(self, gone: dict[str, Mask]) -> None:
         """Take out variables (n,) by kind that no measurement is about."""
@@ -183,12 +178,12 @@ class GrowingSystem:
         places = {kind: np.cumsum(~mask) - 1 for kind, mask in gone.items()}
         for batch in self.batches:
             batch.renumber(places)
-        self.renew()
 
     def leave_unmeasured(self) -> None:
         """Take out all variables that no measurement is about."""
         alone = {kind: ~touched(v, self.batches) for kind, v in self.variables.items()}
         self.leave({kind: mask for kind, mask in alone.items() if mask.any()})
+        self.renew()
 
     def renew(self) -> None:
         """Make the preconditioner anew before the next step."""

@@ -41,6 +41,7 @@ from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import part
 from nls.incremental.growing_system import FALL_BOUND, GrowingSystem, kept
+from nls.incremental.marginal import marginalize
 from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
 from nls.incremental.new_variables import LIMIT, New, lower_start
 from nls.linear.updatable import updatable_class
@@ -148,7 +149,7 @@ class Incremental:
         self.gap += self._system.catch_up()
         stacks = [self._system.variables[kind].stack(mask) for kind, mask in gone.items()]
         try:
-            self._system.marginalize(gone)
+            marginalize(self._system, gone)
         except UnderconstrainedError:
             return  # not determined yet: it stays for another step
         self._window.leave(stacks)

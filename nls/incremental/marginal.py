@@ -18,7 +18,7 @@ Martinez-Cantin, J. Tardos, J. Neira, "Robocentric map joining", Robotics and Au
 coordinates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +27,10 @@ from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
-from models.algebra import Array, Index, Mask, Numbers
+from models.algebra import Array, Mask
 from models.errors import GraphError, UnderconstrainedError
 from models.sensors import seen_from
+from nls.incremental.growing_system import GrowingSystem
 from nls.sparse.elimination import connected
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -197,34 +198,50 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     >>> left, FactorGraph(left).optimize(values).values[p].ravel().round(6), abs(left[0].A).round(6)
     ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
     """
-    touching, untouched = _split(factors, leaving)
-    return [*untouched, *priors_left(touching, values, leaving)], without(values, leaving)
+    system = GrowingSystem()
+    for key in values:
+        system.join(key, values.stack(key.kind).manifold, values[key])
+    for factor in factors:
+        system.enter(factor, factor)
+    system.catch_up()
+    marginalize(system, {k.kind: np.isin(system.variables[k.kind].numbers, k.numbers) for k in leaving})
+    return [factor for _, factor in system.given], system.values
 
 
-def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> list[MarginalPrior]:
-    """The information of measurements about their other variables, of each connected part; none where it is nothing.
+def marginalize(system: GrowingSystem, gone: dict[str, Mask]) -> None:
+    """Take out variables (n,) by kind, and the measurements of them; what these say of the others enters as priors.
 
     Raises
     ------
     UnderconstrainedError
-        The measurements do not determine what leaves; named.
+        The measurements do not determine what leaves; named, and all is as before.
     """
-    touched = Values.of(s.only(np.isin(s.numbers, numbers_of(touching, s.kind))) for s in values.stacks.values())
-    pattern = Pattern(touching, touched)
-    system = LinearSystem.at(pattern, touched)
-    gone = {(keys.kind, number) for keys in leaving for number in keys.numbers.tolist()}
-    goes = np.array([(kind, n) in gone for kind, numbers in pattern.numbers.items() for n in numbers.tolist()])
-    label, of_row = _parts(pattern, goes)
-    whole, owner = np.column_stack([system.A.toarray(), system.b]), pattern.column_owner()[0]
-    unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
-    priors = []
-    for part in np.unique(label[goes]).tolist():
-        rows, leaves, stays = of_row == part, goes & (label == part), np.zeros_like(goes)
-        stays[owner[whole[rows, :-1].any(axis=0)]] = True
-        stays &= ~goes
+    rows, values = [batch.touches(gone) for batch in system.batches], system.values
+    touching = [(batch, some) for batch, some in zip(system.batches, rows, strict=True) if some.any()]
+    pattern = Pattern([batch.model(some).factor for batch, some in touching], values)
+    if system.robust:
+        linear = LinearSystem.at(pattern, values)
+    else:
+        b = [batch.b.reshape(len(batch), -1)[some].ravel() for batch, some in touching]
+        linear = LinearSystem(pattern, [batch.blocks(some) for batch, some in touching], np.concatenate(b))
+    goes = [gone.get(kind, np.zeros(len(v), dtype=bool)) for kind, v in system.variables.items()]
+    system.exchange(rows, gone, [*_priors(linear, np.concatenate(goes), values)])
+
+
+def _priors(linear: LinearSystem, goes: Mask, values: Values) -> Iterator[MarginalPrior]:
+    """The information of measurements about the other variables, of each connected part; none where it is nothing."""
+    pattern, whole = linear.pattern, np.column_stack([linear.A.toarray(), linear.b])
+    owner, models = pattern.column_owner()[0], [batch.model for batch in pattern.batches]
+    unmoved = {model.factor.keys[slot].kind for model in models for slot in model.factor.unmoved}
+    moves = np.repeat([kind not in unmoved for kind in pattern.numbers], [*map(len, pattern.numbers.values())])
+    row, column = np.nonzero(whole[:, :-1])
+    joins = (moves | goes)[owner[column]]  # what stays and no motion moves joins no two parts
+    label = connected(owner[column[joins]], len(goes) + row[joins], len(goes) + pattern.m)
+    for part in np.unique(label[: len(goes)][goes]).tolist():
+        leaves, rows = goes & (label[: len(goes)] == part), label[len(goes) :] == part
+        stays = ~goes & np.isin(np.arange(len(goes)), owner[whole[rows, :-1].any(axis=0)])
         columns = np.concatenate([np.flatnonzero(leaves[owner]), np.flatnonzero(stays[owner])])
-        e = int(pattern.dims[leaves].sum())
-        dense: Array = whole[rows][:, [*columns, -1]]
+        e, dense = int(pattern.dims[leaves].sum()), whole[rows][:, [*columns, -1]]
         triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
         if len(pivots) < e or (pivots <= 1e-12 * lengths).any():  # rounding of 0
@@ -235,51 +252,10 @@ def priors_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Ke
                 free,
             )
         near = [pattern.key(k) for k in np.flatnonzero(stays).tolist()]
-        left = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
+        left = triangle[e : len(columns)]  # below is the constant alone
         if near and len(left):
-            X0, slots = [touched[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
-            models = [b.model for b in pattern.batches if rows[b.rows].any()]
-            relative = all(model.factor.relative for model in models)
-            axes = any(model.factor.knows_axes(model.manifolds) for model in models)
-            priors.append(MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative, slots, axes))
-    return priors
-
-
-def _parts(pattern: Pattern, goes: Mask) -> tuple[Index, Index]:
-    """Connected part of every variable (V,) and of every row (m,); what stays and no motion moves joins no two."""
-    first, pairs = [], []
-    for batch in pattern.batches:
-        joins = np.stack([(slot not in batch.model.factor.unmoved) | goes[v] for slot, v in enumerate(batch.variables)])
-        begin = np.stack(batch.variables)[joins.argmax(axis=0), np.arange(len(batch))]
-        first.append(np.repeat(begin, batch.model.dim))
-        pairs += [(begin[j], v[j]) for j, v in zip(joins, batch.variables, strict=True)]
-    i, j = np.concatenate(pairs, axis=1)
-    label = connected(i, j, len(pattern.dims))
-    return label, label[np.concatenate(first)]
-
-
-def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:
-    """The measurements that touch what leaves, and the others."""
-    touching: list[Factor] = []
-    untouched: list[Factor] = []
-    for factor in factors:
-        pairs = ((keys, gone) for keys in factor.keys for gone in leaving if keys.kind == gone.kind)
-        touches = np.any([np.zeros(len(factor)), *(np.isin(k.numbers, gone.numbers) for k, gone in pairs)], axis=0)
-        for subset, mask in ((touching, touches), (untouched, ~touches)):
-            if mask.any():
-                subset.append(factor if mask.all() else factor[np.flatnonzero(mask)])
-    return touching, untouched
-
-
-def without(values: Values, leaving: Sequence[Keys]) -> Values:
-    """The values of the other variables."""
-    stacks = dict(values.stacks)
-    for gone in leaving:
-        stacks[gone.kind] = stacks[gone.kind].only(~np.isin(stacks[gone.kind].numbers, gone.numbers))
-    return Values.of(stacks.values())
-
-
-def numbers_of(factors: Sequence[Factor], kind: str) -> Numbers:
-    """Numbers of the variables of a kind that factors touch, rising."""
-    numbers = [keys.numbers for factor in factors for keys in factor.keys if keys.kind == kind]
-    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *numbers]))
+            X0, slots = [values[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
+            of_part = [batch.model for batch in pattern.batches if rows[batch.rows].any()]
+            relative = all(model.factor.relative for model in of_part)
+            axes = any(model.factor.knows_axes(model.manifolds) for model in of_part)
+            yield MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative, slots, axes)

@@ -17,7 +17,7 @@ from factors.keys import Keys
 from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, Manifold, R
 from models.advice import Advice
-from models.algebra import Array, Mask
+from models.algebra import Mask
 from models.errors import GraphError, LeadlineError, OptionError
 from models.listing import some
 from models.manifolds.rn import Vectors
@@ -109,7 +109,7 @@ class Window:
         self.behind: list[Factor] = []
         self._tracks: set[str] = set()  # kinds that odometry joins
         self._sensors: set[str] = set()  # kinds that a motion of everything does not move
-        self._left: dict[str, dict[int, Array]] = {}
+        self._left: dict[str, Variables] = {}
 
     def reached(self, factor: Factor) -> Factor | None:
         """The measurements of a factor that are about no pose that left; the others are `behind`."""
@@ -123,7 +123,7 @@ class Window:
         late = np.zeros(len(factor), dtype=bool)
         for keys in factor.keys:
             if keys.kind in self._tracks and (left := self._left.get(keys.kind)):
-                late |= np.array([number in left for number in keys.numbers.tolist()], dtype=bool)
+                late |= left.known(keys)
         if not late.any():
             return factor
         rest = part(factor, ~late)
@@ -135,27 +135,27 @@ class Window:
         if self.lag is None:
             return {}
         old = {kind: np.arange(len(v)) < len(v) - self.lag for kind, v in variables.items() if kind in self._tracks}
-        if not any(mask.any() for mask in old.values()) or self.landmarks == "stay":
-            return {kind: mask for kind, mask in old.items() if mask.any()}
-        new = {kind: ~mask for kind, mask in old.items()}
-        measured = [batch for batch in batches if not isinstance(batch.factor, MarginalPrior)]
-        for kind, v in variables.items():
-            if kind not in old and kind not in self._sensors:
-                old[kind] = touched(v, measured, old) & ~touched(v, measured, new)
+        if self.landmarks == "leave" and any(mask.any() for mask in old.values()):
+            new = {kind: ~mask for kind, mask in old.items()}
+            measured = [batch for batch in batches if not isinstance(batch.factor, MarginalPrior)]
+            for kind, v in variables.items():
+                if kind not in old and kind not in self._sensors:
+                    old[kind] = touched(v, measured, old) & ~touched(v, measured, new)
         return {kind: mask for kind, mask in old.items() if mask.any()}
 
     def leave(self, stacks: Iterable[Stack]) -> None:
         """Remember variables that leave."""
         for stack in stacks:
-            self._left.setdefault(stack.kind, {}).update(zip(stack.numbers.tolist(), stack.X, strict=True))
+            left = self._left.setdefault(stack.kind, Variables(stack.kind, stack.manifold))
+            for number, X in zip(stack.numbers.tolist(), stack.X, strict=True):
+                left.join(number, X, 0)
 
     def left(self, variables: dict[str, Variables]) -> Values:
-        """Variables that left, but for those that came back."""
+        """Variables that left, where they were the last time, but for those that came back."""
         stacks = []
         for kind, left in self._left.items():
-            away = {number: X for number, X in left.items() if number not in variables[kind].place}
-            if away:
-                stacks.append(Stack(kind, variables[kind].manifold, np.stack([*away.values()]), np.array([*away])))
+            if away := [row for number, row in left.place.items() if number not in variables[kind].place]:
+                stacks.append(left.stack(np.array(away)))
         return Values.of(stacks)
 
 
@@ -280,16 +280,13 @@ class Arrivals:
 
     def _touching(self, key: Keys, factors: list[Factor]) -> list[tuple[Factor, int]]:
         """Measurements between a variable and the estimate, and the slot in which it is."""
-        number, touching = int(key.numbers[0]), []
+        touching = []
         for factor in factors:
+            others = np.sum([self._known.has(keys) for keys in factor.keys], axis=0) == len(factor.keys) - 1
             for slot, keys in enumerate(factor.keys):
-                if keys.kind == key.kind:
-                    mask: Mask = keys.numbers == number
-                    for other, k in enumerate(factor.keys):
-                        if other != slot:
-                            mask &= self._known.has(k)
-                    if (measurements := part(factor, mask)) is not None:
-                        touching.append((measurements, slot))
+                measurements = part(factor, others & (keys.numbers == key.numbers)) if keys.kind == key.kind else None
+                if measurements is not None:
+                    touching.append((measurements, slot))
         return touching
 
     def _target_space(self, touching: list[tuple[Factor, int]]) -> Manifold | None:
