@@ -147,7 +147,7 @@ class Variables:
         except KeyError as error:
             raise GraphError(f"{self.kind}{error.args[0]} is not in the estimate", [keys]) from None
 
-    def stack(self, rows: slice | Mask | Index = slice(None)) -> Stack:
+    def stack(self, rows: slice | Mask = slice(None)) -> Stack:
         """A copy of the estimate, or of some of it (n,)."""
         return Stack(self.kind, self.manifold, self.X[rows].copy(order="F"), self.numbers[rows].copy())
 

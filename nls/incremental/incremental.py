@@ -152,8 +152,7 @@ class Incremental:
             marginalize(self._system, gone)
         except UnderconstrainedError:
             return  # not determined yet: it stays for another step
-        self._window.leave(stacks)
-        self._arrivals.reach()
+        self._arrivals.leave(stacks)
 
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:

@@ -19,7 +19,6 @@ coordinates.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,14 +35,8 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-
-class _Chart(NamedTuple):
-    """Variables of one space: the slot of the pose that sees them, if any, theirs, Y0 (k, size), A T (k, m, dim)."""
-
-    root: int | None
-    slots: list[int]
-    Y0: Array
-    rows: Array
+# of variables of one space: the group of the pose that sees them, if any, its slot, theirs, Y0 (k, size), A T (k, m, d)
+_Chart = tuple[Manifold | None, int, list[int], Array, Array]
 
 
 class MarginalPrior(Factor):
@@ -115,25 +108,22 @@ class MarginalPrior(Factor):
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         D, sizes = sum(manifold.dim for manifold in manifolds), [x0.shape for x0 in self.X0]
         if self.A.shape[1] != D or sizes != [(manifold.size,) for manifold in manifolds]:
-            raise GraphError(
-                f"{self!r}: A has shape {self.A.shape}, X0 has {sizes}; they do not fit {manifolds}", self.keys
-            )
+            given = f"A has shape {self.A.shape}, X0 has {sizes}"
+            raise GraphError(f"{self!r}: {given}; they do not fit {manifolds}", self.keys)
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         h: Array = np.zeros((len(X[0]), len(self.A)))
         H: list[Array] = [np.zeros((len(h), len(self.A), space.dim)) for space in manifolds]
-        for root, slots, Y0, rows in self._charted(manifolds):
+        for group, root, slots, Y0, rows in self._charted(manifolds):
             space, x = manifolds[slots[0]], np.stack([X[k] for k in slots], axis=1)
-            group, S = (None, x) if root is None else (manifolds[root], X[root][:, None])
-            Y, (H_S, H_X) = _view(group, S, space, x)
+            Y, (H_S, H_X) = _view(group, X[root][:, None], space, x)
             c, J = space.motion(Y0, Y)
             h += np.einsum("kmd,nkd->nm", rows, c)
             moves = rows @ J
             for k, H_k in zip(slots, np.moveaxis(moves @ H_X, 1, 0), strict=True):
                 H[k] += H_k
-            if root is not None:
-                H[root] += (moves @ H_S).sum(axis=1)
+            H[root] += (moves @ H_S).sum(axis=1)
         return h, tuple(H)
 
     def _charted(self, manifolds: tuple[Manifold, ...]) -> list[_Chart]:
@@ -143,20 +133,17 @@ class MarginalPrior(Factor):
         A = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
         poses = (k for k, space in enumerate(manifolds) if isinstance(space, LieGroup) and not space.flat)
         first = next((k for k in poses if k not in self.unmoved), None)
-        sorts: dict[tuple[Manifold, int | None, bool], list[int]] = {}
+        sorts: dict[tuple[Manifold, bool, bool], list[int]] = {}
         for k in sorted(range(len(A)), key=lambda k: k == first):
-            root = None if k in self.unmoved or k == first else first
-            sorts.setdefault((manifolds[k], root, k == first), []).append(k)
-        charts = []
-        for (space, root, _), slots in sorts.items():
-            X0 = np.stack([self.X0[k] for k in slots])
-            group, S0 = (None, X0) if root is None else (manifolds[root], self.X0[root])
-            Y0, (H_S, H_X) = _view(group, S0, space, X0)
+            sorts.setdefault((manifolds[k], k in self.unmoved, k == first), []).append(k)
+        charts: list[_Chart] = []
+        for (space, *alone), slots in sorts.items():
+            group, root = (None, slots[0]) if first is None or any(alone) else (manifolds[first], first)
+            Y0, (H_S, H_X) = _view(group, self.X0[root], space, np.stack([self.X0[k] for k in slots]))
             J = space.motion(Y0, Y0)[1]
             rows = np.stack([A[k] for k in slots]) @ np.linalg.inv(J @ H_X)
-            if root is not None:
-                A[root] = A[root] - (rows @ J @ H_S).sum(axis=0)
-            charts.append(_Chart(root, slots, Y0, rows))
+            A[root] = A[root] - (rows @ J @ H_S).sum(axis=0)
+            charts.append((group, root, slots, Y0, rows))
         self._charts[manifolds] = charts
         return charts
 
@@ -219,11 +206,10 @@ def marginalize(system: GrowingSystem, gone: dict[str, Mask]) -> None:
     rows, values = [batch.touches(gone) for batch in system.batches], system.values
     touching = [(batch, some) for batch, some in zip(system.batches, rows, strict=True) if some.any()]
     pattern = Pattern([batch.model(some).factor for batch, some in touching], values)
-    if system.robust:
-        linear = LinearSystem.at(pattern, values)
-    else:
-        b = [batch.b.reshape(len(batch), -1)[some].ravel() for batch, some in touching]
-        linear = LinearSystem(pattern, [batch.blocks(some) for batch, some in touching], np.concatenate(b))
+    blocks = [batch.blocks(some) for batch, some in touching]
+    b = np.concatenate([batch.b.reshape(len(batch), -1)[some].ravel() for batch, some in touching])
+    # rows of robust measurements are bent for steps, see `nls.incremental.growing_arrays`; a prior is a Gaussian
+    linear = LinearSystem.at(pattern, values) if system.robust else LinearSystem(pattern, blocks, b)
     goes = [gone.get(kind, np.zeros(len(v), dtype=bool)) for kind, v in system.variables.items()]
     system.exchange(rows, gone, [*_priors(linear, np.concatenate(goes), values)])
 
@@ -237,8 +223,9 @@ def _priors(linear: LinearSystem, goes: Mask, values: Values) -> Iterator[Margin
     row, column = np.nonzero(whole[:, :-1])
     joins = (moves | goes)[owner[column]]  # what stays and no motion moves joins no two parts
     label = connected(owner[column[joins]], len(goes) + row[joins], len(goes) + pattern.m)
-    for part in np.unique(label[: len(goes)][goes]).tolist():
-        leaves, rows = goes & (label[: len(goes)] == part), label[len(goes) :] == part
+    of_variable, of_row = np.split(label, [len(goes)])
+    for part in np.unique(of_variable[goes]).tolist():
+        leaves, rows = goes & (of_variable == part), of_row == part
         stays = ~goes & np.isin(np.arange(len(goes)), owner[whole[rows, :-1].any(axis=0)])
         columns = np.concatenate([np.flatnonzero(leaves[owner]), np.flatnonzero(stays[owner])])
         e, dense = int(pattern.dims[leaves].sum()), whole[rows][:, [*columns, -1]]
@@ -246,15 +233,15 @@ def _priors(linear: LinearSystem, goes: Mask, values: Values) -> Iterator[Margin
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
         if len(pivots) < e or (pivots <= 1e-12 * lengths).any():  # rounding of 0
             free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
-            raise UnderconstrainedError(
-                f"{', '.join(map(repr, free))} cannot leave the window: the measurements so far do not determine all "
-                "of it. Keep it longer (a larger lag), or add what is known of it as a Prior",
-                free,
-            )
-        near = [pattern.key(k) for k in np.flatnonzero(stays).tolist()]
+            cause = "the measurements so far do not determine all of it"
+            cure = "Keep it longer (a larger lag), or add what is known of it as a Prior"
+            raise UnderconstrainedError(f"{', '.join(map(repr, free))} cannot leave the window: {cause}. {cure}", free)
+        of_kind = dict(zip(pattern.numbers, np.split(stays, [*pattern.offsets.values()][1:]), strict=True))
+        near = [key for kind, mask in of_kind.items() for key in Keys(kind, pattern.numbers[kind][mask])]
         left = triangle[e : len(columns)]  # below is the constant alone
         if near and len(left):
-            X0, slots = [values[key] for key in near], tuple(k for k, key in enumerate(near) if key.kind in unmoved)
+            X0 = [X for kind, mask in of_kind.items() for X in values.stacks[kind].X[mask]]
+            slots = tuple(k for k, key in enumerate(near) if key.kind in unmoved)
             of_part = [batch.model for batch in pattern.batches if rows[batch.rows].any()]
             relative = all(model.factor.relative for model in of_part)
             axes = any(model.factor.knows_axes(model.manifolds) for model in of_part)

@@ -6,7 +6,6 @@ some can be used, some wait for a variable, and some make variables join.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -107,23 +106,19 @@ class Window:
             raise OptionError("landmarks", landmarks, "leave or stay")
         self.lag, self.landmarks = lag, landmarks
         self.behind: list[Factor] = []
-        self._tracks: set[str] = set()  # kinds that odometry joins
-        self._sensors: set[str] = set()  # kinds that a motion of everything does not move
+        self._tracks, self._sensors = set[str](), set[str]()  # kinds that odometry joins; that no common motion moves
         self._left: dict[str, Variables] = {}
 
     def reached(self, factor: Factor) -> Factor | None:
         """The measurements of a factor that are about no pose that left; the others are `behind`."""
         if self.lag is None:
             return factor
-        for slot, keys in enumerate(factor.keys):
-            if slot in factor.unmoved:
-                self._sensors.add(keys.kind)
-            elif any(keys.kind == other.kind for other in factor.keys[:slot]):
-                self._tracks.add(keys.kind)
-        late = np.zeros(len(factor), dtype=bool)
-        for keys in factor.keys:
-            if keys.kind in self._tracks and (left := self._left.get(keys.kind)):
-                late |= left.known(keys)
+        kinds = [keys.kind for keys in factor.keys]
+        moved = [kind for slot, kind in enumerate(kinds) if slot not in factor.unmoved]
+        self._sensors |= {kinds[slot] for slot in factor.unmoved}
+        self._tracks |= {kind for kind in moved if moved.count(kind) > 1}
+        left = [self._left[k.kind].known(k) for k in factor.keys if k.kind in self._tracks & self._left.keys()]
+        late: Mask = np.logical_or.reduce([np.zeros(len(factor), dtype=bool), *left])
         if not late.any():
             return factor
         rest = part(factor, ~late)
@@ -148,15 +143,15 @@ class Window:
         for stack in stacks:
             left = self._left.setdefault(stack.kind, Variables(stack.kind, stack.manifold))
             for number, X in zip(stack.numbers.tolist(), stack.X, strict=True):
-                left.join(number, X, 0)
+                if number in left.place:
+                    left.X[left.place[number]] = X
+                else:
+                    left.join(number, X, 0)
 
     def left(self, variables: dict[str, Variables]) -> Values:
-        """Variables that left, where they were the last time, but for those that came back."""
-        stacks = []
-        for kind, left in self._left.items():
-            if away := [row for number, row in left.place.items() if number not in variables[kind].place]:
-                stacks.append(left.stack(np.array(away)))
-        return Values.of(stacks)
+        """Variables that left, but for those that came back."""
+        away = [(v, ~variables[kind].known(Keys(kind, v.numbers))) for kind, v in self._left.items()]
+        return Values.of(v.stack(mask) for v, mask in away if mask.any())
 
 
 class Arrivals:
@@ -182,12 +177,12 @@ class Arrivals:
             A kind that is in another space here.
         """
         for kind, stack in values.stacks.items():
-            space = self._known.space(kind) or stack.manifold
+            known = self._known
+            space = known.space(kind) or stack.manifold
             if space is not stack.manifold:
                 raise GraphError(f"{kind} is in {space}, its initial values are in {stack.manifold}")
             new = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
-            spaces, starts = self._known.spaces | {kind: space}, self._known.starts | new
-            self._known = replace(self._known, spaces=spaces, starts=starts)
+            self._known = replace(known, spaces=known.spaces | {kind: space}, starts=known.starts | new)
 
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
@@ -200,17 +195,25 @@ class Arrivals:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
         self._pending += [(factor, factor) for factor in factors]
         self.reach()
-        progress = bool(factors)
-        while progress and self._pending:
-            progress = False
-            arrivals: Iterator[New | tuple[Factor, Factor]] = chain(self._usable(), self._joining())
-            for arrival in arrivals:
-                progress = True
-                yield arrival
-            if not progress:
-                new = together(self._known, self._unknown(), [factor for _, factor in self._pending])
-                progress = bool(new)
-                yield from new
+        joined = bool(factors)
+        while joined and self._pending:
+            yield from self._usable()
+            joined = False
+            for new in self._joining():
+                joined = True
+                yield new
+            if not joined:
+                those = together(self._known, self._unknown(), [factor for _, factor in self._pending])
+                joined = bool(those)
+                yield from those
+
+    def leave(self, stacks: list[Stack]) -> None:
+        """Forget starts and waiting measurements of variables that leave."""
+        self._window.leave(stacks)
+        gone = {(stack.kind, number) for stack in stacks for number in stack.numbers.tolist()}
+        starts = {variable: X for variable, X in self._known.starts.items() if variable not in gone}
+        self._known = replace(self._known, starts=starts)
+        self.reach()
 
     def reach(self) -> None:
         """Give up measurements of what left."""
@@ -233,7 +236,9 @@ class Arrivals:
     def _joining(self) -> Iterator[New]:
         """Variables that their measurements to the estimate determine, and the first of all."""
         waiting: dict[str, tuple[Manifold, dict[int, list[Factor]]]] = {}
-        for variable, factors in self._unknown().items():
+        unknown = self._unknown()
+        self._tried = {variable: count for variable, count in self._tried.items() if variable in unknown}
+        for variable, factors in unknown.items():
             key = Keys(*variable)
             measurements = self._touching(key, factors)
             space = self._known.space(key.kind) or self._target_space(measurements)
@@ -248,8 +253,7 @@ class Arrivals:
             elif measurements:
                 self._tried[variable] = count
                 if isinstance(space, Vectors):
-                    of_kind = waiting.setdefault(key.kind, (space, {}))[1]
-                    of_kind[variable[1]] = [factor for factor, _ in measurements]
+                    waiting.setdefault(key.kind, (space, {}))[1][variable[1]] = [factor for factor, _ in measurements]
         for kind, (space, of_kind) in waiting.items():
             yield from points(self._known, kind, space, of_kind)
 
@@ -291,11 +295,8 @@ class Arrivals:
 
     def _target_space(self, touching: list[tuple[Factor, int]]) -> Manifold | None:
         """The space of a point that is seen from poses."""
-        for factor, slot in touching:
-            pose = self._known.space(factor.keys[0].kind)
-            if isinstance(factor, Sighting) and slot == 1 and isinstance(pose, LieGroup):
-                return R(pose.point_dim)
-        return None
+        seers = (self._known.space(f.keys[0].kind) for f, slot in touching if isinstance(f, Sighting) and slot == 1)
+        return next((R(pose.point_dim) for pose in seers if isinstance(pose, LieGroup)), None)
 
 
 def blame(error: LeadlineError, came: list[Factor], given: list[Factor]) -> None:
