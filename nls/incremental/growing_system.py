@@ -27,6 +27,8 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
+FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
+DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
 OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
 LEAST = 0.125  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
 
@@ -49,7 +51,7 @@ class GrowingSystem:
         self._entered: list[int] = []  # measurements of every batch that are in it
         self._age = 0
         self.held: list[Keys] = []
-        self._part = 1.0  # of the last step
+        self._damping = 0.0  # of the next step: lambda of Levenberg
 
     @property
     def values(self) -> Values:
@@ -72,13 +74,18 @@ class GrowingSystem:
         """Whether a kernel weighs some measurements."""
         return any(batch.kernel for batch in self.batches)
 
+    @property
+    def fall_bound(self) -> float:
+        """By how many times its fall in the linear model chi2 may fall."""
+        return DAMPED_BOUND if self._damping else FALL_BOUND
+
     def bound(self, fall: float, last: float = 0.0) -> float:
         """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
         if not self.robust:
-            return FALL_BOUND * fall
+            return self.fall_bound * fall
         # the rate of reweighting is not known in a first pass
         rate = min(fall / last, 0.95) if last > 0 else 0.9
-        return fall * max(FALL_BOUND, 1 / (1 - rate))
+        return fall * max(self.fall_bound, 1 / (1 - rate))
 
     def model(self, factor: Factor) -> Model:
         """A factor in the spaces of its variables."""
@@ -160,10 +167,12 @@ class GrowingSystem:
 
         The preconditioner keeps the columns of what leaves. Its solutions for 0 there are those with the priors.
         """
-        if self._age:
-            self.renew()  # else a heading that is hardly known seems settled before it is
-        elif self._preconditioner is not None:
-            self._refreshed()
+        if self._preconditioner is not None:
+            held = [gone[key.kind][self.variables[key.kind].index(key)].any() for key in self.held if key.kind in gone]
+            if self._age or any(held):
+                self.renew()  # else a heading that is hardly known seems settled before it is
+            else:
+                self._refreshed()
         self.drop(rows)
         self.leave(gone)
         for prior in priors:
@@ -189,8 +198,8 @@ class GrowingSystem:
         """Make the preconditioner anew before the next step."""
         self._preconditioner = None
 
-    def step(self, enough: float) -> tuple[Array, float]:
-        """The step dx with A'A dx = A'b by conjugate gradients, and by how much it lowers |A dx - b|^2.
+    def step(self, enough: float) -> tuple[Array, float, float]:
+        """The step dx with (A'A + damping I) dx = A'b by conjugate gradients, what it promises, and what there is.
 
         Parameters
         ----------
@@ -198,7 +207,9 @@ class GrowingSystem:
 
         Returns
         -------
-        dx, fall : infinite, without a step, where weights differ too much to compute one.
+        dx, fall : by how much it lowers |A dx - b|^2 + damping |dx|^2.
+        whole : by how much |A dx - b|^2 can be lowered; not all of it, where `fall` alone is far more than enough.
+            Infinite, without a step, where weights differ too much to compute one.
 
         Raises
         ------
@@ -206,43 +217,52 @@ class GrowingSystem:
             Something is free.
         """
         if not self.batches:
-            return np.zeros(0), 0.0
+            return np.zeros(0), 0.0, 0.0
         self.catch_up()
         try:
             F = self._refreshed()
         except UnderconstrainedError as error:
             if error.nullity:
                 raise
-            return np.zeros(0), np.inf
+            return np.zeros(0), 0.0, np.inf
+        dx, fall, rest = self._solved(F, 0.0 if self._damping else enough, self._damping)
+        if self._damping and fall <= 2 * enough:
+            _, whole, rest = self._solved(F, enough, 0.0)
+            return dx, fall, whole + rest
+        return dx, fall, fall + rest
+
+    def _solved(self, F: Preconditioner, enough: float, damping: float) -> tuple[Array, float, float]:
+        """A step dx, by how much it lowers |A dx - b|^2 + damping |dx|^2, and how much more a longer search would."""
         rows = [batch.A(F.width) for batch in self.batches]
-        dx = np.zeros(F.width)
         r = _sum([At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)], F.n)
-        z = F.solve(r)
-        rz, d, fall = float(r @ z), z, 0.0
-        if OLD_FALL_BOUND * rz <= enough:
-            return dx, max(OLD_FALL_BOUND * rz, LEAST * enough)
+        dx, fall = np.zeros(F.width), 0.0
+        d = z = F.solve(r)
+        rz = float(r @ z)
         for iteration in range(60):
-            q = _sum([At @ (A @ d) for A, At in rows], F.n)
+            # where more than enough has fallen another step follows anyway: a hundredth may be left
+            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
+                break
+            q = _sum([At @ (A @ d) for A, At in rows], F.n) + damping * d
             alpha = rz / float(d @ q)
             dx += alpha * d
             r -= alpha * q
             fall += alpha * rz
             z = F.solve(r)
             before, rz = rz, float(r @ z)
-            self.iterations += 1
-            self._age += iteration > 0
-            # where more than enough has fallen another step follows anyway: a hundredth may be left
-            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
-                break
             d = z + (rz / before) * d
-        return dx, fall + OLD_FALL_BOUND * rz
+            self.iterations += 1
+            self._age += iteration > 0 and not damping
+        return dx, fall, max(OLD_FALL_BOUND * rz, 0.0 if fall else LEAST * enough)
 
     def move(self, dx: Array, fall: float) -> bool:
         """Move all variables by the whole step, or the first of its halves that lowers chi2 enough; whether one does.
 
+        Halves hold back all variables for one that would go too far. A graph with factors that say so, `Factor.damped`,
+        is damped from then on. That holds back what is poorly determined, as the elevation of a landmark.
+
         Parameters
         ----------
-        dx, fall : the step, and the fall that the linear model promises.
+        dx, fall : of `step`.
 
         Raises
         ------
@@ -250,8 +270,7 @@ class GrowingSystem:
             A function of the user's raised an exception.
         """
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
-        first = min(2 * self._part, 1.0)  # of a step like the last one
-        for part in (*first * 0.5 ** np.arange(8), 0.0):
+        for part in (*0.5 ** np.arange(8), 0.0):
             for kind, v in self.variables.items():
                 step = dx.take(v.columns + np.arange(v.manifold.dim)[:, None]).T
                 v.X[...] = v.manifold.retract(begin[kind], part * step)
@@ -262,9 +281,21 @@ class GrowingSystem:
                     raise
             else:
                 if chi2 - self.chi2 > 0.01 * fall:  # less is no reason for another step
-                    self._part = part
+                    self._damp(part, fall / float(dx @ dx))
                     return True
         return False
+
+    def _damp(self, part: float, begun: float) -> None:
+        """Damp the next step: more than this one where only a part of it was taken, and else less.
+
+        Parameters
+        ----------
+        begun : the damping that costs as much as this step gains.
+        """
+        if part < 1 and any(batch.factor.damped for batch in self.batches):
+            self._damping = max(2 * self._damping, begun)
+        else:
+            self._damping = 0.5 * self._damping if self._damping > 1e-3 * begun else 0.0
 
     def _linearize(self) -> None:
         """All measurements at values that have changed."""

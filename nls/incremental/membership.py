@@ -240,11 +240,12 @@ class Arrivals:
         self._tried = {variable: count for variable, count in self._tried.items() if variable in unknown}
         for variable, factors in unknown.items():
             key = Keys(*variable)
-            measurements = self._touching(key, factors)
-            space = self._known.space(key.kind) or self._target_space(measurements)
-            count = sum(len(factor) for factor, _ in measurements)
+            touching = self._touching(key, factors)
+            space = self._known.space(key.kind) or self._target_space(touching)
+            count = sum(int(mask.sum()) for _, _, mask in touching)
             if space is None or self._tried.get(variable) == count:
                 continue
+            measurements = [(m, slot) for factor, slot, mask in touching if (m := part(factor, mask)) is not None]
             start, empty = self._known.starts.get(variable), not any(map(len, self._known.variables.values()))
             if empty and start is not None and all(factor.relative for factor in factors):
                 yield New(key, space, start)  # the gauge holds it
@@ -282,20 +283,20 @@ class Arrivals:
                 unknown.setdefault(variable, []).append(factor)
         return unknown
 
-    def _touching(self, key: Keys, factors: list[Factor]) -> list[tuple[Factor, int]]:
-        """Measurements between a variable and the estimate, and the slot in which it is."""
+    def _touching(self, key: Keys, factors: list[Factor]) -> list[tuple[Factor, int, Mask]]:
+        """Factors of a variable, its slot, and which measurements (n,) are between it and the estimate."""
         touching = []
         for factor in factors:
             others = np.sum([self._known.has(keys) for keys in factor.keys], axis=0) == len(factor.keys) - 1
             for slot, keys in enumerate(factor.keys):
-                measurements = part(factor, others & (keys.numbers == key.numbers)) if keys.kind == key.kind else None
-                if measurements is not None:
-                    touching.append((measurements, slot))
+                mask: Mask = others & (keys.numbers == key.numbers)
+                if keys.kind == key.kind and mask.any():
+                    touching.append((factor, slot, mask))
         return touching
 
-    def _target_space(self, touching: list[tuple[Factor, int]]) -> Manifold | None:
+    def _target_space(self, touching: list[tuple[Factor, int, Mask]]) -> Manifold | None:
         """The space of a point that is seen from poses."""
-        seers = (self._known.space(f.keys[0].kind) for f, slot in touching if isinstance(f, Sighting) and slot == 1)
+        seers = (self._known.space(f.keys[0].kind) for f, slot, _ in touching if isinstance(f, Sighting) and slot == 1)
         return next((R(pose.point_dim) for pose in seers if isinstance(pose, LieGroup)), None)
 
 

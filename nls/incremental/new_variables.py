@@ -10,7 +10,7 @@ from scipy import sparse as sp
 
 from factors.base import Factor
 from factors.joined import joined
-from factors.keys import Keys, Kind
+from factors.keys import Keys
 from factors.prior import Prior
 from factors.sighting import Sighting
 from models import LieGroup, Manifold
@@ -20,7 +20,8 @@ from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import Variables, part
 from nls.optimizers import LevenbergMarquardt, Stop
-from nls.starts import odometry
+from nls.starts import dead_reckoning, odometry
+from nls.starts.dead_reckoning import walks
 from nls.starts.landmarks import DETERMINED, locate_points, search_elevation
 from nls.values import Stack, Values
 
@@ -76,8 +77,13 @@ class Known:
         variables = self.variables.get(keys.kind)
         return np.zeros((0, 0)) if variables is None else np.asarray(variables.X[variables.index(keys)])
 
-    def values(self, graph: FactorGraph, starts: dict[Variable, Array]) -> Values:
-        """Of the variables of a graph: those of the estimate, which are held there, and those with a start."""
+    def values(self, graph: FactorGraph, starts: dict[Variable, Array], new: Manifold | None = None) -> Values:
+        """Of the variables of a graph: those of the estimate, which are held there, and those with a start.
+
+        Parameters
+        ----------
+        new : the space of kinds that are not known yet.
+        """
         X: dict[str, dict[int, Array]] = {}
         for keys in (keys for factor in graph.factors for keys in factor.keys):
             known = self.has(keys)
@@ -87,7 +93,7 @@ class Known:
             of_kind |= {n: starts[keys.kind, n] for n in keys.numbers[~known].tolist() if (keys.kind, n) in starts}
         stacks = []
         for kind, of_kind in X.items():
-            if of_kind and (space := self.space(kind)) is not None:
+            if of_kind and (space := self.space(kind) or new) is not None:
                 numbers = sorted(of_kind)
                 stacks.append(Stack(kind, space, np.stack([of_kind[n] for n in numbers]), np.array(numbers)))
         return Values.of(stacks)
@@ -129,16 +135,19 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
 def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, factors: list[Factor]) -> New | None:
     """Where all measurements between it and the estimate put a variable; None where they leave something free."""
     graph = FactorGraph(factors)
-    held = known.values(graph, {})
-    starts = [stack.X[-1] for stack in held.stacks.values() if stack.manifold is space] if start is None else [start]
+    stacks = known.values(graph, {}).stacks.values()
+    starts = [stack.X[-1] for stack in stacks if stack.manifold is space] if start is None else [start]
     for begin in starts:
-        try:
-            result = graph.optimize(_with(held, key, space, begin[None]), gauge="none")
-            H = graph.linearize(result.values).H
-        except (UnderconstrainedError, EvaluationError):
-            continue
-        if result.converged and _full_rank(H):
-            return New(key, space, result.values[key[0]])
+        values = known.values(graph, {(key.kind, int(key.numbers[0])): begin}, space)
+        with suppress(UnderconstrainedError, EvaluationError, SingularGeometryError):
+            if start is None and walks(graph):  # near enough: all settle with it
+                values = dead_reckoning(graph, values)
+            elif (result := graph.optimize(values, gauge="none")).converged:
+                values = result.values
+            else:
+                continue
+            if _full_rank(graph.linearize(values).H):
+                return New(key, space, values[key[0]])
     return None
 
 
@@ -147,19 +156,19 @@ def points(known: Known, kind: str, space: Manifold, measurements: dict[int, lis
     starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
     if missing := [number for number in measurements if number not in starts]:
         graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])
-        values = _with(known.values(graph, {}), Keys(kind, missing), space, np.zeros((len(missing), space.size)))
+        values = known.values(graph, dict.fromkeys([(kind, n) for n in missing], np.zeros(space.size)), space)
         located = locate_points(graph, search_elevation(graph, values))[Keys(kind, missing)]
         starts |= {number: X for number, X in zip(missing, located, strict=True) if X.any()}
     if not starts:
         return []
     graph = _joined(known, space, [factor for number in starts for factor in measurements[number]])
-    values = _with(known.values(graph, {}), Keys(kind, [*starts]), space, np.stack([*starts.values()]))
+    values = known.values(graph, {(kind, n): X for n, X in starts.items()}, space)
     try:
         H, d = sp.csr_array(graph.linearize(values).H), space.dim
     except (EvaluationError, SingularGeometryError):
         return []
-    known_well = [_full_rank(H[d * k : d * (k + 1), d * k : d * (k + 1)]) for k in range(len(starts))]
-    return [New(Keys(kind, n), space, X) for (n, X), good in zip(starts.items(), known_well, strict=True) if good]
+    whole = [_full_rank(H[d * k : d * (k + 1), d * k : d * (k + 1)]) for k in range(len(starts))]
+    return [New(Keys(kind, n), space, X) for (n, X), good in zip(sorted(starts.items()), whole, strict=True) if good]
 
 
 def _joined(known: Known, space: Manifold, factors: list[Factor]) -> FactorGraph:
@@ -172,15 +181,6 @@ def _full_rank(H: Any) -> bool:
     dense = H.toarray()
     scale = np.sqrt(dense.diagonal())
     return bool(scale.all() and np.linalg.eigvalsh(dense / np.outer(scale, scale))[0] > DETERMINED)
-
-
-def _with(values: Values, keys: Keys, space: Manifold, X: Array) -> Values:
-    """Values, and more variables of a kind."""
-    if keys.kind in values.stacks:
-        return values.extended(keys, X)
-    more = Values.of([*values.stacks.values()])
-    more.add(Kind(keys.kind), space, X, keys.numbers)
-    return more
 
 
 def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -> list[New]:
