@@ -111,23 +111,22 @@ class Variables:
         self._X.append(value[None], 1)
         self._columns.append(np.array([column]), 1)
 
-    def mark(self) -> tuple[Array, Numbers, Index]:
-        """Values, numbers and columns as they are."""
-        return self.X.copy(order="F"), self.numbers, self.columns.copy()
-
-    def back_to(self, mark: tuple[Array, Numbers, Index]) -> None:
-        """Be as at a mark."""
-        for part, rows in zip((self._X, self._numbers, self._columns), mark, strict=True):
-            part.put(rows)
-        self._find()
+    def put(self, X: Array) -> None:
+        """Have other values (n, size); who holds the old ones keeps them."""
+        self._X.put(X)
 
     def drop(self, rows: Mask) -> None:
         """Forget some of them (n,)."""
-        for part in (self._X, self._numbers, self._columns):
+        for part in self.parts():
             part.drop(rows)
-        self._find()
+        self.find()
 
-    def _find(self) -> None:
+    def parts(self) -> tuple[Growing, ...]:
+        """Everything that has a row a variable."""
+        return self._X, self._numbers, self._columns
+
+    def find(self) -> None:
+        """Take the row of every number anew."""
         self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
 
     def known(self, keys: Keys) -> Mask:
@@ -182,7 +181,7 @@ class GrowingBatch:
         self._W = Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
         self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
         self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
-        self._linearized, self.total = 0, 0.0
+        self._linearized, self._entered, self.total = 0, 0, 0.0
         self._sparse: tuple[sp.csr_array, sp.csc_array] | None = None
 
     def __len__(self) -> int:
@@ -216,19 +215,6 @@ class GrowingBatch:
             rows.grow(n)
         self._sparse = None
 
-    def mark(self) -> tuple[Any, ...]:
-        """Measurements that are there: rows of A and b are not copied, and follow later linearizations."""
-        return self.given, len(self.given), self._linearized, [own.rows for own in self._parts()]
-
-    def back_to(self, mark: tuple[Any, ...]) -> None:
-        """Be as at a mark; the variables are."""
-        self.given, count, self._linearized, parts = mark
-        del self.given[count:]
-        for own, rows in zip(self._parts(), parts, strict=True):
-            own.put(rows)
-        self.place()
-        self.linearize(slice(0, self._linearized))
-
     def touches(self, of: dict[str, Mask]) -> Mask:
         """Which measurements (n,) are about some of the variables, by kind; of an opaque factor all or none."""
         touched = np.zeros(len(self), dtype=bool)
@@ -244,14 +230,13 @@ class GrowingBatch:
     def drop(self, rows: Mask) -> None:
         """Forget some measurements (n,)."""
         of = np.repeat(np.arange(len(self.given)), [len(factor) for _, factor in self.given])
-        self.given = [*self.given]  # marks have the other list
         for k in np.unique(of[rows])[::-1].tolist():
             given, factor = self.given[k]
             rest = part(factor, ~rows[of == k])
             self.given[k : k + 1] = [] if rest is None else [(given, rest)]
         self._linearized -= int(np.count_nonzero(rows[: self._linearized]))
         self._sparse = None
-        for own in self._parts():
+        for own in self.parts():
             own.drop(rows)
         self.total = float(self._cost.rows.sum())
 
@@ -261,7 +246,7 @@ class GrowingBatch:
             if v.kind in rows:
                 index.put(rows[v.kind][index.rows])
 
-    def _parts(self) -> Iterator[Growing]:
+    def parts(self) -> Iterator[Growing]:
         """Everything that has a row a measurement."""
         yield from (*self._index, *self._own.values())
         yield from (self._z, self._W, self._A, self._columns, self._b, self._cost)
@@ -274,6 +259,11 @@ class GrowingBatch:
             self.linearize(rows)
             self._linearized = len(self)
         return float(self._cost.rows[rows].sum())
+
+    def catch_up_again(self) -> None:
+        """Linearize all that was linearized, with the columns and at the values of now."""
+        self.place()
+        self.linearize(slice(0, self._linearized))
 
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
@@ -324,9 +314,9 @@ class GrowingBatch:
             self._sparse = A, At
         return self._sparse
 
-    def new_rows(self, begin: int) -> tuple[Array, npt.NDArray[np.int32]]:
-        """Rows of A and their columns (k, D) of the measurements from one on."""
-        D = self._A.rows.shape[2]
+    def new_rows(self) -> tuple[Array, npt.NDArray[np.int32]]:
+        """Rows of A and their columns (k, D) of the measurements that came since the last call."""
+        D, begin, self._entered = self._A.rows.shape[2], self._entered, len(self)
         return self._A.rows[begin:].reshape(-1, D), self._columns.rows[begin:].reshape(-1, D)
 
     def blocks(self, rows: slice | Mask = slice(None)) -> tuple[Array, ...]:

@@ -5,7 +5,8 @@ conjugate gradients on the exact A. Its age costs iterations, not accuracy. A ne
 iterations due to its age have cost as much as making it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,6 @@ class GrowingSystem:
         self.batches: list[GrowingBatch] = []
         self.iterations = self.factorizations = 0
         self._preconditioner: Preconditioner | None = None
-        self._entered: list[int] = []  # measurements of every batch that are in it
         self._age = 0
         self.held: list[Keys] = []
         self._damping = 0.0  # of the next step: lambda of Levenberg
@@ -81,10 +81,8 @@ class GrowingSystem:
 
     def bound(self, fall: float, last: float = 0.0) -> float:
         """The gap, from a fall: under kernels with those to come, at the rate from the last to this one."""
-        if not self.robust:
-            return self.fall_bound * fall
         # the rate of reweighting is not known in a first pass
-        rate = min(fall / last, 0.95) if last > 0 else 0.9
+        rate = 0.0 if not self.robust else min(fall / last, 0.95) if last > 0 else 0.9
         return fall * max(self.fall_bound, 1 / (1 - rate))
 
     def model(self, factor: Factor) -> Model:
@@ -94,7 +92,7 @@ class GrowingSystem:
     def put(self, values: Values) -> None:
         """Take other values."""
         for kind, stack in values.stacks.items():
-            self.variables[kind].X[...] = stack.X
+            self.variables[kind].put(stack.X)
         self._linearize()
         self.renew()
 
@@ -116,7 +114,6 @@ class GrowingSystem:
         if batch is None:
             batch = GrowingBatch(model, variables)
             self.batches.append(batch)
-            self._entered.append(0)
         poses = any(self.variables[key.kind].manifold.body_axes for key in self.held)
         if self.held and (not factor.relative or (poses and factor.knows_axes(model.manifolds))):
             self.held = []  # what was held for the gauge may move now
@@ -127,27 +124,30 @@ class GrowingSystem:
         """Linearize what has come; its cost."""
         return sum(batch.catch_up() for batch in self.batches)
 
-    def mark(self) -> tuple[Any, ...]:
-        """Attributes, variables, batches, and how much is in the preconditioner."""
-        state = {**kept(self), "variables": self.variables}  # others have it, too
-        variables = {kind: v.mark() for kind, v in self.variables.items()}
-        F = self._preconditioner
-        return state, variables, [batch.mark() for batch in self.batches], (F.used, F.rows) if F else (0, 0)
+    def restorer(self) -> Callable[[], None]:
+        """What makes all as it is now; the preconditioner anew where it has taken rows, or is another since."""
+        variables, kinds, batches = self.variables, {*self.variables}, [*self.batches]  # others have the variables, too
+        tables: list[Variables | GrowingBatch] = [*variables.values(), *batches]
+        parts = [self, *batches, *chain.from_iterable(table.parts() for table in tables)]
+        states, F = [kept(part) for part in parts], self._preconditioner
+        used, rows = (F.used, F.rows) if F else (0, 0)
 
-    def back_to(self, mark: tuple[Any, ...]) -> None:
-        """Be as at a mark; the preconditioner is made anew where it has taken rows since."""
-        state, variables, batches, (used, rows) = mark
-        vars(self).update(state)
-        for kind in set(self.variables) - set(variables):
-            del self.variables[kind]
-        for kind, were in variables.items():
-            self.variables[kind].back_to(were)
-        for batch, measurements in zip(self.batches, batches, strict=True):
-            batch.back_to(measurements)
-        if (F := self._preconditioner) and F.rows == rows:
-            F.used = used
-        else:
-            self.renew()
+        def restore() -> None:
+            is_same = F is not None and self._preconditioner is F and F.rows == rows
+            for part, state in zip(parts, states, strict=True):
+                vars(part).update(state)
+            self.variables = variables
+            for kind in variables.keys() - kinds:
+                del variables[kind]
+            for v in variables.values():
+                v.find()
+            for batch in batches:
+                batch.catch_up_again()
+            self._preconditioner = F if is_same else None
+            if F is not None:
+                F.used = used
+
+        return restore
 
     @property
     def given(self) -> list[tuple[Factor, Factor]]:
@@ -178,7 +178,8 @@ class GrowingSystem:
         for prior in priors:
             self.enter(prior, prior)
         self.catch_up()
-        self._entered = [len(batch) for batch in self.batches]
+        for batch in self.batches:
+            batch.new_rows()
 
     def leave(self, gone: dict[str, Mask]) -> None:
         """Take out variables (n,) by kind that no measurement is about."""
@@ -269,11 +270,11 @@ class GrowingSystem:
         EvaluationError
             A function of the user's raised an exception.
         """
-        chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
+        chi2, begin = self.chi2, {kind: v.X for kind, v in self.variables.items()}
         for part in (*0.5 ** np.arange(8), 0.0):
             for kind, v in self.variables.items():
                 step = dx.take(v.columns + np.arange(v.manifold.dim)[:, None]).T
-                v.X[...] = v.manifold.retract(begin[kind], part * step)
+                v.put(v.manifold.retract(begin[kind], part * step))
             try:
                 self._linearize()
             except (EvaluationError, SingularGeometryError) as error:
@@ -308,11 +309,8 @@ class GrowingSystem:
         if self._preconditioner is None or self._age > 20:  # iterations beyond the first of every solution
             self._preconditioner = self._factorized()
         else:
-            F = self._preconditioner
-            for batch, n in zip(self.batches, self._entered, strict=True):
-                if n < len(batch):
-                    F.add(*batch.new_rows(n))
-        self._entered = [len(batch) for batch in self.batches]
+            for batch in self.batches:
+                self._preconditioner.add(*batch.new_rows())
         return self._preconditioner
 
     def _factorized(self) -> Preconditioner:
@@ -340,6 +338,7 @@ class GrowingSystem:
             variables.columns[:] = position[pattern.starts[begin : begin + len(variables)]]
         for batch in self.batches:
             batch.place()
+            batch.new_rows()
         return preconditioner
 
 

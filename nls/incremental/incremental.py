@@ -160,7 +160,7 @@ class Incremental:
             undo.callback(vars(self).update, gap=self.gap, _undecided=self._undecided)
             for part in (self._decision, self._window, self._arrivals):
                 undo.callback(vars(part).update, kept(part))
-            undo.callback(self._system.back_to, self._system.mark())
+            undo.callback(self._system.restorer())
             yield
             undo.pop_all()
 

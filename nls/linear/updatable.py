@@ -154,6 +154,8 @@ class Preconditioner:
 
     def add(self, A: Array, columns: npt.NDArray[np.int32]) -> None:
         """Add rows of A (k, D), and their columns (k, D)."""
+        if not len(A):
+            return
         self.rows += len(A)
         free = columns < self.n
         indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))]).astype(np.int32)

@@ -201,8 +201,9 @@ HELD = {  # by a checkpoint of version 3: with other attributes it is another ve
     "Arrivals": "_known _window _pending _tried",
     "Decision": "every rejected _new",
     "Growing": "rows room order",
-    "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized total _sparse",
-    "GrowingSystem": "variables batches iterations factorizations _preconditioner _entered _age held _damping",
+    "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized _entered total "
+    "_sparse",
+    "GrowingSystem": "variables batches iterations factorizations _preconditioner _age held _damping",
     "Known": "variables spaces starts",
     "Preconditioner": "used rows n width _begun _added _by_columns",
     "Variables": "kind manifold place _X _numbers _columns",
