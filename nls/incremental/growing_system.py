@@ -6,7 +6,6 @@ iterations due to its age have cost as much as making it.
 """
 
 from collections.abc import Callable, Iterable
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -128,14 +127,15 @@ class GrowingSystem:
         """What makes all as it is now; the preconditioner anew where it has taken rows, or is another since."""
         variables, kinds, batches = self.variables, {*self.variables}, [*self.batches]  # others have the variables, too
         tables: list[Variables | GrowingBatch] = [*variables.values(), *batches]
-        parts = [self, *batches, *chain.from_iterable(table.parts() for table in tables)]
-        states, F = [kept(part) for part in parts], self._preconditioner
+        states = [(thing, kept(thing)) for thing in (self, *batches)]
+        states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
+        F = self._preconditioner
         used, rows = (F.used, F.rows) if F else (0, 0)
 
         def restore() -> None:
             is_same = F is not None and self._preconditioner is F and F.rows == rows
-            for part, state in zip(parts, states, strict=True):
-                vars(part).update(state)
+            for thing, state in states:
+                vars(thing).update(state)
             self.variables = variables
             for kind in variables.keys() - kinds:
                 del variables[kind]
