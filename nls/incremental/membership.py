@@ -186,26 +186,21 @@ class Arrivals:
 
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
-        known = self._known
-        if not (factor.relative and factor.knows_axes(tuple([known.space(keys.kind) for keys in factor.keys]))):
-            return not factor.relative
-        return any(known.space(kind) in (SE2, SE3) for kind in {*known.variables, *known.spaces})
+        spaces = tuple([self._known.space(keys.kind) for keys in factor.keys])
+        poses = any(space in (SE2, SE3) for space in self._known.spaces.values())  # only who offers starts has poses
+        return not factor.relative or (poses and factor.knows_axes(spaces))
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
         self._pending += [(factor, factor) for factor in factors]
         self.reach()
-        joined = bool(factors)
-        while joined and self._pending:
+        before = None if factors else self._known.count
+        while self._pending and self._known.count != before:
+            before = self._known.count
             yield from self._usable()
-            joined = False
-            for new in self._joining():
-                joined = True
-                yield new
-            if not joined:
-                those = together(self._known, self._unknown(), [factor for _, factor in self._pending])
-                joined = bool(those)
-                yield from those
+            yield from self._joining()
+            if self._known.count == before:
+                yield from together(self._known, self._unknown(), [factor for _, factor in self._pending])
 
     def leave(self, stacks: list[Stack]) -> None:
         """Forget starts and waiting measurements of variables that leave."""
@@ -225,12 +220,10 @@ class Arrivals:
         pending, self._pending = self._pending, []
         for given, factor in pending:
             ready = self._known.ready(factor)
-            usable: Factor | None = factor
-            if not all(ready):
-                mask = np.array(ready)
-                usable = part(factor, mask)
-                self._pending.append((given, factor if usable is None else factor[~mask]))
-            if usable is not None and ready:
+            usable = part(factor, ready)
+            if not ready.all():
+                self._pending.append((given, factor if usable is None else factor[~ready]))
+            if usable is not None:
                 yield given, usable
 
     def _joining(self) -> Iterator[New]:
@@ -246,8 +239,8 @@ class Arrivals:
             if space is None or self._tried.get(variable) == count:
                 continue
             measurements = [(m, slot) for factor, slot, mask in touching if (m := part(factor, mask)) is not None]
-            start, empty = self._known.starts.get(variable), not any(map(len, self._known.variables.values()))
-            if empty and start is not None and all(factor.relative for factor in factors):
+            start = self._known.starts.get(variable)
+            if not self._known.count and start is not None and all(factor.relative for factor in factors):
                 yield New(key, space, start)  # the gauge holds it
             elif (new := alone(self._known, key, space, measurements)) is not None:
                 yield new

@@ -1,8 +1,9 @@
 """Where a new variable begins, once its measurements determine it: by one of them, by all of them, or with others."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -54,23 +55,28 @@ class Known:
     spaces: dict[str, Manifold] = field(default_factory=dict)
     starts: dict[Variable, Array] = field(default_factory=dict)
 
+    @property
+    def count(self) -> int:
+        """How many variables are in the estimate."""
+        return sum(map(len, self.variables.values()))
+
     def space(self, kind: str) -> Manifold | None:
         """The space of a kind, if that is known."""
         return self.variables[kind].manifold if kind in self.variables else self.spaces.get(kind)
 
-    def has(self, keys: Keys) -> Mask:
-        """Which variables (k,) are in the estimate."""
-        variables = self.variables.get(keys.kind)
-        return np.zeros(len(keys), dtype=bool) if variables is None else variables.known(keys)
+    def has(self, keys: Keys, starts: Container[Variable] = ()) -> Mask:
+        """Which variables (k,) are in the estimate, or have one of some starts."""
+        place, kind = self.place(keys.kind), keys.kind
+        return np.array([n in place or (kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
 
     def place(self, kind: str) -> dict[int, int]:
         """Rows of the variables of a kind that are in the estimate, by number."""
         return self.variables[kind].place if kind in self.variables else {}
 
-    def ready(self, factor: Factor) -> list[bool]:
-        """Which measurements (n,) of a factor are about variables of the estimate alone."""
-        slots = [map(self.place(keys.kind).__contains__, keys.numbers.tolist()) for keys in factor.keys]
-        return [*map(all, zip(*slots, strict=True))]
+    def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
+        """Which measurements (n,) of a factor are about such variables alone."""
+        ready: Mask = np.logical_and.reduce([self.has(keys, starts) for keys in factor.keys])
+        return ready
 
     def value(self, keys: Keys) -> Array:
         """(k, size) of variables of the estimate."""
@@ -187,10 +193,7 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
     """Variables with start values that their measurements determine together, at the optimum of these."""
     starts = {variable: known.starts[variable] for variable in waiting if variable in known.starts}
     while starts:
-        there = [[known.has(k) | [(k.kind, n) in starts for n in k.numbers.tolist()] for k in f.keys] for f in factors]
-        masks = [np.logical_and.reduce(slots) for slots in there]
-        parts = [part(factor, mask) for factor, mask in zip(factors, masks, strict=True)]
-        graph = FactorGraph([factor for factor in parts if factor is not None])
+        graph = FactorGraph([m for factor in factors if (m := part(factor, known.ready(factor, starts))) is not None])
         if not graph.factors:
             return []
         try:
@@ -202,9 +205,10 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
         except EvaluationError:
             return []
         else:
-            stacks = result.values.stacks if result.converged else {}
-            new = [Keys(kind, n) for kind, n in starts if kind in stacks and n in stacks[kind].numbers]
-            return [New(key, stacks[key.kind].manifold, result.values[key[0]]) for key in new]
+            values = result.values if result.converged else Values()
+            return [
+                New(key, values.stack(key.kind).manifold, values[key]) for key in starmap(Keys, starts) if key in values
+            ]
     return []
 
 
