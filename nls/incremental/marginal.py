@@ -27,7 +27,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Mask
-from models.errors import GraphError, UnderconstrainedError
+from models.errors import UnderconstrainedError
 from models.sensors import seen_from
 from nls.incremental.growing_system import GrowingSystem
 from nls.sparse.elimination import connected
@@ -94,7 +94,7 @@ class MarginalPrior(Factor):
         super().__init__(keys, z, Isotropic(1.0))
         A, X0 = np.asarray(A, dtype=float), tuple(np.asarray(x0, dtype=float) for x0 in X0)
         if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
-            raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
+            raise self._refusal(f"expected A (m, D), and a value in X0 for each of {len(keys)} variables")
         self.slots, self.X0, self.A, self.unmoved = (None,) * len(keys), X0, A, unmoved
         self.relative, self.axes = bool(relative), bool(axes)
         self._charts: dict[tuple[Manifold, ...], list[_Chart]] = {}  # by spaces; copies of the prior share it
@@ -108,8 +108,7 @@ class MarginalPrior(Factor):
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         D, sizes = sum(manifold.dim for manifold in manifolds), [x0.shape for x0 in self.X0]
         if self.A.shape[1] != D or sizes != [(manifold.size,) for manifold in manifolds]:
-            given = f"A has shape {self.A.shape}, X0 has {sizes}"
-            raise GraphError(f"{self!r}: {given}; they do not fit {manifolds}", self.keys)
+            raise self._refusal(f"A has shape {self.A.shape}, X0 has {sizes}; they do not fit {manifolds}")
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
@@ -229,18 +228,16 @@ def _priors(linear: LinearSystem, goes: Mask, values: Values) -> Iterator[Margin
         stays = ~goes & np.isin(np.arange(len(goes)), owner[whole[rows, :-1].any(axis=0)])
         columns = np.concatenate([np.flatnonzero(leaves[owner]), np.flatnonzero(stays[owner])])
         e, dense = int(pattern.dims[leaves].sum()), whole[rows][:, [*columns, -1]]
+        free, near = ([pattern.key(k) for k in np.flatnonzero(mask).tolist()] for mask in (leaves, stays))
         triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
         pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
         if len(pivots) < e or (pivots <= 1e-12 * lengths).any():  # rounding of 0
-            free = [pattern.key(k) for k in np.flatnonzero(leaves).tolist()]
             cause = "the measurements so far do not determine all of it"
             cure = "Keep it longer (a larger lag), or add what is known of it as a Prior"
             raise UnderconstrainedError(f"{', '.join(map(repr, free))} cannot leave the window: {cause}. {cure}", free)
-        of_kind = dict(zip(pattern.numbers, np.split(stays, [*pattern.offsets.values()][1:]), strict=True))
-        near = [key for kind, mask in of_kind.items() for key in Keys(kind, pattern.numbers[kind][mask])]
         left = triangle[e : len(columns)]  # below is the constant alone
         if near and len(left):
-            X0 = [X for kind, mask in of_kind.items() for X in values.stacks[kind].X[mask]]
+            X0 = [values[key] for key in near]
             slots = tuple(k for k, key in enumerate(near) if key.kind in unmoved)
             of_part = [batch.model for batch in pattern.batches if rows[batch.rows].any()]
             relative = all(model.factor.relative for model in of_part)
