@@ -228,12 +228,12 @@ class Arrivals:
 
     def _joining(self) -> Iterator[New]:
         """Variables that their measurements to the estimate determine, and the first of all."""
-        waiting: dict[str, tuple[Manifold, dict[int, list[Factor]]]] = {}
+        waiting: dict[tuple[str, Manifold], dict[Variable, list[Factor]]] = {}
         unknown = self._unknown()
         self._tried = {variable: count for variable, count in self._tried.items() if variable in unknown}
         for variable, factors in unknown.items():
             key = Keys(*variable)
-            touching = self._touching(key, factors)
+            touching = [*self._touching(key, factors)]
             space = self._known.space(key.kind) or self._target_space(touching)
             count = sum(int(mask.sum()) for _, _, mask in touching)
             if space is None or self._tried.get(variable) == count:
@@ -247,9 +247,9 @@ class Arrivals:
             elif measurements:
                 self._tried[variable] = count
                 if isinstance(space, Vectors):
-                    waiting.setdefault(key.kind, (space, {}))[1][variable[1]] = [factor for factor, _ in measurements]
-        for kind, (space, of_kind) in waiting.items():
-            yield from points(self._known, kind, space, of_kind)
+                    waiting.setdefault((key.kind, space), {})[variable] = [factor for factor, _ in measurements]
+        for (_, space), of_kind in waiting.items():
+            yield from points(self._known, space, of_kind)
 
     @property
     def pending(self) -> tuple[Factor, ...]:
@@ -270,22 +270,19 @@ class Arrivals:
         """Variables that wait, in the order of their measurements, and the factors these are in."""
         unknown: dict[Variable, list[Factor]] = {}
         for _, factor in self._pending:
-            places = [(keys, self._known.place(keys.kind)) for keys in factor.keys]
-            waits = ((keys.kind, n) for keys, place in places for n in keys.numbers.tolist() if n not in place)
+            waits = ((k.kind, n) for k in factor.keys for n in k.numbers[~self._known.has(k)].tolist())
             for variable in dict.fromkeys(waits):
                 unknown.setdefault(variable, []).append(factor)
         return unknown
 
-    def _touching(self, key: Keys, factors: list[Factor]) -> list[tuple[Factor, int, Mask]]:
+    def _touching(self, key: Keys, factors: list[Factor]) -> Iterator[tuple[Factor, int, Mask]]:
         """Factors of a variable, its slot, and which measurements (n,) are between it and the estimate."""
-        touching = []
         for factor in factors:
             others = np.sum([self._known.has(keys) for keys in factor.keys], axis=0) == len(factor.keys) - 1
             for slot, keys in enumerate(factor.keys):
                 mask: Mask = others & (keys.numbers == key.numbers)
                 if keys.kind == key.kind and mask.any():
-                    touching.append((factor, slot, mask))
-        return touching
+                    yield factor, slot, mask
 
     def _target_space(self, touching: list[tuple[Factor, int, Mask]]) -> Manifold | None:
         """The space of a point that is seen from poses."""

@@ -3,11 +3,8 @@
 from collections.abc import Container, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import starmap
-from typing import Any
 
 import numpy as np
-from scipy import sparse as sp
 
 from factors.base import Factor
 from factors.joined import joined
@@ -20,6 +17,7 @@ from models.errors import EvaluationError, SingularGeometryError, Underconstrain
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import Variables, part
+from nls.linear.null_space import own_information
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import dead_reckoning, odometry
 from nls.starts.dead_reckoning import walks
@@ -66,12 +64,8 @@ class Known:
 
     def has(self, keys: Keys, starts: Container[Variable] = ()) -> Mask:
         """Which variables (k,) are in the estimate, or have one of some starts."""
-        place, kind = self.place(keys.kind), keys.kind
+        kind, place = keys.kind, self.variables[keys.kind].place if keys.kind in self.variables else {}
         return np.array([n in place or (kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
-
-    def place(self, kind: str) -> dict[int, int]:
-        """Rows of the variables of a kind that are in the estimate, by number."""
-        return self.variables[kind].place if kind in self.variables else {}
 
     def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
         """Which measurements (n,) of a factor are about such variables alone."""
@@ -121,9 +115,8 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
     """Where the first of some measurements puts the variable of a slot; None where it does not say."""
     if factor.opaque:
         return None
-    spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(factor.keys)]
-    model = factor.bind(*spaces)
-    W = model.W[0]
+    model = factor.bind(*(known.space(keys.kind) or space for keys in factor.keys))
+    spaces, W = model.manifolds, model.W[0]
     if model.dim < space.dim or not (W.all() if W.ndim == 1 else np.linalg.det(W)):
         return None
     if isinstance(factor, Prior) and factor.offset is None:
@@ -152,41 +145,40 @@ def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, f
                 values = result.values
             else:
                 continue
-            if _full_rank(graph.linearize(values).H):
+            if _full_rank(graph.linearize(values).H.toarray()):
                 return New(key, space, values[key[0]])
     return None
 
 
-def points(known: Known, kind: str, space: Manifold, measurements: dict[int, list[Factor]]) -> list[New]:
+def points(known: Known, space: Manifold, measurements: dict[Variable, list[Factor]]) -> list[New]:
     """Points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
-    starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
-    if missing := [number for number in measurements if number not in starts]:
-        graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])
-        values = known.values(graph, dict.fromkeys([(kind, n) for n in missing], np.zeros(space.size)), space)
-        located = locate_points(graph, search_elevation(graph, values))[Keys(kind, missing)]
-        starts |= {number: X for number, X in zip(missing, located, strict=True) if X.any()}
-    if not starts:
-        return []
-    graph = _joined(known, space, [factor for number in starts for factor in measurements[number]])
-    values = known.values(graph, {(kind, n): X for n, X in starts.items()}, space)
-    try:
-        H, d = sp.csr_array(graph.linearize(values).H), space.dim
-    except (EvaluationError, SingularGeometryError):
-        return []
-    whole = [_full_rank(H[d * k : d * (k + 1), d * k : d * (k + 1)]) for k in range(len(starts))]
-    return [New(Keys(kind, n), space, X) for (n, X), good in zip(sorted(starts.items()), whole, strict=True) if good]
+    starts = {variable: known.starts[variable] for variable in measurements if variable in known.starts}
+    if missing := {variable: np.zeros(space.size) for variable in measurements if variable not in starts}:
+        graph, values = _few_batches(known, space, measurements, missing)
+        located = locate_points(graph, search_elevation(graph, values))
+        starts |= {variable: X for variable in missing if (X := located[Keys(*variable)]).any()}
+    graph, values = _few_batches(known, space, measurements, starts)
+    with suppress(EvaluationError, SingularGeometryError):
+        system = graph.linearize(values)
+        whole = _full_rank(own_information(system, np.flatnonzero(~system.pattern.held), space.dim))
+        return [New(Keys(*v), space, X) for (v, X), good in zip(sorted(starts.items()), whole, strict=True) if good]
+    return []
 
 
-def _joined(known: Known, space: Manifold, factors: list[Factor]) -> FactorGraph:
-    """A graph of few batches; kinds that are not known yet are in a space."""
-    return FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
+def _few_batches(
+    known: Known, space: Manifold, measurements: dict[Variable, list[Factor]], starts: dict[Variable, Array]
+) -> tuple[FactorGraph, Values]:
+    """The measurements of points that have starts, and all values; kinds that are not known yet are in a space."""
+    factors = [factor for variable in starts for factor in measurements[variable]]
+    graph = FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
+    return graph, known.values(graph, starts, space)
 
 
-def _full_rank(H: Any) -> bool:
-    """Whether no direction is free, with the diagonal scaled to ones."""
-    dense = H.toarray()
-    scale = np.sqrt(dense.diagonal())
-    return bool(scale.all() and np.linalg.eigvalsh(dense / np.outer(scale, scale))[0] > DETERMINED)
+def _full_rank(H: Array) -> Mask:
+    """Whether no direction of a matrix (..., d, d) is free, with the diagonal scaled to ones."""
+    length = np.sqrt(np.diagonal(H, axis1=-2, axis2=-1))
+    scale = np.where(length > 0, length, 1.0)
+    return np.asarray(np.linalg.eigvalsh(H / (scale[..., None] * scale[..., None, :]))[..., 0] > DETERMINED)
 
 
 def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -> list[New]:
@@ -205,10 +197,9 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
         except EvaluationError:
             return []
         else:
-            values = result.values if result.converged else Values()
-            return [
-                New(key, values.stack(key.kind).manifold, values[key]) for key in starmap(Keys, starts) if key in values
-            ]
+            optimum = result.values if result.converged else Values()
+            new = [key for variable in starts if (key := Keys(*variable)) in optimum]
+            return [New(key, optimum.stack(key.kind).manifold, optimum[key]) for key in new]
     return []
 
 
