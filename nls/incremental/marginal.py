@@ -237,9 +237,8 @@ def _priors(linear: LinearSystem, goes: Mask, values: Values) -> Iterator[Margin
             raise UnderconstrainedError(f"{', '.join(map(repr, free))} cannot leave the window: {cause}. {cure}", free)
         left = triangle[e : len(columns)]  # below is the constant alone
         if near and len(left):
-            X0 = [values[key] for key in near]
             slots = tuple(k for k, key in enumerate(near) if key.kind in unmoved)
             of_part = [batch.model for batch in pattern.batches if rows[batch.rows].any()]
             relative = all(model.factor.relative for model in of_part)
             axes = any(model.factor.knows_axes(model.manifolds) for model in of_part)
-            yield MarginalPrior(near, X0, left[:, e:-1], left[:, -1], relative, slots, axes)
+            yield MarginalPrior(near, [values[key] for key in near], left[:, e:-1], left[:, -1], relative, slots, axes)
