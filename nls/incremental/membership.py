@@ -63,16 +63,14 @@ class Decision:
                 self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
         return self._new >= self.every
 
-    def judge(
-        self, models: Sequence[Model], values: Values, doubted: Mask | None = None
-    ) -> tuple[Robustified, list[Mask]]:
+    def judge(self, models: Sequence[Model], values: Values, doubted: Mask | None) -> tuple[Robustified, list[Mask]]:
         """The choice among all that have come, and which measurements (n,) of each factor are kept.
 
         Parameters
         ----------
         models : all factors.
         values : the start.
-        doubted : which of the factors (k,) may be wrong; the loop closures when omitted.
+        doubted : which of the factors (k,) may be wrong; the loop closures where it is None.
         """
         self._new = 0
         suspect = np.zeros(len(models), dtype=bool) if doubted is None else doubted
@@ -119,10 +117,9 @@ class Window:
         self._tracks |= {kind for kind in moved if moved.count(kind) > 1}
         left = [self._left[k.kind].known(k) for k in factor.keys if k.kind in self._tracks & self._left.keys()]
         late: Mask = np.logical_or.reduce([np.zeros(len(factor), dtype=bool), *left])
-        if not late.any():
-            return factor
         rest = part(factor, ~late)
-        self.behind.append(factor if rest is None else factor[late])
+        if late.any():
+            self.behind.append(factor if rest is None else factor[late])
         return rest
 
     def leaving(self, variables: dict[str, Variables], batches: Sequence[GrowingBatch]) -> dict[str, Mask]:
@@ -143,10 +140,9 @@ class Window:
         for stack in stacks:
             left = self._left.setdefault(stack.kind, Variables(stack.kind, stack.manifold))
             for number, X in zip(stack.numbers.tolist(), stack.X, strict=True):
-                if number in left.place:
-                    left.X[left.place[number]] = X
-                else:
+                if number not in left.place:
                     left.join(number, X, 0)
+                left.X[left.place[number]] = X
 
     def left(self, variables: dict[str, Variables]) -> Values:
         """Variables that left, but for those that came back."""
@@ -178,11 +174,10 @@ class Arrivals:
         """
         for kind, stack in values.stacks.items():
             known = self._known
-            space = known.space(kind) or stack.manifold
-            if space is not stack.manifold:
-                raise GraphError(f"{kind} is in {space}, its initial values are in {stack.manifold}")
+            if known.space(kind) not in (None, stack.manifold):
+                raise GraphError(f"{kind} is in {known.space(kind)}, its initial values are in {stack.manifold}")
             new = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
-            self._known = replace(known, spaces=known.spaces | {kind: space}, starts=known.starts | new)
+            self._known = replace(known, spaces=known.spaces | {kind: stack.manifold}, starts=known.starts | new)
 
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
@@ -206,8 +201,7 @@ class Arrivals:
         """Forget starts and waiting measurements of variables that leave."""
         self._window.leave(stacks)
         gone = {(stack.kind, number) for stack in stacks for number in stack.numbers.tolist()}
-        starts = {variable: X for variable, X in self._known.starts.items() if variable not in gone}
-        self._known = replace(self._known, starts=starts)
+        self._known = replace(self._known, starts={v: X for v, X in self._known.starts.items() if v not in gone})
         self.reach()
 
     def reach(self) -> None:
@@ -239,9 +233,8 @@ class Arrivals:
             if space is None or self._tried.get(variable) == count:
                 continue
             measurements = [(m, slot) for factor, slot, mask in touching if (m := part(factor, mask)) is not None]
-            start = self._known.starts.get(variable)
-            if not self._known.count and start is not None and all(factor.relative for factor in factors):
-                yield New(key, space, start)  # the gauge holds it
+            if not self._known.count and variable in self._known.starts and all(f.relative for f in factors):
+                yield New(key, space, self._known.starts[variable])  # the gauge holds it
             elif (new := alone(self._known, key, space, measurements)) is not None:
                 yield new
             elif measurements:
@@ -293,9 +286,8 @@ class Arrivals:
 def blame(error: LeadlineError, came: list[Factor], given: list[Factor]) -> None:
     """Name the measurements that an error is about: those that came, or else those that were given before."""
     for action, here in (("leave out", came), ("take out", given)):
-        if blamed := [factor for factor in here if is_about(error, factor)]:
-            error.advise(Advice(action, (some([repr(factor) for factor in blamed]),)))
-            return
+        if blamed := [repr(factor) for factor in here if is_about(error, factor)]:
+            return error.advise(Advice(action, (some(blamed),)))
 
 
 def factors_of(given: Factor | Sequence[Factor], expected: str) -> list[Factor]:
@@ -310,11 +302,10 @@ def factors_of(given: Factor | Sequence[Factor], expected: str) -> list[Factor]:
 def refuse_others(factors: Sequence[Factor], given: Sequence[Factor]) -> None:
     """Refuse to remove what was not given."""
     known = {id(factor) for factor in given}
-    for factor in factors:
-        if id(factor) not in known:
-            like = any(type(other) is type(factor) and other.keys == factor.keys for other in given)
-            cure = ". `given` has another object of its type and variables: pass that one" if like else ""
-            raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
+    for factor in (factor for factor in factors if id(factor) not in known):
+        like = any(type(other) is type(factor) and other.keys == factor.keys for other in given)
+        cure = ". `given` has another object of its type and variables: pass that one" if like else ""
+        raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate{cure}", factor.keys)
 
 
 def is_about(error: LeadlineError, factor: Factor) -> bool:
