@@ -86,11 +86,10 @@ class Known:
         """
         X: dict[str, dict[int, Array]] = {}
         for keys in (keys for factor in graph.factors for keys in factor.keys):
-            known = self.has(keys)
-            graph.fix(keys[known])
-            of_kind = X.setdefault(keys.kind, {})
-            of_kind |= zip(keys.numbers[known].tolist(), self.value(keys[known]), strict=True)
-            of_kind |= {n: starts[keys.kind, n] for n in keys.numbers[~known].tolist() if (keys.kind, n) in starts}
+            held, of_kind = keys[self.has(keys)], X.setdefault(keys.kind, {})
+            graph.fix(held)
+            of_kind |= zip(held.numbers.tolist(), self.value(held), strict=True)
+            of_kind |= {n: starts[keys.kind, n] for n in keys.numbers.tolist() if (keys.kind, n) in starts}
         stacks = []
         for kind, of_kind in X.items():
             if of_kind and (space := self.space(kind) or new) is not None:
@@ -106,9 +105,8 @@ def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor,
         if (value := _placed(known, factor, slot, space)) is not None:
             exact = factor if start is None and len(factor) == 1 else None
             return New(key, space, value if start is None else start, exact)
-    if not touching or isinstance(space, Vectors):
-        return None
-    return _determined(known, key, space, start, [factor for factor, _ in touching])
+    factors = [factor for factor, _ in touching]
+    return _determined(known, key, space, start, factors) if factors and not isinstance(space, Vectors) else None
 
 
 def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array | None:
@@ -152,12 +150,18 @@ def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, f
 
 def points(known: Known, space: Manifold, measurements: dict[Variable, list[Factor]]) -> list[New]:
     """Points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
+
+    def few_batches(starts: dict[Variable, Array]) -> tuple[FactorGraph, Values]:
+        factors = [factor for variable in starts for factor in measurements[variable]]
+        graph = FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
+        return graph, known.values(graph, starts, space)
+
     starts = {variable: known.starts[variable] for variable in measurements if variable in known.starts}
     if missing := {variable: np.zeros(space.size) for variable in measurements if variable not in starts}:
-        graph, values = _few_batches(known, space, measurements, missing)
+        graph, values = few_batches(missing)
         located = locate_points(graph, search_elevation(graph, values))
         starts |= {variable: X for variable in missing if (X := located[Keys(*variable)]).any()}
-    graph, values = _few_batches(known, space, measurements, starts)
+    graph, values = few_batches(starts)
     with suppress(EvaluationError, SingularGeometryError):
         system = graph.linearize(values)
         whole = _full_rank(own_information(system, np.flatnonzero(~system.pattern.held), space.dim))
@@ -165,19 +169,9 @@ def points(known: Known, space: Manifold, measurements: dict[Variable, list[Fact
     return []
 
 
-def _few_batches(
-    known: Known, space: Manifold, measurements: dict[Variable, list[Factor]], starts: dict[Variable, Array]
-) -> tuple[FactorGraph, Values]:
-    """The measurements of points that have starts, and all values; kinds that are not known yet are in a space."""
-    factors = [factor for variable in starts for factor in measurements[variable]]
-    graph = FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
-    return graph, known.values(graph, starts, space)
-
-
 def _full_rank(H: Array) -> Mask:
     """Whether no direction of a matrix (..., d, d) is free, with the diagonal scaled to ones."""
-    length = np.sqrt(np.diagonal(H, axis1=-2, axis2=-1))
-    scale = np.where(length > 0, length, 1.0)
+    scale = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), np.finfo(float).tiny))
     return np.asarray(np.linalg.eigvalsh(H / (scale[..., None] * scale[..., None, :]))[..., 0] > DETERMINED)
 
 
@@ -189,8 +183,7 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
         if not graph.factors:
             return []
         try:
-            values = known.values(graph, starts)
-            result = graph.optimize(values)
+            result = graph.optimize(known.values(graph, starts))
         except UnderconstrainedError as error:
             free = {(keys.kind, n) for keys in error.keys for n in keys.numbers.tolist()} & set(starts)
             starts = {variable: X for variable, X in starts.items() if free and variable not in free}
@@ -208,6 +201,5 @@ def lower_start(graph: FactorGraph, values: Values, chi2: float) -> Values | Non
     nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in values.stacks.items()}
     with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
         result = graph.optimize(odometry(graph, values.replaced(nothing)), LevenbergMarquardt(LIMIT))
-        if result.chi2_final < chi2:
-            return result.values
+        return result.values if result.chi2_final < chi2 else None
     return None
