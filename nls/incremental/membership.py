@@ -182,8 +182,8 @@ class Arrivals:
     def anchors(self, factor: Factor) -> bool:
         """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
         spaces = tuple([self._known.space(keys.kind) for keys in factor.keys])
-        poses = any(space in (SE2, SE3) for space in self._known.spaces.values())  # only who offers starts has poses
-        return not factor.relative or (poses and factor.knows_axes(spaces))
+        of_starts = self._known.spaces.values()  # all kinds of poses are among them
+        return not factor.relative or (factor.knows_axes(spaces) and any(space in (SE2, SE3) for space in of_starts))
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
