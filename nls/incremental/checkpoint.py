@@ -7,7 +7,6 @@ in one batch, as `joined` makes them, with the rows of each.
 The file is an ``.npz`` archive of the arrays and of the text that names them, with the SHA-256 of both.
 """
 
-import math
 from collections.abc import Callable, Hashable, Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -28,7 +27,7 @@ from nls.incremental.new_variables import Known
 from nls.io.files import GZIP, ZIP, read_bytes, unreadable
 from nls.io.native.data import KINDS, archived, arrays_of, json_of, plain_of, without_arrays
 from nls.io.native.native import name_of_space, space_named
-from nls.io.native.structure import MISMATCHES, decoded, encoded
+from nls.io.native.structure import MISMATCHES, Plain, decoded, encoded
 from nls.linear.updatable import Preconditioner
 
 FORMAT, VERSION = "leadline smoother", 3
@@ -36,7 +35,6 @@ STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
 HOLDERS: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set, "dict": dict}
 S = TypeVar("S")
-Plain = Any  # what `nls.io.native.data.json_of` writes
 
 
 def smoother_bytes(smoother: object, about: Mapping[str, Any] | None = None) -> bytes:
@@ -108,33 +106,31 @@ class _Writer:
     def __init__(self, root: type[Any]) -> None:
         self._classes = (*STATE, root)
         self._entries: list[Plain] = []
-        self._places: dict[int, int] = {}  # of entries, by `id`
-        self._kept: list[Any] = []  # what has an entry: an `id` that is free would be given again
-        self._factors: dict[int, tuple[int, Factor]] = {}  # places and factors, by `id`
+        # places and things by `id`: held here, as an `id` that is free would be given again
+        self._places: dict[int, tuple[int, Any]] = {}
+        self._factors: dict[int, tuple[int, Factor]] = {}
 
     def of(self, thing: Any) -> Plain:
-        """A number, text or truth as it is; of all else the place of its entry."""
+        """A whole number, text or truth as it is; of all else the place of its entry."""
         if thing is None or isinstance(thing, bool | int | str):
             return thing
         if isinstance(thing, float):
-            return thing if math.isfinite(thing) else {"float": str(thing)}
+            return {"float": str(thing)}
         if isinstance(thing, Model):
             return {"model": self._factor(thing.factor)}
         if isinstance(thing, Factor):
             return {"factor": self._factor(thing)}
         if id(thing) not in self._places:
-            entry = self._entry(thing)
-            self._places[id(thing)] = len(self._entries)
-            self._entries.append(entry)
-            self._kept.append(thing)
-        return {"entry": self._places[id(thing)]}
+            self._entries.append(self._entry(thing))
+            self._places[id(thing)] = len(self._entries) - 1, thing
+        return {"entry": self._places[id(thing)][0]}
 
     def _factor(self, factor: Factor) -> int:
         return self._factors.setdefault(id(factor), (len(self._factors), factor))[0]
 
     def _entry(self, thing: Any) -> Plain:
         if isinstance(thing, np.ndarray):
-            return {"is": "array", "type": str(thing.dtype), "of": thing}
+            return {"is": str(thing.dtype), "of": thing}
         if isinstance(thing, Manifold):
             return {"is": "space", "of": name_of_space(thing, "the smoother")}
         if isinstance(thing, Kernel | Keys):
@@ -143,21 +139,18 @@ class _Writer:
             return {"is": holder, "of": self._sequence([*(thing.items() if holder == "dict" else thing)])}
         if type(thing) not in self._classes:
             raise GraphError(f"{thing!r:.60} cannot be stored in a checkpoint")
-        state = thing.__getstate__()
-        self._kept.append(state)
-        return {"is": type(thing).__name__, "of": {name: self.of(value) for name, value in state.items()}}
+        state = {name: self.of(value) for name, value in thing.__getstate__().items()}
+        return {"is": type(thing).__name__, "of": state}
 
     def _sequence(self, items: list[Any]) -> Plain:
-        """Items one by one; whole numbers, factors, arrays of one shape and tuples of one length as arrays."""
+        """Items one by one; whole numbers, arrays of one shape, factors and tuples of one length as arrays."""
         types = {type(item) for item in items}
-        if types == {int}:
-            return {"numbers": np.array(items, dtype=np.int64)}
-        if items and all(isinstance(item, Factor) for item in items):
-            return {"factors": np.array([self._factor(item) for item in items])}
-        if types == {np.ndarray} and len({(item.shape, item.dtype) for item in items}) == 1:
-            return {"stack": np.stack(items)}
+        if types == {int} or (types == {np.ndarray} and len({(item.shape, item.dtype) for item in items}) == 1):
+            return {"rows": self.of(np.array(items))}
         if types == {tuple} and len({len(item) for item in items}) == 1 and items[0]:
             return {"columns": tuple(self._sequence([*column]) for column in zip(*items, strict=True))}
+        if items and all(isinstance(item, Factor) for item in items):
+            return {"factor": np.array([self._factor(item) for item in items])}
         return {"items": tuple(map(self.of, items))}
 
     def tables(self) -> dict[str, Plain]:
@@ -165,9 +158,8 @@ class _Writer:
         in_order = [factor for _, factor in self._factors.values()]
         sorts: dict[Hashable, list[int]] = {}
         for k, factor in enumerate(in_order):
-            model = factor._model
             sort: Hashable = k  # alone, where its spaces are not known
-            if model is not None and not factor.opaque:
+            if (model := factor._model) is not None and not factor.opaque:
                 sort = model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim
             sorts.setdefault(sort, []).append(k)
         rows, batches = np.zeros((len(in_order), 3), dtype=np.int64), []
@@ -193,25 +185,21 @@ class _Reader:
             if batch["spaces"] is not None:
                 batches[-1].bind(*map(space_named, batch["spaces"]))
         rows = plain["factors"].tolist()
-        self._factors = [batches[k] if e - b == len(batches[k]) else batches[k][b:e] for k, b, e in rows]
-        self._made: list[Any] = []
+        factors = [batches[k] if e - b == len(batches[k]) else batches[k][b:e] for k, b, e in rows]
+        self._made: dict[str, list[Any]] = {"factor": factors, "model": [f._model for f in factors], "entry": []}
         for entry in plain["entries"]:
-            self._made.append(self._object(entry["is"], entry["of"], entry.get("type")))
+            self._made["entry"].append(self._object(entry["is"], entry["of"]))
 
     def of(self, plain: Plain) -> Any:
         """The thing that `_Writer.of` wrote."""
         if not isinstance(plain, Mapping):
             return plain
         ((kind, value),) = plain.items()
-        if kind == "float":
-            return float(value)
-        if kind == "model":
-            return self._factors[value]._model
-        return self._factors[value] if kind == "factor" else self._made[value]
+        return float(value) if kind == "float" else self._made[kind][value]
 
-    def _object(self, kind: str, plain: Plain, dtype: str | None) -> Any:
-        if kind == "array":
-            return plain.astype(dtype)
+    def _object(self, kind: str, plain: Plain) -> Any:
+        if isinstance(plain, np.ndarray):
+            return plain.astype(kind)
         if kind == "space":
             return space_named(plain)
         if kind == "thing":
@@ -227,6 +215,9 @@ class _Reader:
         ((kind, items),) = plain.items()
         if kind == "columns":
             return [*zip(*map(self._sequence, items), strict=True)]
-        if kind == "factors":
-            return [self._factors[k] for k in items.tolist()]
-        return items.tolist() if kind == "numbers" else [*items] if kind == "stack" else [*map(self.of, items)]
+        if kind == "factor":
+            return [self._made[kind][k] for k in items.tolist()]
+        if kind == "items":
+            return [*map(self.of, items)]
+        rows = self.of(items)
+        return rows.tolist() if rows.ndim == 1 else [*rows]
