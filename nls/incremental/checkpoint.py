@@ -33,6 +33,7 @@ from nls.linear.updatable import Preconditioner
 FORMAT, VERSION = "leadline smoother", 3
 STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
+MAKERS: dict[str, Callable[[Any], Any]] = {"float": float, "space": space_named, "thing": decoded}
 HOLDERS: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": set, "dict": dict}
 S = TypeVar("S")
 
@@ -48,9 +49,8 @@ def smoother_bytes(smoother: object, about: Mapping[str, Any] | None = None) -> 
     writer = _Writer(type(smoother))
     plain = {"format": FORMAT, "version": VERSION, "about": writer.of(about or {}), "smoother": writer.of(smoother)}
     arrays: dict[str, Any] = {}
-    structure = json_of(without_arrays(plain | writer.tables(), arrays))
-    texts = {STRUCTURE: np.array(structure), CHECKSUM: np.array(_checksum(structure, arrays))}
-    return archived({**texts, **arrays})
+    arrays[STRUCTURE] = np.array(json_of(without_arrays(plain | writer.tables(), arrays)))
+    return archived({CHECKSUM: np.array(_checksum(arrays)), **arrays})
 
 
 def read_smoother(path: str | Path, cls: type[S]) -> tuple[S, dict[str, Any]]:
@@ -75,10 +75,9 @@ def read_smoother(path: str | Path, cls: type[S]) -> tuple[S, dict[str, Any]]:
     arrays = arrays_of(read_bytes(path, archive=True), name, "checkpoint") if packed else {}
     if not {STRUCTURE, CHECKSUM} <= arrays.keys():
         raise GraphFileError("is no checkpoint; expected what nls.Incremental.save or nls stream wrote", name)
-    structure, checksum = (str(arrays.pop(text)) for text in (STRUCTURE, CHECKSUM))
-    if _checksum(structure, arrays) != checksum:
+    if str(arrays.pop(CHECKSUM)) != _checksum(arrays):
         raise GraphFileError("is a damaged checkpoint: its checksum is that of other content", name)
-    plain = plain_of(structure, name, arrays)
+    plain = plain_of(str(arrays.pop(STRUCTURE)), name, arrays)
     if not isinstance(plain, Mapping) or (plain.get("format"), plain.get("version")) != (FORMAT, VERSION):
         raise GraphFileError(f"is no checkpoint of this version, {FORMAT} {VERSION}; begin anew without it", name)
     try:
@@ -91,9 +90,9 @@ def read_smoother(path: str | Path, cls: type[S]) -> tuple[S, dict[str, Any]]:
         raise GraphFileError(f"is no checkpoint: {error}; begin anew without it", name) from error
 
 
-def _checksum(structure: str, arrays: Mapping[str, Any]) -> str:
-    """Of the text and of all arrays by name."""
-    whole = sha256(structure.encode())
+def _checksum(arrays: Mapping[str, Any]) -> str:
+    """Of all arrays by name, the text among them."""
+    whole = sha256()
     for name, array in arrays.items():
         whole.update(f"{name} {array.shape}".encode())
         whole.update(np.asarray(array, KINDS[array.dtype.kind]).tobytes())
@@ -106,29 +105,26 @@ class _Writer:
     def __init__(self, root: type[Any]) -> None:
         self._classes = (*STATE, root)
         self._entries: list[Plain] = []
-        # places and things by `id`: held here, as an `id` that is free would be given again
-        self._places: dict[int, tuple[int, Any]] = {}
-        self._factors: dict[int, tuple[int, Factor]] = {}
+        self._places: dict[int, tuple[int, Any]] = {}  # by `id`, with the thing: a free `id` would be given again
+        self._factors: list[Factor] = []
 
     def of(self, thing: Any) -> Plain:
         """A whole number, text or truth as it is; of all else the place of its entry."""
         if thing is None or isinstance(thing, bool | int | str):
             return thing
-        if isinstance(thing, float):
-            return {"float": str(thing)}
-        if isinstance(thing, Model):
-            return {"model": self._factor(thing.factor)}
-        if isinstance(thing, Factor):
-            return {"factor": self._factor(thing)}
         if id(thing) not in self._places:
             self._entries.append(self._entry(thing))
             self._places[id(thing)] = len(self._entries) - 1, thing
         return {"entry": self._places[id(thing)][0]}
 
-    def _factor(self, factor: Factor) -> int:
-        return self._factors.setdefault(id(factor), (len(self._factors), factor))[0]
-
     def _entry(self, thing: Any) -> Plain:
+        if isinstance(thing, Factor):
+            self._factors.append(thing)
+            return {"is": "factor", "of": len(self._factors) - 1}
+        if isinstance(thing, Model):
+            return {"is": "model", "of": self.of(thing.factor)}
+        if isinstance(thing, float):
+            return {"is": "float", "of": str(thing)}
         if isinstance(thing, np.ndarray):
             return {"is": str(thing.dtype), "of": thing}
         if isinstance(thing, Manifold):
@@ -139,37 +135,32 @@ class _Writer:
             return {"is": holder, "of": self._sequence([*(thing.items() if holder == "dict" else thing)])}
         if type(thing) not in self._classes:
             raise GraphError(f"{thing!r:.60} cannot be stored in a checkpoint")
-        state = {name: self.of(value) for name, value in thing.__getstate__().items()}
-        return {"is": type(thing).__name__, "of": state}
+        return {"is": type(thing).__name__, "of": {k: self.of(value) for k, value in thing.__getstate__().items()}}
 
     def _sequence(self, items: list[Any]) -> Plain:
-        """Items one by one; whole numbers, arrays of one shape, factors and tuples of one length as arrays."""
+        """Items one by one, whole numbers and arrays of one shape as one array, tuples of one length by columns."""
         types = {type(item) for item in items}
         if types == {int} or (types == {np.ndarray} and len({(item.shape, item.dtype) for item in items}) == 1):
             return {"rows": self.of(np.array(items))}
         if types == {tuple} and len({len(item) for item in items}) == 1 and items[0]:
             return {"columns": tuple(self._sequence([*column]) for column in zip(*items, strict=True))}
-        if items and all(isinstance(item, Factor) for item in items):
-            return {"factor": np.array([self._factor(item) for item in items])}
         return {"items": tuple(map(self.of, items))}
 
     def tables(self) -> dict[str, Plain]:
         """Entries in order; batches of the factors of one sort; batch, begin and end (n, 3) of every factor."""
-        in_order = [factor for _, factor in self._factors.values()]
         sorts: dict[Hashable, list[int]] = {}
-        for k, factor in enumerate(in_order):
+        for k, factor in enumerate(self._factors):
             sort: Hashable = k  # alone, where its spaces are not known
             if (model := factor._model) is not None and not factor.opaque:
                 sort = model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim
             sorts.setdefault(sort, []).append(k)
-        rows, batches = np.zeros((len(in_order), 3), dtype=np.int64), []
+        rows, batches = np.zeros((len(self._factors), 3), dtype=np.int64), []
         for number, alike in enumerate(sorts.values()):
-            factors = [in_order[k] for k in alike]
+            factors = [self._factors[k] for k in alike]
             ends = np.cumsum([len(factor) for factor in factors])
             rows[alike] = np.column_stack([np.full(len(ends), number), np.append(0, ends[:-1]), ends])
-            models = [factor._model for factor in factors if factor._model is not None]
-            spaces = tuple(map(str, models[0].manifolds)) if models else None
-            whole = factors[0] if len(factors) == 1 else bound_batch(models)
+            spaces = None if (model := factors[0]._model) is None else tuple(map(str, model.manifolds))
+            whole = factors[0] if len(alike) == 1 else bound_batch([f._model for f in factors if f._model is not None])
             batches.append({"factor": encoded(whole), "spaces": spaces})
         return {"batches": tuple(batches), "factors": rows, "entries": tuple(self._entries)}
 
@@ -185,25 +176,24 @@ class _Reader:
             if batch["spaces"] is not None:
                 batches[-1].bind(*map(space_named, batch["spaces"]))
         rows = plain["factors"].tolist()
-        factors = [batches[k] if e - b == len(batches[k]) else batches[k][b:e] for k, b, e in rows]
-        self._made: dict[str, list[Any]] = {"factor": factors, "model": [f._model for f in factors], "entry": []}
+        self._factors = [batches[k] if e - b == len(batches[k]) else batches[k][b:e] for k, b, e in rows]
+        self._made: list[Any] = []
         for entry in plain["entries"]:
-            self._made["entry"].append(self._object(entry["is"], entry["of"]))
+            self._made.append(self._object(entry["is"], entry["of"]))
 
     def of(self, plain: Plain) -> Any:
         """The thing that `_Writer.of` wrote."""
-        if not isinstance(plain, Mapping):
-            return plain
-        ((kind, value),) = plain.items()
-        return float(value) if kind == "float" else self._made[kind][value]
+        return self._made[plain["entry"]] if isinstance(plain, Mapping) else plain
 
     def _object(self, kind: str, plain: Plain) -> Any:
         if isinstance(plain, np.ndarray):
             return plain.astype(kind)
-        if kind == "space":
-            return space_named(plain)
-        if kind == "thing":
-            return decoded(plain)
+        if kind == "factor":
+            return self._factors[plain]
+        if kind == "model":
+            return self.of(plain)._model
+        if kind in MAKERS:
+            return MAKERS[kind](plain)
         if kind in HOLDERS:
             return HOLDERS[kind](self._sequence(plain))
         cls = self._classes[kind]
@@ -215,9 +205,6 @@ class _Reader:
         ((kind, items),) = plain.items()
         if kind == "columns":
             return [*zip(*map(self._sequence, items), strict=True)]
-        if kind == "factor":
-            return [self._made[kind][k] for k in items.tolist()]
-        if kind == "items":
-            return [*map(self.of, items)]
-        rows = self.of(items)
-        return rows.tolist() if rows.ndim == 1 else [*rows]
+        if kind == "rows":
+            return [row if row.ndim else int(row) for row in self.of(items)]
+        return [*map(self.of, items)]
