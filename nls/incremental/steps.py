@@ -56,32 +56,26 @@ def steps(
     x2 [Between(x1, x2), Landmark(x2, l0)]
     """
     kinds = [kind] if isinstance(kind, str) else [*kind]
-    factors = [factor for factor in factors if len(factor)]
-    of = np.repeat(np.arange(len(factors)), [len(factor) for factor in factors])
-    row = np.concatenate([np.arange(len(factor)) for factor in factors]) if factors else of
-    newest, kind_of = np.concatenate([np.empty((2, 0), int), *(_newest(f, kinds) for f in factors)], axis=1)
-    if (kind_of < 0).all():
+    rows = [np.vstack([np.arange(len(f)), np.full(len(f), k), *_newest(f, kinds)]) for k, f in enumerate(factors)]
+    table = np.concatenate([np.empty((4, 0), int), *rows], axis=1)  # row, factor, number and kind of the newest pose
+    if (table[3] < 0).all():
         raise GraphError(f"no measurement is of a pose, kind {' or '.join(kinds)}: there is nothing to step through")
-    at = newest if lines is None else np.concatenate(lines)
-    order = np.lexsort((row, of, kind_of, at))
-    newest, kind_of = newest[order], kind_of[order]
-    before = np.maximum.accumulate(np.where(kind_of >= 0, np.arange(len(newest)), -1))
-    before = np.where(before >= 0, before, np.argmax(kind_of >= 0))
-    newest, kind_of = newest[before], kind_of[before]
-    begins = np.flatnonzero(np.r_[True, (np.diff(newest) != 0) | (np.diff(kind_of) != 0)])
-    runs = zip(newest[begins].tolist(), kind_of[begins].tolist(), np.split(order, begins[1:]), strict=True)
-    for step, (number, of_kind, run) in enumerate(runs, 1):
+    at = table[2] if lines is None else np.concatenate(lines)
+    row, of, newest, kind_of, at = np.vstack([table, at])[:, np.lexsort((*table[[0, 1, 3]], at))]
+    poses = np.flatnonzero(kind_of >= 0)
+    pose = poses[np.maximum(np.searchsorted(poses, np.arange(len(of)), "right") - 1, 0)]  # of the last that has one
+    begins = np.flatnonzero(np.diff(newest[pose]) | np.diff(kind_of[pose])) + 1
+    for step, run in enumerate(np.split(np.arange(len(of)), begins), 1):
         arrived = [(k, row[run[of[run] == k]]) for k in np.unique(of[run]).tolist()]
         parts = [factors[k] if len(rows) == len(factors[k]) else factors[k][rows] for k, rows in arrived]
-        yield Arrived(Keys(kinds[of_kind], number), parts, step if lines is None else int(at[run].max()))
+        key = Keys(kinds[kind_of[pose[run[0]]]], int(newest[pose[run[0]]]))
+        yield Arrived(key, parts, step if lines is None else int(at[run[-1]]))
 
 
 def _newest(factor: Factor, kinds: Sequence[str]) -> Index:
     """The newest pose of every measurement, its number and which of the kinds it is, (2, n); -1 where there is none."""
-    newest = np.full((2, len(factor)), -1)
-    for keys in factor.keys:
-        if keys.kind in kinds:
-            pose = np.stack([keys.numbers, np.full(len(keys), kinds.index(keys.kind))])
-            later = (newest[1] != pose[1]) | (newest[0] < pose[0])
-            newest[:, later] = pose[:, later]
-    return newest
+    poses = [keys for keys in factor.keys if keys.kind in kinds]
+    if not poses:
+        return np.full((2, len(factor)), -1)
+    numbers = [keys.numbers for keys in poses if keys.kind == poses[-1].kind]
+    return np.stack([np.max(numbers, axis=0), np.full(len(factor), kinds.index(poses[-1].kind))])
