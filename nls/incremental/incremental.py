@@ -22,7 +22,7 @@ minimum.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -38,11 +38,13 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.growing_arrays import part
 from nls.incremental.growing_system import GrowingSystem, kept
 from nls.incremental.marginal import marginalize
 from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
-from nls.incremental.new_variables import LIMIT, New, lower_start
+from nls.incremental.new_variables import LIMIT, Known, New, lower_start
+from nls.io.files import write_bytes
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt
 from nls.robust import Robustified
@@ -95,8 +97,7 @@ class Incremental:
         decide_every: int | None = None,
     ) -> None:
         self.tol = check_between("tol", tol, 0, 1, "a number between 0 and 1, such as 1e-3")
-        self.gap = 0.0
-        self.passes = self.batch_solutions = 0
+        self.gap, self.passes, self.batch_solutions = 0.0, 0, 0
         self._system = GrowingSystem()
         self._window, self._decision = Window(lag, landmarks), Decision(decide_every, lag)
         self._arrivals = Arrivals(self._system.variables, self._window)
@@ -147,18 +148,15 @@ class Incremental:
             return
         self.gap += self._system.catch_up()
         stacks = [self._system.variables[kind].stack(mask) for kind, mask in gone.items()]
-        try:
+        with suppress(UnderconstrainedError):  # not determined yet: it stays for another step
             marginalize(self._system, gone)
-        except UnderconstrainedError:
-            return  # not determined yet: it stays for another step
-        self._arrivals.leave(stacks)
+            self._arrivals.leave(stacks)
 
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:
         """All is as before where something fails, also where the user interrupts."""
         with ExitStack() as undo:
-            undo.callback(vars(self).update, gap=self.gap, _undecided=self._undecided)
-            for part in (self._decision, self._window, self._arrivals):
+            for part in (self, self._decision, self._window, self._arrivals):
                 undo.callback(vars(part).update, kept(part))
             undo.callback(self._system.restorer())
             yield
@@ -186,8 +184,7 @@ class Incremental:
         pairs = [*old, *self._decision.rejected]
         suspect = None if doubted is None else np.isin([id(g) for g, _ in pairs], [id(factor) for factor in doubted])
         with self._unless_it_fails():
-            models = [self._system.model(factor) for _, factor in pairs]
-            decided, keeps = self._decision.judge(models, self.values, suspect)
+            decided, keeps = self._decision.judge([system.model(f) for _, f in pairs], self.values, suspect)
             parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
             self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
             system.drop([~keep for keep in keeps[: len(old)]])
@@ -265,8 +262,7 @@ class Incremental:
             Something else is free without them; they stay.
         """
         factors = factors_of(factors, "remove: expected factors that were given to update")
-        here = [*self.pending, *(given for given, _ in [*self._system.given, *self._decision.rejected])]
-        refuse_others(factors, here)
+        refuse_others(factors, [*self.pending, *self.given, *(given for given, _ in self._decision.rejected)])
         out = {id(factor) for factor in factors}
         with self._unless_it_fails():
             self._undecided = [factor for factor in self._undecided if id(factor) not in out]
@@ -295,8 +291,7 @@ class Incremental:
 
     def __contains__(self, key: Keys) -> bool:
         """Whether a variable is in the estimate: it does not wait, and has not left."""
-        variables = self._system.variables.get(key.kind)
-        return variables is not None and bool(variables.known(key).all())
+        return bool(Known(self._system.variables).has(key).all())
 
     def __getitem__(self, keys: Keys) -> Array:
         """The estimate of a variable, or of several of a kind."""
@@ -372,9 +367,6 @@ class Incremental:
         ...     Incremental.load(f"{folder}/state")
         Incremental(0 variables, 0 factors, chi2 0, gap 0)
         """
-        from nls.incremental.checkpoint import smoother_bytes
-        from nls.io.files import write_bytes
-
         write_bytes(path, smoother_bytes(self))
 
     @classmethod
@@ -388,8 +380,6 @@ class Incremental:
         GraphFileError
             It is no such file, of another version, or damaged.
         """
-        from nls.incremental.checkpoint import read_smoother
-
         return read_smoother(path, cls)[0]
 
     def __repr__(self) -> str:
