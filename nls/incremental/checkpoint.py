@@ -106,7 +106,7 @@ class _Writer:
         self._classes = (*STATE, root)
         self._entries: list[Plain] = []
         self._places: dict[int, tuple[int, Any]] = {}  # by `id`, with the thing: a free `id` would be given again
-        self._factors: list[Factor] = []
+        self._factors: dict[int, tuple[int, Factor]] = {}  # the same of factors
 
     def of(self, thing: Any) -> Plain:
         """A whole number, text or truth as it is; of all else the place of its entry."""
@@ -118,11 +118,8 @@ class _Writer:
         return {"entry": self._places[id(thing)][0]}
 
     def _entry(self, thing: Any) -> Plain:
-        if isinstance(thing, Factor):
-            self._factors.append(thing)
-            return {"is": "factor", "of": len(self._factors) - 1}
         if isinstance(thing, Model):
-            return {"is": "model", "of": self.of(thing.factor)}
+            return {"is": "model", "of": self._sequence([thing.factor])}
         if isinstance(thing, float):
             return {"is": "float", "of": str(thing)}
         if isinstance(thing, np.ndarray):
@@ -138,27 +135,30 @@ class _Writer:
         return {"is": type(thing).__name__, "of": {k: self.of(value) for k, value in thing.__getstate__().items()}}
 
     def _sequence(self, items: list[Any]) -> Plain:
-        """Items one by one, whole numbers and arrays of one shape as one array, tuples of one length by columns."""
+        """Items one by one; numbers, factors and arrays of one shape as an array, tuples of one length by columns."""
         types = {type(item) for item in items}
         if types == {int} or (types == {np.ndarray} and len({(item.shape, item.dtype) for item in items}) == 1):
             return {"rows": self.of(np.array(items))}
         if types == {tuple} and len({len(item) for item in items}) == 1 and items[0]:
             return {"columns": tuple(self._sequence([*column]) for column in zip(*items, strict=True))}
+        if items and all(isinstance(item, Factor) for item in items):
+            places = [self._factors.setdefault(id(item), (len(self._factors), item))[0] for item in items]
+            return {"factors": np.array(places)}
         return {"items": tuple(map(self.of, items))}
 
     def tables(self) -> dict[str, Plain]:
         """Entries in order; batches of the factors of one sort; batch, begin and end (n, 3) of every factor."""
-        sorts: dict[Hashable, list[int]] = {}
-        for k, factor in enumerate(self._factors):
+        sorts: dict[Hashable, dict[int, Factor]] = {}
+        for k, factor in self._factors.values():
             sort: Hashable = k  # alone, where its spaces are not known
             if (model := factor._model) is not None and not factor.opaque:
                 sort = model.manifolds, sort_of(factor), form_of(factor.noise), model.W.ndim
-            sorts.setdefault(sort, []).append(k)
+            sorts.setdefault(sort, {})[k] = factor
         rows, batches = np.zeros((len(self._factors), 3), dtype=np.int64), []
         for number, alike in enumerate(sorts.values()):
-            factors = [self._factors[k] for k in alike]
+            factors = [*alike.values()]
             ends = np.cumsum([len(factor) for factor in factors])
-            rows[alike] = np.column_stack([np.full(len(ends), number), np.append(0, ends[:-1]), ends])
+            rows[[*alike]] = np.column_stack([np.full(len(ends), number), np.append(0, ends[:-1]), ends])
             spaces = None if (model := factors[0]._model) is None else tuple(map(str, model.manifolds))
             whole = factors[0] if len(alike) == 1 else bound_batch([f._model for f in factors if f._model is not None])
             batches.append({"factor": encoded(whole), "spaces": spaces})
@@ -188,10 +188,8 @@ class _Reader:
     def _object(self, kind: str, plain: Plain) -> Any:
         if isinstance(plain, np.ndarray):
             return plain.astype(kind)
-        if kind == "factor":
-            return self._factors[plain]
         if kind == "model":
-            return self.of(plain)._model
+            return self._sequence(plain)[0]._model
         if kind in MAKERS:
             return MAKERS[kind](plain)
         if kind in HOLDERS:
@@ -205,6 +203,8 @@ class _Reader:
         ((kind, items),) = plain.items()
         if kind == "columns":
             return [*zip(*map(self._sequence, items), strict=True)]
+        if kind == "factors":
+            return [self._factors[k] for k in items.tolist()]
         if kind == "rows":
             return [row if row.ndim else int(row) for row in self.of(items)]
         return [*map(self.of, items)]
