@@ -260,11 +260,6 @@ class GrowingBatch:
             self._linearized = len(self)
         return float(self._cost.rows[rows].sum())
 
-    def catch_up_again(self) -> None:
-        """Linearize all that was linearized, with the columns and at the values of now."""
-        self.place()
-        self.linearize(slice(0, self._linearized))
-
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
         slots = zip(self.variables, self._index, strict=True)

@@ -27,7 +27,6 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
-FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
 OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
 LEAST = 0.125  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
@@ -142,7 +141,8 @@ class GrowingSystem:
             for v in variables.values():
                 v.find()
             for batch in batches:
-                batch.catch_up_again()
+                batch.place()
+                batch.linearize()
             self._preconditioner = F if is_same else None
             if F is not None:
                 F.used = used

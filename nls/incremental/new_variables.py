@@ -69,7 +69,9 @@ class Known:
 
     def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
         """Which measurements (n,) of a factor are about such variables alone."""
-        ready: Mask = np.logical_and.reduce([self.has(keys, starts) for keys in factor.keys])
+        ready = self.has(factor.keys[0], starts)
+        for keys in factor.keys[1:]:
+            ready &= self.has(keys, starts)
         return ready
 
     def value(self, keys: Keys) -> Array:
