@@ -169,6 +169,7 @@ class GrowingBatch:
     ----------
     given : factors as they were given, and the part of each that is here, in the order of the rows.
     total : cost of all measurements at their linearization.
+    entered : how many of them the preconditioner has taken.
     """
 
     def __init__(self, model: Model, variables: list[Variables]) -> None:
@@ -181,7 +182,7 @@ class GrowingBatch:
         self._W = Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
         self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
         self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
-        self._linearized, self._entered, self.total = 0, 0, 0.0
+        self._linearized, self.entered, self.total = 0, 0, 0.0
         self._sparse: tuple[sp.csr_array, sp.csc_array] | None = None
 
     def __len__(self) -> int:
@@ -310,9 +311,9 @@ class GrowingBatch:
         return self._sparse
 
     def new_rows(self) -> tuple[Array, npt.NDArray[np.int32]]:
-        """Rows of A and their columns (k, D) of the measurements that came since the last call."""
-        D, begin, self._entered = self._A.rows.shape[2], self._entered, len(self)
-        return self._A.rows[begin:].reshape(-1, D), self._columns.rows[begin:].reshape(-1, D)
+        """Rows of A and their columns (k, D) of the measurements that the preconditioner has not taken."""
+        D, new = self._A.rows.shape[2], slice(self.entered, len(self))
+        return self._A.rows[new].reshape(-1, D), self._columns.rows[new].reshape(-1, D)
 
     def blocks(self, rows: slice | Mask = slice(None)) -> tuple[Array, ...]:
         """A (n, m, d) of every slot, of all measurements or some."""

@@ -179,7 +179,7 @@ class GrowingSystem:
             self.enter(prior, prior)
         self.catch_up()
         for batch in self.batches:
-            batch.new_rows()
+            batch.entered = len(batch)
 
     def leave(self, gone: dict[str, Mask]) -> None:
         """Take out variables (n,) by kind that no measurement is about."""
@@ -311,6 +311,7 @@ class GrowingSystem:
         else:
             for batch in self.batches:
                 self._preconditioner.add(*batch.new_rows())
+                batch.entered = len(batch)
         return self._preconditioner
 
     def _factorized(self) -> Preconditioner:
@@ -338,7 +339,7 @@ class GrowingSystem:
             variables.columns[:] = position[pattern.starts[begin : begin + len(variables)]]
         for batch in self.batches:
             batch.place()
-            batch.new_rows()
+            batch.entered = len(batch)
         return preconditioner
 
 

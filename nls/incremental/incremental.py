@@ -38,13 +38,11 @@ from models.listing import some
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.incremental.checkpoint import read_smoother, smoother_bytes
 from nls.incremental.growing_arrays import part
 from nls.incremental.growing_system import GrowingSystem, kept
 from nls.incremental.marginal import marginalize
 from nls.incremental.membership import Arrivals, Decision, Window, blame, factors_of, refuse_others
-from nls.incremental.new_variables import LIMIT, Known, New, lower_start
-from nls.io.files import write_bytes
+from nls.incremental.new_variables import LIMIT, New, lower_start
 from nls.linear.updatable import updatable_class
 from nls.optimizers import Fit, LevenbergMarquardt
 from nls.robust import Robustified
@@ -68,9 +66,9 @@ class Incremental:
 
     Attributes
     ----------
-    gap : how far chi2 is above its nearest minimum, in units of chi2: an estimate, not a proof, four times the decrease
-        of the linear problem. With robust kernels also from how fast the weights settle. Above
-        tol * max(chi2, 1) where not even a batch solution has arrived.
+    gap : how far chi2 is above its nearest minimum, in units of chi2: an estimate, not a proof. Four times the decrease
+        of the linear problem, sixteen times where steps are damped. With robust kernels also from how fast the weights
+        settle. Above tol * max(chi2, 1) where not even a batch solution has arrived.
 
     Examples
     --------
@@ -291,7 +289,8 @@ class Incremental:
 
     def __contains__(self, key: Keys) -> bool:
         """Whether a variable is in the estimate: it does not wait, and has not left."""
-        return bool(Known(self._system.variables).has(key).all())
+        variables = self._system.variables.get(key.kind)
+        return variables is not None and bool(variables.known(key).all())
 
     def __getitem__(self, keys: Keys) -> Array:
         """The estimate of a variable, or of several of a kind."""
@@ -367,6 +366,9 @@ class Incremental:
         ...     Incremental.load(f"{folder}/state")
         Incremental(0 variables, 0 factors, chi2 0, gap 0)
         """
+        from nls.incremental.checkpoint import smoother_bytes
+        from nls.io.files import write_bytes
+
         write_bytes(path, smoother_bytes(self))
 
     @classmethod
@@ -380,6 +382,8 @@ class Incremental:
         GraphFileError
             It is no such file, of another version, or damaged.
         """
+        from nls.incremental.checkpoint import read_smoother
+
         return read_smoother(path, cls)[0]
 
     def __repr__(self) -> str:

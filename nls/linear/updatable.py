@@ -25,7 +25,7 @@ from nls.linear.lu import factored
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import single_thread
 
-RESERVE, GROWTH = 200, 16  # columns for variables to come: at least so many, or one for so many that are there
+RESERVE, GROWTH = 200, 16  # columns for variables to come: 200, or one for 16 that are there if that is more
 SMALL = 3  # numbers of variables whose columns are few enough to be factorized one by one
 Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of a sparse matrix, their rows, begins
 
@@ -33,8 +33,8 @@ Parts = tuple[Array, npt.NDArray[np.int32], npt.NDArray[np.int32]]  # numbers of
 class Updated:
     """H = L D L' by CHOLMOD; new rows change the columns of L above their variables: H <- H + C C'.
 
-    Of supernodes CHOLMOD makes columns where the first rows come, and their zeros stay in L: a solution of city10000
-    then takes 0.49 ms instead of 0.39. But a factorization of sphere2500 takes 11 ms by supernodes, 50 by columns.
+    CHOLMOD makes columns of supernodes when the first rows come, and their zeros stay in L. A solution of city10000
+    then takes 0.49 ms instead of 0.39. A factorization of sphere2500 takes 11 ms by supernodes, and 50 by columns.
 
     Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
     35(4), 2009.

@@ -15,7 +15,7 @@ import pytest
 import sim
 from factors import Bearing, Between, Factor, Huber, Isotropic, Prior
 from models import SE2, R
-from models.errors import GraphError, GraphFileError, LeadlineError, ResourceLimitError
+from models.errors import GraphError, GraphFileError, LeadlineError
 from nls import FactorGraph, Incremental, Values, kinds, save
 from nls.incremental import checkpoint
 from nls.incremental.checkpoint import read_smoother, smoother_bytes
@@ -140,7 +140,7 @@ def test_what_is_damaged_is_refused_or_the_same(tmp_path: Path) -> None:
         path.write_bytes(data)
         try:
             same(Incremental.load(path), smoother)
-        except (GraphFileError, ResourceLimitError) as error:  # a size may be damaged
+        except GraphFileError as error:
             refused.append(str(error))
     assert len(refused) > 150  # what is left are dates of the archive
     assert all(message.startswith(str(path)) for message in refused)
@@ -186,7 +186,7 @@ def test_crafted_files_run_nothing(tmp_path: Path) -> None:
 
     entries = [{"is": "os.system", "of": "true"}, {"is": "Growing", "of": {}}, {"is": "list", "of": {"items": 3}}]
     forged = [crafted(smoother, swap("entries", (entry,))) for entry in entries]
-    forged += [crafted(smoother, swap(*pair)) for pair in (("smoother", 7), ("version", 1), ("factors", None))]
+    forged += [crafted(smoother, swap(*pair)) for pair in (("smoother", 7), ("version", 2), ("factors", None))]
     for data in (old, pickle.dumps(Touch(touched)), arrays.getvalue(), b"", b"hello", *forged):
         path.write_bytes(data)
         with pytest.raises(LeadlineError, match="checkpoint"):
@@ -201,7 +201,7 @@ HELD = {  # by a checkpoint of version 3: with other attributes it is another ve
     "Arrivals": "_known _window _pending _tried",
     "Decision": "every rejected _new",
     "Growing": "rows room order",
-    "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized _entered total "
+    "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized entered total "
     "_sparse",
     "GrowingSystem": "variables batches iterations factorizations _preconditioner _age held _damping",
     "Known": "variables spaces starts",
