@@ -309,10 +309,6 @@ class Factor(Traits, Abstract):
             residual with respect to a tangent step of that variable. Central differences when omitted.
         relative : True when a shift of everything, beside poses also a turn, changes nothing: the gauge may be fixed.
 
-        Returns
-        -------
-        Factor
-
         Raises
         ------
         EvaluationError
@@ -369,20 +365,21 @@ class Model(NamedTuple):
     @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
     def error(self, *X: Array) -> Array:
         """Whitened innovation b (n, m) alone, for the cost of a trial point."""
-        return self._whitened(self.factor.innovation(self, X, jacobians=False)[0])
+        return self.whitened(self.factor.innovation(self, X, jacobians=False)[0])
 
     @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
         e, (*A,) = self.factor.innovation(self, X)  # a list: each Jacobian goes as its whitened one comes
-        b, n = self._whitened(e), len(e)
+        b, n = self.whitened(e), len(e)
         for slot in range(len(A)):
             A[slot] = A_k = whiten(self.W, A[slot][:, self.rows])
             self._check(A_k, slot)
             A[slot] = A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:]))
         return tuple(A), b
 
-    def _whitened(self, e: Array) -> Array:
+    def whitened(self, e: Array) -> Array:
+        """b = W e (n, m) of innovations e (n, dim)."""
         self._check(e, None)
         return squarable(self.factor, whiten(self.W, e[:, self.rows]))
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
-from factors.noise import Noise
+from factors.noise import Noise, whiten
 from factors.noise_size import numbers_of_z
-from models import LieGroup, Manifold
-from models.algebra import Array
+from models import SE2, LieGroup, Manifold
+from models.algebra import Array, components
 from models.errors import GraphError
 
 __all__ = ["Between"]
@@ -60,7 +63,7 @@ class Between(Factor):
         self.framed = convention == "g2o" and type(self).predict is Between.predict
 
     def knows_axes(self, manifolds: tuple[Manifold | None, ...]) -> bool:
-        return bool(self.z.any()) and super().knows_axes(manifolds)  # a difference of 0 has no direction
+        return super().knows_axes(manifolds) and bool(self.z.any())  # a difference of 0 has no direction
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         if manifolds[0] is not manifolds[1]:
@@ -87,4 +90,21 @@ class Between(Factor):
         if not self.framed or group.flat:
             return super().innovation(model, X, jacobians)
         off, J = group.misfit(group.framed(X[0]), group.framed(X[1]), model.framed_z, jacobians)
-        return -off, J
+        return -off, () if J is None else (J[..., : group.dim], J[..., group.dim :])
+
+    def relinearize(self, model: Model, X: Sequence[Array], A: Array) -> Array | None:
+        group = model.space
+        if not self.framed or not isinstance(group, LieGroup) or group.flat:
+            return None
+        if group is not SE2:
+            off, J = group.misfit(X[0], X[1], model.framed_z)
+            A[...] = whiten(model.W, np.asarray(J))
+            return -off
+        (xi, yi, _, ci, si), (xj, yj, _, cj, sj) = map(components, X)
+        dx, dy = xj - xi, yj - yi
+        x, y = ci * dx + si * dy, ci * dy - si * dx
+        c, s = ci * cj + si * sj, ci * sj - si * cj
+        for a in A[:, :2].transpose(1, 2, 0):  # W R(z)' [-I, (y, -x) | R, 0] in front: six of 18 numbers change
+            u, v = a[:2].copy()
+            a[2:5] = v * x - u * y - a[5], -u * c - v * s, u * s - v * c
+        return -group.misfit(X[0], X[1], model.framed_z, jacobians=False)[0]

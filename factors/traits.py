@@ -5,6 +5,7 @@ The model in each method is the factor bound to the spaces of its variables, `fa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -58,6 +59,13 @@ class Traits:
 
     def relative_poses(self, model: Any) -> Array | None:
         """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
+        return None
+
+    def relinearize(self, model: Any, X: Sequence[Array], A: Array) -> Array | None:
+        """Write whitened Jacobians over those at other values, A (n, m, D) side by side; e = z [-] h(X) (n, dim).
+
+        None, with nothing written, where that is no faster than `Factor.innovation`.
+        """
         return None
 
     def level_steps(self, model: Any) -> Array | None:

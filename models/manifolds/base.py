@@ -220,15 +220,15 @@ class LieGroup(Manifold):
         """X^-1 o Y: Y as seen from X."""
         return self.compose(self.inverse(X), Y)
 
-    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, Array | None]:
         """c = vector(Z^-1 X^-1 Y) (n, dim), how far Y is off from where a step Z leads from X; all three `framed`.
 
-        With its derivatives (n, dim, dim) by steps of X and of Y, where they are asked for.
+        With its derivatives by steps of X and of Y, side by side (n, dim, 2 dim), where they are asked for.
         """
         h = self.between(X, Y)
         E = self.between(Z, h)
         J = self.vector_jr(E) if jacobians else None
-        return self.vector(E), () if J is None else (-product(J, self.adjoint_inverse(h)), J)
+        return self.vector(E), None if J is None else np.concatenate([-product(J, self.adjoint_inverse(h)), J], axis=2)
 
     def rotation(self, X: npt.ArrayLike) -> Array:
         """Rotation matrix of X, (..., k, k) with k = point_dim, body to world."""

@@ -101,18 +101,19 @@ class PosesOfThePlane(LieGroup):
         x, y, theta = components(X)
         return pack([x, y, theta, np.cos(theta), np.sin(theta)])
 
-    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, Array | None]:
         (xa, ya, tha, ca, sa), (xb, yb, thb, cb, sb), (xz, yz, thz, cz, sz) = map(components, (X, Y, Z))
         dx, dy = xb - xa, yb - ya
         hx, hy = ca * dx + sa * dy, ca * dy - sa * dx
         u, v = hx - xz, hy - yz
         off = pack([cz * u + sz * v, cz * v - sz * u, wrap(thb - tha - thz)])
         if not jacobians:
-            return off, ()
+            return off, None
         c, s = ca * cz - sa * sz, sa * cz + ca * sz
         ce, se = cb * c + sb * s, sb * c - cb * s
-        J_X = matrix([[-cz, -sz, cz * hy - sz * hx], [sz, -cz, -cz * hx - sz * hy], [0.0, 0.0, -1.0]])
-        return off, (J_X, matrix([[ce, -se, 0.0], [se, ce, 0.0], [0.0, 0.0, 1.0]]))
+        J_1 = [-cz, -sz, cz * hy - sz * hx, ce, -se, 0.0]
+        J_2 = [sz, -cz, -cz * hx - sz * hy, se, ce, 0.0]
+        return off, matrix([J_1, J_2, [0.0, 0.0, -1.0, 0.0, 0.0, 1.0]])
 
     def adjoint(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)

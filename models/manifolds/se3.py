@@ -162,16 +162,18 @@ class PosesOfSpace(LieGroup):
         R = rotation3(X[:, 3:])
         return components(np.concatenate([X.T, R.transpose(1, 2, 0).reshape(9, -1)]))
 
-    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+    def misfit(self, X: Array, Y: Array, Z: Array, jacobians: bool = True) -> tuple[Array, Array | None]:
         (ta, qa, Ra), (tb, qb, Rb), (tz, qz, Rz) = map(_framed_parts, (X, Y, Z))
         h, turned = apply(Ra.mT, tb - ta), Rz.mT
         q = upper_half(conjugate_product(qz, conjugate_product(qa, qb)))
         off = np.concatenate([apply(turned, h - tz).T, q[:, :3].T]).T
         if not jacobians:
-            return off, ()
+            return off, None
         q *= 0.5
-        J_X = block_triangular(-turned, product(turned, skew(h)), -product(w_minus_v(q), turned))
-        return off, (J_X, block_triangular(product(product(Ra, Rz).mT, Rb), _ZERO, w_plus_v(q)))
+        J = np.zeros((len(h), 6, 12))
+        J[:, :3, :3], J[:, :3, 3:6], J[:, 3:, 3:6] = -turned, product(turned, skew(h)), -product(w_minus_v(q), turned)
+        J[:, :3, 6:9], J[:, 3:, 9:] = product(product(Ra, Rz).mT, Rb), w_plus_v(q)
+        return off, J
 
     def adjoint(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)

@@ -30,7 +30,7 @@ from nls.io.native.native import name_of_space, space_named
 from nls.io.native.structure import MISMATCHES, Plain, decoded, encoded
 from nls.linear.updatable import Preconditioner
 
-FORMAT, VERSION = "leadline smoother", 3
+FORMAT, VERSION = "leadline smoother", 4
 STRUCTURE, CHECKSUM = "structure", "sha256"  # arrays that are texts
 STATE = (Arrivals, Decision, Growing, GrowingBatch, GrowingSystem, Known, Preconditioner, Variables, Window)
 MAKERS: dict[str, Callable[[Any], Any]] = {"float": float, "space": space_named, "thing": decoded}

@@ -3,7 +3,7 @@
 Measurements of one sort are one batch that grows: they are linearized together, however they arrived.
 """
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from copy import copy
 from functools import cached_property
 from typing import Any, Literal
@@ -154,8 +154,6 @@ class Variables:
 SLIGHTLY = 1e-6  # part of s, for the slope of a weight
 FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
 
-Place = tuple[str | int, ...]  # attribute, place in a tuple; before them the attribute of a factor within
-
 
 class GrowingBatch:
     """A batch of measurements that grows, and its rows of A and b.
@@ -176,7 +174,7 @@ class GrowingBatch:
         self.given: list[tuple[Factor, Factor]] = []
         self.variables, self._first, self.kernel = variables, model, model.factor.kernel
         factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
-        self._own = {place: Growing(own[:0]) for place, own in _own(factor).items()}
+        self._own = [Growing(own[:0]) for own in _own(factor)]
         self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
         self._z = Growing(model.framed_z[:0], "F")
         self._W = Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
@@ -209,8 +207,8 @@ class GrowingBatch:
             index.append(v.index(keys), n)
         self._z.append(model.framed_z, n)
         self._W.append(model.W, n)
-        for place, own in _own(model.factor).items() if self._own else ():
-            self._own[place].append(own, n)
+        for grown, own in zip(self._own, _own(model.factor) if self._own else (), strict=True):
+            grown.append(own, n)
         self._cost.append(np.zeros(1), n)
         for rows in (self._A, self._columns, self._b):
             rows.grow(n)
@@ -249,7 +247,7 @@ class GrowingBatch:
 
     def parts(self) -> Iterator[Growing]:
         """Everything that has a row a measurement."""
-        yield from (*self._index, *self._own.values())
+        yield from (*self._index, *self._own)
         yield from (self._z, self._W, self._A, self._columns, self._b, self._cost)
 
     def catch_up(self) -> float:
@@ -265,7 +263,8 @@ class GrowingBatch:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
         slots = zip(self.variables, self._index, strict=True)
         keys = tuple(Keys(v.kind, v.numbers[index.rows[rows]]) for v, index in slots)
-        factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
+        own = iter(self._own)
+        factor = _changed(self.factor, keys, lambda _: next(own).rows[rows])
         model = self._first._replace(factor=factor, framed_z=self._z.rows[rows], W=self._W.rows[rows])
         factor._model = model
         return model
@@ -274,14 +273,16 @@ class GrowingBatch:
         """Rows of A and b at the present values; of all variables also with their frames where these are known."""
         known = framed if framed and self.factor.framed else {v.kind: v.X for v in self.variables}
         X = [take(known[v.kind], index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
-        A, b = self.model(rows).linearize(*X)
-        if self.kernel is None:
-            cost = np.square(b).sum(axis=1)
-        else:
+        model, rows_of_A = self.model(rows), self._A.rows[rows]
+        again = framed is not None and self._linearized == len(self) and self.kernel is None
+        e = self.factor.relinearize(model, X, rows_of_A) if again else None
+        A, b = model.linearize(*X) if e is None else ((), model.whitened(e))
+        cost = np.square(b).sum(axis=1)
+        if self.kernel is not None:
             A, b, cost = _weighted(self.kernel, A, b)
-        (_, m, D), k = self._A.rows.shape, len(b)
-        side_by_side = np.concatenate([block.transpose(1, 2, 0) for block in A], axis=1)  # (m, D, k)
-        self._A.rows[rows].reshape(k, m * D)[...] = side_by_side.reshape(m * D, k).T  # by three axes: twice as long
+        if A:
+            side_by_side = np.concatenate([block.transpose(1, 2, 0) for block in A], axis=1)  # (m, D, k)
+            rows_of_A.reshape(len(b), -1)[...] = side_by_side.reshape(-1, len(b)).T  # by three axes: twice as long
         self._b.rows[rows], self._cost.rows[rows] = b, cost
         self.total = float(self._cost.rows.sum())
 
@@ -332,37 +333,37 @@ def part(factor: Factor, mask: Mask) -> Factor | None:
     return factor if mask.all() else factor[mask]
 
 
-def _own(factor: Factor) -> dict[Place, Array]:
+def _own(factor: Factor) -> list[Array]:
     """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
     refuse_undeclared(factor)
-    n, arrays = len(factor), dict[Place, Array]()
-    for name in factor.per_measurement:
-        value = getattr(factor, name)
-        held = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, tuple) else None
-        items = {(name,): value} if held is None else {(name, k): item for k, item in held.items()}
-        stacks = {place: item for place, item in items.items() if isinstance(item, np.ndarray) and item.ndim}
-        arrays.update({place: stack if len(stack) in (1, n) else stack[None] for place, stack in stacks.items()})
-    for name, within in factors_within(factor).items():
-        arrays.update({(name, *place): own for place, own in _own(within).items()})
+    arrays: list[Array] = []
+
+    def collect(array: Array) -> Array:
+        arrays.append(array if len(array) in (1, len(factor)) else array[None])
+        return array
+
+    _changed(factor, factor.keys, collect)
     return arrays
 
 
-def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
-    """A factor with other measurements, their keys and their own arrays."""
+def _changed(factor: Factor, keys: tuple[Keys, ...], change: Callable[[Array], Array]) -> Factor:
+    """A factor with other keys, and with other arrays instead of those that measurements have of their own."""
     whole = copy(factor)
     whole.keys = keys
     for name in factor.per_measurement:
-        value = getattr(factor, name)
-        if isinstance(value, tuple):
-            setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
-        elif isinstance(value, dict):
-            setattr(whole, name, {k: own.get((name, k), item) for k, item in value.items()})
-        elif (name,) in own:
-            setattr(whole, name, own[name,])
+        setattr(whole, name, _changed_arrays(getattr(factor, name), change))
     for name, within in factors_within(factor).items():
-        inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}
-        setattr(whole, name, _holding(within, keys[: len(within.keys)], inner))
+        setattr(whole, name, _changed(within, keys[: len(within.keys)], change))
     return whole
+
+
+def _changed_arrays(value: Any, change: Callable[[Array], Array]) -> Any:
+    """An attribute with other arrays, also in a tuple or a table."""
+    if isinstance(value, dict):
+        return {name: _changed_arrays(item, change) for name, item in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_changed_arrays(item, change) for item in value)
+    return change(value) if isinstance(value, np.ndarray) and value.ndim else value
 
 
 def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:

@@ -6,6 +6,7 @@ iterations due to its age have cost as much as making it.
 """
 
 from collections.abc import Callable, Iterable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and lo
 DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
 OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
 LEAST = 0.125  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
+AGED, ROWS = 40, 30  # iterations beyond the first of every solution that are too many; rows in F that count as one
 
 
 class GrowingSystem:
@@ -142,7 +144,7 @@ class GrowingSystem:
                 v.find()
             for batch in batches:
                 batch.place()
-                batch.linearize()
+            self._linearize()
             self._preconditioner = F if is_same else None
             if F is not None:
                 F.used = used
@@ -235,7 +237,7 @@ class GrowingSystem:
     def _solved(self, F: Preconditioner, enough: float, damping: float) -> tuple[Array, float, float]:
         """A step dx, by how much it lowers |A dx - b|^2 + damping |dx|^2, and how much more a longer search would."""
         rows = [batch.A(F.width) for batch in self.batches]
-        r = _sum([At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)], F.n)
+        r = reduce(np.add, [At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)])
         dx, fall = np.zeros(F.width), 0.0
         d = z = F.solve(r)
         rz = float(r @ z)
@@ -243,7 +245,7 @@ class GrowingSystem:
             # where more than enough has fallen another step follows anyway: a hundredth may be left
             if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
                 break
-            q = _sum([At @ (A @ d) for A, At in rows], F.n) + damping * d
+            q = reduce(np.add, [At @ (A @ d) for A, At in rows]) + damping * d
             alpha = rz / float(d @ q)
             dx += alpha * d
             r -= alpha * q
@@ -306,13 +308,14 @@ class GrowingSystem:
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
-        if self._preconditioner is None or self._age > 20:  # iterations beyond the first of every solution
-            self._preconditioner = self._factorized()
+        F = self._preconditioner
+        if F is None or self._age + F.rows / ROWS > AGED:
+            F = self._preconditioner = self._factorized()
         else:
             for batch in self.batches:
-                self._preconditioner.add(*batch.new_rows())
+                F.add(*batch.new_rows())
                 batch.entered = len(batch)
-        return self._preconditioner
+        return F
 
     def _factorized(self) -> Preconditioner:
         """A'A at the present values, factorized in an order of little fill."""
@@ -341,13 +344,6 @@ class GrowingSystem:
             batch.place()
             batch.entered = len(batch)
         return preconditioner
-
-
-def _sum(parts: list[Array], n: int) -> Array:
-    """The sum of vectors, 0 in the columns of what is held."""
-    total = sum(parts[1:], parts[0])
-    total[n:] = 0.0
-    return total
 
 
 def kept(thing: object) -> dict[str, Any]:

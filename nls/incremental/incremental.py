@@ -22,7 +22,7 @@ minimum.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -153,12 +153,15 @@ class Incremental:
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:
         """All is as before where something fails, also where the user interrupts."""
-        with ExitStack() as undo:
-            for part in (self, self._decision, self._window, self._arrivals):
-                undo.callback(vars(part).update, kept(part))
-            undo.callback(self._system.restorer())
+        states = [(part, kept(part)) for part in (self, self._decision, self._window, self._arrivals)]
+        restore = self._system.restorer()
+        try:
             yield
-            undo.pop_all()
+        except BaseException:
+            restore()
+            for part, state in states:
+                vars(part).update(state)
+            raise
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.

@@ -192,9 +192,9 @@ class Arrivals:
         before = None if factors else self._known.count
         while self._pending and self._known.count != before:
             before = self._known.count
-            yield from self._usable()
             yield from self._joining()
-            if self._known.count == before:
+            yield from self._usable()
+            if self._known.count == before and self._pending:
                 yield from together(self._known, self._unknown(), [factor for _, factor in self._pending])
 
     def leave(self, stacks: list[Stack]) -> None:
@@ -263,7 +263,7 @@ class Arrivals:
         """Variables that wait, in the order of their measurements, and the factors these are in."""
         unknown: dict[Variable, list[Factor]] = {}
         for _, factor in self._pending:
-            waits = ((k.kind, n) for k in factor.keys for n in k.numbers[~self._known.has(k)].tolist())
+            waits = [(k.kind, n) for k in factor.keys for n in self._known.missing(k)]
             for variable in dict.fromkeys(waits):
                 unknown.setdefault(variable, []).append(factor)
         return unknown
@@ -271,10 +271,10 @@ class Arrivals:
     def _touching(self, key: Keys, factors: list[Factor]) -> Iterator[tuple[Factor, int, Mask]]:
         """Factors of a variable, its slot, and which measurements (n,) are between it and the estimate."""
         for factor in factors:
-            others = np.sum([self._known.has(keys) for keys in factor.keys], axis=0) == len(factor.keys) - 1
             for slot, keys in enumerate(factor.keys):
-                mask: Mask = others & (keys.numbers == key.numbers)
-                if keys.kind == key.kind and mask.any():
+                if keys.kind == key.kind and (mask := keys.numbers == key.numbers).any():
+                    for others in factor.keys[:slot] + factor.keys[slot + 1 :]:
+                        mask &= self._known.has(others)
                     yield factor, slot, mask
 
     def _target_space(self, touching: list[tuple[Factor, int, Mask]]) -> Manifold | None:

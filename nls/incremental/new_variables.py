@@ -67,6 +67,11 @@ class Known:
         kind, place = keys.kind, self.variables[keys.kind].place if keys.kind in self.variables else {}
         return np.array([n in place or (kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
 
+    def missing(self, keys: Keys) -> list[int]:
+        """Numbers of variables that are not in the estimate."""
+        place = self.variables[keys.kind].place if keys.kind in self.variables else {}
+        return [n for n in keys.numbers.tolist() if n not in place]
+
     def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
         """Which measurements (n,) of a factor are about such variables alone."""
         ready = self.has(factor.keys[0], starts)
