@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any
 
@@ -72,17 +72,32 @@ def part(factor: Any, index: Index) -> Any:
 
 def rows(value: Any, index: Index, n: int) -> Any:
     """The rows of keys and arrays with one for each of n measurements; what all share, and anything else, as it is."""
-    if isinstance(value, Keys):
-        return value[index]
-    if isinstance(value, np.ndarray) and value.ndim and len(value) == n:
-        subset = value[index]
-        subset.setflags(write=value.flags.writeable)
-        return subset
+
+    def some(item: Any) -> Any:
+        if isinstance(item, Keys):
+            return item[index]
+        if isinstance(item, np.ndarray) and item.ndim and len(item) == n:
+            subset = item[index]
+            subset.setflags(write=item.flags.writeable)
+            return subset
+        return item
+
+    return changed(value, some)
+
+
+def changed(value: Any, change: Callable[[Any], Any]) -> Any:
+    """An attribute with other items, also those in a tuple or a table.
+
+    Examples
+    --------
+    >>> changed(({"a": 1}, 2), lambda item: -item)
+    ({'a': -1}, -2)
+    """
     if isinstance(value, tuple):
-        return tuple(rows(item, index, n) for item in value)
+        return tuple(changed(item, change) for item in value)
     if isinstance(value, dict):
-        return {name: rows(item, index, n) for name, item in value.items()}
-    return value
+        return {name: changed(item, change) for name, item in value.items()}
+    return change(value)
 
 
 def below(parts: Sequence[Any], counts: Sequence[int]) -> Any:

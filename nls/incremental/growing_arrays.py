@@ -17,6 +17,7 @@ from factors.declared import factors_within, refuse_undeclared
 from factors.joined import sort_of
 from factors.keys import Keys
 from factors.robust import Kernel
+from factors.slices import changed
 from models import Manifold
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
@@ -337,33 +338,23 @@ def _own(factor: Factor) -> list[Array]:
     """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
     refuse_undeclared(factor)
     arrays: list[Array] = []
-
-    def collect(array: Array) -> Array:
-        arrays.append(array if len(array) in (1, len(factor)) else array[None])
-        return array
-
-    _changed(factor, factor.keys, collect)
-    return arrays
+    _changed(factor, factor.keys, arrays.append)
+    return [array if len(array) in (1, len(factor)) else array[None] for array in arrays]
 
 
-def _changed(factor: Factor, keys: tuple[Keys, ...], change: Callable[[Array], Array]) -> Factor:
+def _changed(factor: Factor, keys: tuple[Keys, ...], change: Callable[[Array], Any]) -> Factor:
     """A factor with other keys, and with other arrays instead of those that measurements have of their own."""
+
+    def own(item: Any) -> Any:
+        return change(item) if isinstance(item, np.ndarray) and item.ndim else item
+
     whole = copy(factor)
     whole.keys = keys
     for name in factor.per_measurement:
-        setattr(whole, name, _changed_arrays(getattr(factor, name), change))
+        setattr(whole, name, changed(getattr(factor, name), own))
     for name, within in factors_within(factor).items():
         setattr(whole, name, _changed(within, keys[: len(within.keys)], change))
     return whole
-
-
-def _changed_arrays(value: Any, change: Callable[[Array], Array]) -> Any:
-    """An attribute with other arrays, also in a tuple or a table."""
-    if isinstance(value, dict):
-        return {name: _changed_arrays(item, change) for name, item in value.items()}
-    if isinstance(value, tuple):
-        return tuple(_changed_arrays(item, change) for item in value)
-    return change(value) if isinstance(value, np.ndarray) and value.ndim else value
 
 
 def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:

@@ -126,8 +126,8 @@ class GrowingSystem:
 
     def restorer(self) -> Callable[[], None]:
         """What makes all as it is now; the preconditioner anew where it has taken rows, or is another since."""
-        variables, kinds, batches = self.variables, {*self.variables}, [*self.batches]  # others have the variables, too
-        tables: list[Variables | GrowingBatch] = [*variables.values(), *batches]
+        batches = [*self.batches]
+        tables: list[Variables | GrowingBatch] = [*self.variables.values(), *batches]
         states = [(thing, kept(thing)) for thing in (self, *batches)]
         states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
         F = self._preconditioner
@@ -137,10 +137,7 @@ class GrowingSystem:
             is_same = F is not None and self._preconditioner is F and F.rows == rows
             for thing, state in states:
                 vars(thing).update(state)
-            self.variables = variables
-            for kind in variables.keys() - kinds:
-                del variables[kind]
-            for v in variables.values():
+            for v in self.variables.values():
                 v.find()
             for batch in batches:
                 batch.place()

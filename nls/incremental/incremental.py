@@ -98,7 +98,7 @@ class Incremental:
         self.gap, self.passes, self.batch_solutions = 0.0, 0, 0
         self._system = GrowingSystem()
         self._window, self._decision = Window(lag, landmarks), Decision(decide_every, lag)
-        self._arrivals = Arrivals(self._system.variables, self._window)
+        self._arrivals = Arrivals(self._system, self._window)
         self._undecided: list[Factor] = []  # absolute measurements that are too few to let the gauge go
 
     def update(self, factors: Factor | Sequence[Factor], values: Values | None = None) -> None:

@@ -23,7 +23,7 @@ from models.manifolds.rn import Vectors
 from models.options import check_whole
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import GrowingBatch, Variables, part
-from nls.incremental.growing_system import touched
+from nls.incremental.growing_system import GrowingSystem, touched
 from nls.incremental.marginal import MarginalPrior
 from nls.incremental.new_variables import Known, New, Variable, alone, points, together
 from nls.posegraph import says_poses
@@ -155,12 +155,12 @@ class Arrivals:
 
     Parameters
     ----------
-    variables : of the estimate, by kind; who joins is added by the caller.
+    system : the estimate; who joins is added by the caller.
     window : what may still be measured.
     """
 
-    def __init__(self, variables: dict[str, Variables], window: Window) -> None:
-        self._known, self._window = Known(variables), window
+    def __init__(self, system: GrowingSystem, window: Window) -> None:
+        self._known, self._window = Known(system), window
         self._pending: list[tuple[Factor, Factor]] = []  # given, the part of it that waits
         self._tried: dict[Variable, int] = {}  # with how many measurements that determine too little
 

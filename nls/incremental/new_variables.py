@@ -16,7 +16,8 @@ from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.incremental.growing_arrays import Variables, part
+from nls.incremental.growing_arrays import part
+from nls.incremental.growing_system import GrowingSystem
 from nls.linear.null_space import own_information
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import dead_reckoning, odometry
@@ -45,43 +46,40 @@ class Known:
 
     Attributes
     ----------
-    variables : of the estimate, by kind.
+    system : the estimate.
     spaces, starts : of kinds and variables to come.
     """
 
-    variables: dict[str, Variables]
+    system: GrowingSystem
     spaces: dict[str, Manifold] = field(default_factory=dict)
     starts: dict[Variable, Array] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
         """How many variables are in the estimate."""
-        return sum(map(len, self.variables.values()))
+        return sum(map(len, self.system.variables.values()))
 
     def space(self, kind: str) -> Manifold | None:
         """The space of a kind, if that is known."""
-        return self.variables[kind].manifold if kind in self.variables else self.spaces.get(kind)
+        return self.system.variables[kind].manifold if kind in self.system.variables else self.spaces.get(kind)
 
     def has(self, keys: Keys, starts: Container[Variable] = ()) -> Mask:
         """Which variables (k,) are in the estimate, or have one of some starts."""
-        kind, place = keys.kind, self.variables[keys.kind].place if keys.kind in self.variables else {}
+        kind, place = keys.kind, self.system.variables[keys.kind].place if keys.kind in self.system.variables else {}
         return np.array([n in place or (kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
 
     def missing(self, keys: Keys) -> list[int]:
         """Numbers of variables that are not in the estimate."""
-        place = self.variables[keys.kind].place if keys.kind in self.variables else {}
+        place = self.system.variables[keys.kind].place if keys.kind in self.system.variables else {}
         return [n for n in keys.numbers.tolist() if n not in place]
 
     def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
         """Which measurements (n,) of a factor are about such variables alone."""
-        ready = self.has(factor.keys[0], starts)
-        for keys in factor.keys[1:]:
-            ready &= self.has(keys, starts)
-        return ready
+        return np.asarray(np.logical_and.reduce([self.has(keys, starts) for keys in factor.keys]))
 
     def value(self, keys: Keys) -> Array:
         """(k, size) of variables of the estimate."""
-        variables = self.variables.get(keys.kind)
+        variables = self.system.variables.get(keys.kind)
         return np.zeros((0, 0)) if variables is None else np.asarray(variables.X[variables.index(keys)])
 
     def values(self, graph: FactorGraph, starts: dict[Variable, Array], new: Manifold | None = None) -> Values:
