@@ -30,7 +30,7 @@ from nls.values import Values
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
 OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
-LEAST = 0.125  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
+LEAST = 0.2  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
 AGED, ROWS = 40, 30  # iterations beyond the first of every solution that are too many; rows in F that count as one
 
 
