@@ -11,7 +11,7 @@ from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.noise import Noise, whiten
 from factors.noise_size import numbers_of_z
-from models import SE2, LieGroup, Manifold
+from models import SE2, SE3, LieGroup, Manifold
 from models.algebra import Array, components
 from models.errors import GraphError
 
@@ -93,18 +93,17 @@ class Between(Factor):
         return -off, () if J is None else (J[..., : group.dim], J[..., group.dim :])
 
     def relinearize(self, model: Model, X: Sequence[Array], A: Array) -> Array | None:
-        group = model.space
-        if not self.framed or not isinstance(group, LieGroup) or group.flat:
-            return None
-        if group is not SE2:
-            off, J = group.misfit(X[0], X[1], model.framed_z)
+        if self.framed and model.space is SE3:
+            off, J = SE3.misfit(X[0], X[1], model.framed_z)
             A[...] = whiten(model.W, np.asarray(J))
             return -off
+        if not self.framed or model.space is not SE2:
+            return None
         (xi, yi, _, ci, si), (xj, yj, _, cj, sj) = map(components, X)
         dx, dy = xj - xi, yj - yi
         x, y = ci * dx + si * dy, ci * dy - si * dx
         c, s = ci * cj + si * sj, ci * sj - si * cj
-        for a in A[:, :2].transpose(1, 2, 0):  # W R(z)' [-I, (y, -x) | R, 0] in front: six of 18 numbers change
+        for a in A.transpose(1, 2, 0):  # W R(z)' [-I, (y, -x) | R, 0] + W [0, -1 | 0, 1]: its columns 2 to 4 change
             u, v = a[:2].copy()
             a[2:5] = v * x - u * y - a[5], -u * c - v * s, u * s - v * c
-        return -group.misfit(X[0], X[1], model.framed_z, jacobians=False)[0]
+        return -SE2.misfit(X[0], X[1], model.framed_z, jacobians=False)[0]

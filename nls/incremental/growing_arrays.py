@@ -48,19 +48,14 @@ class Growing:
         """The rows (n, ...), a view."""
         return self._room[: self._n]
 
-    def append(self, rows: npt.NDArray[Any], n: int) -> None:
-        """Add n rows at the end: each its own (n, ...), or all the same (1, ...)."""
-        begin = self._n
-        self.grow(n)
-        self._room[begin : self._n] = rows
-
-    def grow(self, n: int) -> None:
-        """Add n rows at the end that are written later."""
-        end = self._n + n
+    def append(self, rows: Any, n: int) -> None:
+        """Add n rows at the end: each its own (n, ...), all the same (1, ...), or all of one number."""
+        begin, end = self._n, self._n + n
         if end > len(self._room):
             room = np.empty((2 * end, *self._room.shape[1:]), self._room.dtype, self._order)
-            room[: self._n] = self.rows
+            room[:begin] = self.rows
             self._room = room
+        self._room[begin:end] = rows
         self._n = end
 
     def put(self, rows: npt.NDArray[Any]) -> None:
@@ -108,9 +103,8 @@ class Variables:
     def join(self, number: int, value: Array, column: int) -> None:
         """Add a variable at a value (size,)."""
         self.place[number] = len(self)
-        self._numbers.append(np.array([number]), 1)
-        self._X.append(value[None], 1)
-        self._columns.append(np.array([column]), 1)
+        for part, row in zip(self.parts(), (value, number, column), strict=True):
+            part.append(row, 1)
 
     def put(self, X: Array) -> None:
         """Have other values (n, size); who holds the old ones keeps them."""
@@ -202,17 +196,11 @@ class GrowingBatch:
 
     def append(self, model: Model, given: Factor) -> None:
         """Add measurements whose variables are there, of a factor that was given."""
-        n = len(model.z)
         self.given.append((given, model.factor))
-        for v, index, keys in zip(self.variables, self._index, model.factor.keys, strict=True):
-            index.append(v.index(keys), n)
-        self._z.append(model.framed_z, n)
-        self._W.append(model.W, n)
-        for grown, own in zip(self._own, _own(model.factor) if self._own else (), strict=True):
-            grown.append(own, n)
-        self._cost.append(np.zeros(1), n)
-        for rows in (self._A, self._columns, self._b):
-            rows.grow(n)
+        index = [v.index(keys) for v, keys in zip(self.variables, model.factor.keys, strict=True)]
+        own = _own(model.factor) if self._own else []
+        for part, rows in zip(self.parts(), [*index, *own, model.framed_z, model.W, 0, 0, 0, 0], strict=True):
+            part.append(rows, len(model.z))
         self._sparse = None
 
     def touches(self, of: dict[str, Mask]) -> Mask:

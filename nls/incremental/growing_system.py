@@ -114,8 +114,7 @@ class GrowingSystem:
         if batch is None:
             batch = GrowingBatch(model, variables)
             self.batches.append(batch)
-        poses = any(self.variables[key.kind].manifold.body_axes for key in self.held)
-        if self.held and (not factor.relative or (poses and factor.knows_axes(model.manifolds))):
+        if self.held and anchors(factor, model.manifolds, [self.variables[key.kind].manifold for key in self.held]):
             self.held = []  # what was held for the gauge may move now
             self.renew()
         batch.append(model, given)
@@ -128,8 +127,7 @@ class GrowingSystem:
         """What makes all as it is now; the preconditioner anew where it has taken rows, or is another since."""
         batches = [*self.batches]
         tables: list[Variables | GrowingBatch] = [*self.variables.values(), *batches]
-        states = [(thing, kept(thing)) for thing in (self, *batches)]
-        states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
+        states = [(thing, kept(thing)) for thing in (self, *batches, *(part for t in tables for part in t.parts()))]
         F = self._preconditioner
         used, rows = (F.used, F.rows) if F else (0, 0)
 
@@ -331,9 +329,7 @@ class GrowingSystem:
             preconditioner = Preconditioner(hessian, system.H_blocks)
         except SingularSystemError as error:
             raise underconstrained(system, values) from error
-        position = np.empty(hessian.n + 1, dtype=np.intp)
-        position[hessian.permutation] = np.arange(hessian.n)
-        position[-1] = preconditioner.n  # held
+        position = np.append(np.argsort(hessian.permutation), preconditioner.n)  # the last of what is held
         for variables in self.variables.values():
             begin = pattern.offsets[variables.kind]
             variables.columns[:] = position[pattern.starts[begin : begin + len(variables)]]
@@ -341,6 +337,11 @@ class GrowingSystem:
             batch.place()
             batch.entered = len(batch)
         return preconditioner
+
+
+def anchors(factor: Factor, spaces: tuple[Manifold | None, ...], held: Iterable[Manifold]) -> bool:
+    """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
+    return not factor.relative or (factor.knows_axes(spaces) and any(space.body_axes for space in held))
 
 
 def kept(thing: object) -> dict[str, Any]:

@@ -281,8 +281,7 @@ class Incremental:
                 cut = f"Incremental.remove: nothing else connects {apart[-1]} to the rest of the map; connect it first"
                 raise UnderconstrainedError(cut, apart[-1:])
             if self.batch_solutions > batches or self._system.fit is not Fit.PLAUSIBLE:  # the map was bent far
-                if (lower := lower_start(self.graph, self.values, self.chi2)) is not None:
-                    self._system.put(lower)
+                self._system.put(lower_start(self.graph, self.values, self.chi2))
                 self._solve_batch()
 
     @property

@@ -14,7 +14,7 @@ from factors.base import Factor, Model
 from factors.joined import grouped, joined
 from factors.keys import Keys
 from factors.sighting import Sighting
-from models import SE2, SE3, LieGroup, Manifold, R
+from models import LieGroup, Manifold, R
 from models.advice import Advice
 from models.algebra import Mask
 from models.errors import GraphError, LeadlineError, OptionError
@@ -23,7 +23,7 @@ from models.manifolds.rn import Vectors
 from models.options import check_whole
 from nls.graph import FactorGraph
 from nls.incremental.growing_arrays import GrowingBatch, Variables, part
-from nls.incremental.growing_system import GrowingSystem, touched
+from nls.incremental.growing_system import GrowingSystem, anchors, touched
 from nls.incremental.marginal import MarginalPrior
 from nls.incremental.new_variables import Known, New, Variable, alone, points, together
 from nls.posegraph import says_poses
@@ -180,10 +180,9 @@ class Arrivals:
             self._known = replace(known, spaces=known.spaces | {kind: stack.manifold}, starts=known.starts | new)
 
     def anchors(self, factor: Factor) -> bool:
-        """Whether a measurement determines what the gauge may hold: beside poses, points do that know the axes."""
+        """Whether a measurement determines what the gauge may hold."""
         spaces = tuple([self._known.space(keys.kind) for keys in factor.keys])
-        of_starts = self._known.spaces.values()  # all kinds of poses are among them
-        return not factor.relative or (factor.knows_axes(spaces) and any(space in (SE2, SE3) for space in of_starts))
+        return anchors(factor, spaces, self._known.spaces.values())  # all kinds of poses are among them
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | tuple[Factor, Factor]]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""

@@ -201,10 +201,10 @@ def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -
     return []
 
 
-def lower_start(graph: FactorGraph, values: Values, chi2: float) -> Values | None:
-    """The optimum that a start from the measurements alone leads to, where its chi2 is lower."""
+def lower_start(graph: FactorGraph, values: Values, chi2: float) -> Values:
+    """The optimum that a start from the measurements alone leads to, where its chi2 is lower than given."""
     nothing = {kind: np.repeat(stack.X[:1], len(stack), axis=0) for kind, stack in values.stacks.items()}
     with suppress(EvaluationError, SingularGeometryError, UnderconstrainedError):  # there may be no such start
         result = graph.optimize(odometry(graph, values.replaced(nothing)), LevenbergMarquardt(LIMIT))
-        return result.values if result.chi2_final < chi2 else None
-    return None
+        return result.values if result.chi2_final < chi2 else values
+    return values

@@ -95,6 +95,26 @@ def test_A_is_minus_the_derivative_of_b_and_a_batch_its_measurements_one_by_one(
 
 
 @every_sample
+def test_rows_that_are_linearized_again_are_those_of_the_new_values(sample: Sample) -> None:
+    X, z, W = batch(sample)
+    model, stacks = sample.values(X).gather(sample.factor(z, SqrtInformation(W)))
+    begun = np.concatenate(model.linearize(*stacks)[0], axis=2)
+    A, steps = begun.copy(), np.random.default_rng(3).normal(scale=0.1, size=(len(z), 20))
+    moved = [m.retract(x, steps[:, : m.dim]) for m, x in zip(sample.manifolds, stacks, strict=True)]
+    framed = [m.framed(x) for m, x in zip(sample.manifolds, moved, strict=True)] if model.factor.framed else moved
+    e = model.factor.relinearize(model, framed, A)
+    assert (e is not None) == (
+        type(model.factor) is Between and sample.convention == "g2o" and sample.space in (SE2, SE3)
+    )
+    if e is None:
+        return np.testing.assert_array_equal(A, begun)
+    A_there, b_there = model.linearize(*moved)
+    same(A, np.concatenate(A_there, axis=2), rtol=1e-12, atol=1e-12)
+    same(model.whitened(e), b_there, rtol=1e-13, atol=1e-13)
+    assert abs(A - begun).max() > 0.01
+
+
+@every_sample
 def test_b_by_hand(sample: Sample) -> None:
     X, z, W = batch(sample)
     values, h = sample.values(X), np.asarray(sample.truth(*X), dtype=float)
