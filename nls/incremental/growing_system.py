@@ -125,9 +125,9 @@ class GrowingSystem:
 
     def restorer(self) -> Callable[[], None]:
         """What makes all as it is now; the preconditioner anew where it has taken rows, or is another since."""
-        batches = [*self.batches]
-        tables: list[Variables | GrowingBatch] = [*self.variables.values(), *batches]
-        states = [(thing, kept(thing)) for thing in (self, *batches, *(part for t in tables for part in t.parts()))]
+        tables: list[Variables | GrowingBatch] = [*self.variables.values(), *self.batches]
+        states = [(thing, kept(thing)) for thing in (self, *self.batches)]
+        states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
         F = self._preconditioner
         used, rows = (F.used, F.rows) if F else (0, 0)
 
@@ -137,7 +137,7 @@ class GrowingSystem:
                 vars(thing).update(state)
             for v in self.variables.values():
                 v.find()
-            for batch in batches:
+            for batch in self.batches:
                 batch.place()
             self._linearize()
             self._preconditioner = F if is_same else None
