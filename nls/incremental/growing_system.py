@@ -29,8 +29,8 @@ from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
-OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall: one old F in a hundred says less than a tenth of it
-LEAST = 0.2  # of what is not worth a digit, where F alone says it: the oldest have said a 220th of a fall
+OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall, and as much for every iteration but the first two
+LEAST = 0.2  # of what is not worth a digit: no smaller fall is stated
 AGED, ROWS = 40, 30  # iterations beyond the first of every solution that are too many; rows in F that count as one
 
 
@@ -49,7 +49,7 @@ class GrowingSystem:
         self.batches: list[GrowingBatch] = []
         self.iterations = self.factorizations = 0
         self._preconditioner: Preconditioner | None = None
-        self._age = 0
+        self._age = self._needed = 0
         self.held: list[Keys] = []
         self._damping = 0.0  # of the next step: lambda of Levenberg
 
@@ -233,24 +233,24 @@ class GrowingSystem:
         """A step dx, by how much it lowers |A dx - b|^2 + damping |dx|^2, and how much more a longer search would."""
         rows = [batch.A(F.width) for batch in self.batches]
         r = reduce(np.add, [At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)])
-        dx, fall = np.zeros(F.width), 0.0
-        d = z = F.solve(r)
-        rz = float(r @ z)
-        for iteration in range(60):
+        dx, d, fall, rz = np.zeros(F.width), np.zeros(F.width), 0.0, np.inf
+        times, self._needed = OLD_FALL_BOUND * max(1, self._needed - 1), 0
+        for _ in range(60):
+            z = F.solve(r)
+            before, rz = rz, float(r @ z)
             # where more than enough has fallen another step follows anyway: a hundredth may be left
-            if OLD_FALL_BOUND * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
+            if times * rz <= enough - fall or (fall > enough and rz <= 0.01 * fall):
                 break
+            d = z + (rz / before) * d
             q = reduce(np.add, [At @ (A @ d) for A, At in rows]) + damping * d
             alpha = rz / float(d @ q)
             dx += alpha * d
             r -= alpha * q
             fall += alpha * rz
-            z = F.solve(r)
-            before, rz = rz, float(r @ z)
-            d = z + (rz / before) * d
-            self.iterations += 1
-            self._age += iteration > 0 and not damping
-        return dx, fall, max(OLD_FALL_BOUND * rz, 0.0 if fall else LEAST * enough)
+            self._needed += 1
+        self.iterations += self._needed
+        self._age += max(self._needed - 1, 0) * (not damping)
+        return dx, fall, max(times * rz, LEAST * enough - fall)
 
     def move(self, dx: Array, fall: float) -> bool:
         """Move all variables by the whole step, or the first of its halves that lowers chi2 enough; whether one does.
@@ -315,7 +315,7 @@ class GrowingSystem:
     def _factorized(self) -> Preconditioner:
         """A'A at the present values, factorized in an order of little fill."""
         self.factorizations += 1
-        self._age = 0
+        self._age = self._needed = 0
         values = self.values
         pattern = Pattern([batch.model().factor for batch in self.batches], values)
         untouched = ~touched_variables(pattern)  # the first of all, while its measurements wait for others

@@ -203,7 +203,7 @@ HELD = {  # by a checkpoint of version 4: with other attributes it is another ve
     "Growing": "rows room order",
     "GrowingBatch": "given variables _first kernel _own _index _z _W _A _columns _b _cost _linearized entered total "
     "_sparse",
-    "GrowingSystem": "variables batches iterations factorizations _preconditioner _age held _damping",
+    "GrowingSystem": "variables batches iterations factorizations _preconditioner _age _needed held _damping",
     "Known": "system spaces starts",
     "Preconditioner": "used rows n width _begun _added _by_columns",
     "Variables": "kind manifold place _X _numbers _columns",
