@@ -2,7 +2,7 @@ r"""The linear problem A dx = b of a graph that grows, kept at its present value
 
 Its factor F ~ A'A takes the rows of new measurements and is otherwise old. This factor is the preconditioner of
 conjugate gradients on the exact A. Its age costs iterations, not accuracy. A new one is made, in a new order, when the
-iterations due to its age have cost as much as making it.
+iterations due to its age, and the columns that new rows fill, have cost as much as making it.
 """
 
 from collections.abc import Callable, Iterable

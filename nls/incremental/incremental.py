@@ -6,8 +6,9 @@ the rows of new measurements. The old factor is the preconditioner of conjugate 
     A'A dx = g by conjugate gradients,   x <- x [+] dx,   until gap <= 0.8 tol chi2
 
 The gap estimates how far chi2 is above its minimum: four times the decrease of |A dx - b|^2 in the same iterations. On
-public graphs and logs chi2 itself decreases by up to 3 times as much. Where steps are damped it is sixteen times. It is
-not a proof: small, strongly nonlinear graphs can exceed the gap.
+public graphs and logs chi2 itself decreases by up to 3 times as much. Where steps are damped it is sixteen times. What
+the old factor says of the decrease that is left counts 20 times, and more where it needed many iterations. It is not a
+proof: small, strongly nonlinear graphs can exceed the gap.
 
 A new pose whose odometry fits exactly changes nothing, and a new measurement of residual r cannot lower the minimum:
 
