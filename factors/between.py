@@ -93,12 +93,12 @@ class Between(Factor):
         return -off, () if J is None else (J[..., : group.dim], J[..., group.dim :])
 
     def relinearize(self, model: Model, X: Sequence[Array], A: Array) -> Array | None:
-        if self.framed and model.space is SE3:
+        if type(self) is not Between or not self.framed or model.space not in (SE2, SE3):
+            return None  # a subclass may have its own innovation
+        if model.space is SE3:
             off, J = SE3.misfit(X[0], X[1], model.framed_z)
             A[...] = whiten(model.W, np.asarray(J))
             return -off
-        if not self.framed or model.space is not SE2:
-            return None
         (xi, yi, _, ci, si), (xj, yj, _, cj, sj) = map(components, X)
         dx, dy = xj - xi, yj - yi
         x, y = ci * dx + si * dy, ci * dy - si * dx

@@ -49,7 +49,7 @@ class Growing:
         return self._room[: self._n]
 
     def append(self, rows: Any, n: int) -> None:
-        """Add n rows at the end: each its own (n, ...), all the same (1, ...), or all of one number."""
+        """Add n rows at the end: each its own (n, ...), or one row or number for all."""
         begin, end = self._n, self._n + n
         if end > len(self._room):
             room = np.empty((2 * end, *self._room.shape[1:]), self._room.dtype, self._order)
@@ -258,6 +258,7 @@ class GrowingBatch:
         factor._model = model
         return model
 
+    @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused by name
     def linearize(self, rows: slice = slice(None), framed: Mapping[str, Array] | None = None) -> None:
         """Rows of A and b at the present values; of all variables also with their frames where these are known."""
         known = framed if framed and self.factor.framed else {v.kind: v.X for v in self.variables}

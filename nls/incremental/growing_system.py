@@ -1,8 +1,8 @@
 r"""The linear problem A dx = b of a graph that grows, kept at its present values.
 
 Its factor F ~ A'A takes the rows of new measurements and is otherwise old. This factor is the preconditioner of
-conjugate gradients on the exact A. Its age costs iterations, not accuracy. A new one is made, in a new order, when the
-iterations due to its age, and the columns that new rows fill, have cost as much as making it.
+conjugate gradients on the exact A. Its age costs iterations, not accuracy. A new one is made, in a new order, when its
+age has cost as much as that: by more iterations, and by columns that new rows fill.
 """
 
 from collections.abc import Callable, Iterable
@@ -29,7 +29,7 @@ from nls.values import Values
 
 FALL_BOUND = 4.0  # times the fall of a quadratic model; of public graphs and logs chi2 falls by up to 3 times as much
 DAMPED_BOUND = 16.0  # the same where steps are damped: the model knows less of the hinges and arcs there
-OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall, and as much for every iteration but the first two
+OLD_FALL_BOUND = 20.0  # times what F says of the rest of a fall; k - 1 times as much where the last solution needed k
 LEAST = 0.2  # of what is not worth a digit: no smaller fall is stated
 AGED, ROWS = 40, 30  # iterations beyond the first of every solution that are too many; rows in F that count as one
 
@@ -128,8 +128,8 @@ class GrowingSystem:
         tables: list[Variables | GrowingBatch] = [*self.variables.values(), *self.batches]
         states = [(thing, kept(thing)) for thing in (self, *self.batches)]
         states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
-        F = self._preconditioner
-        used, rows = (F.used, F.rows) if F else (0, 0)
+        F, rows = self._preconditioner, self._preconditioner.rows if self._preconditioner else 0
+        states += [(F, {"used": F.used})] if F else []
 
         def restore() -> None:
             is_same = F is not None and self._preconditioner is F and F.rows == rows
@@ -139,10 +139,8 @@ class GrowingSystem:
                 v.find()
             for batch in self.batches:
                 batch.place()
-            self._linearize()
             self._preconditioner = F if is_same else None
-            if F is not None:
-                F.used = used
+            self._linearize()
 
         return restore
 
@@ -166,7 +164,7 @@ class GrowingSystem:
         """
         if self._preconditioner is not None:
             held = [gone[key.kind][self.variables[key.kind].index(key)].any() for key in self.held if key.kind in gone]
-            if self._age or any(held):
+            if self._age or self._preconditioner.rows > ROWS * AGED or any(held):
                 self.renew()  # else a heading that is hardly known seems settled before it is
             else:
                 self._refreshed()
@@ -230,7 +228,10 @@ class GrowingSystem:
         return dx, fall, fall + rest
 
     def _solved(self, F: Preconditioner, enough: float, damping: float) -> tuple[Array, float, float]:
-        """A step dx, by how much it lowers |A dx - b|^2 + damping |dx|^2, and how much more a longer search would."""
+        """A step dx, by how much it lowers |A dx - b|^2 + damping |dx|^2, and how much more a longer search may.
+
+        Both together are at least `LEAST` of enough.
+        """
         rows = [batch.A(F.width) for batch in self.batches]
         r = reduce(np.add, [At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)])
         dx, d, fall, rz = np.zeros(F.width), np.zeros(F.width), 0.0, np.inf
@@ -329,7 +330,7 @@ class GrowingSystem:
             preconditioner = Preconditioner(hessian, system.H_blocks)
         except SingularSystemError as error:
             raise underconstrained(system, values) from error
-        position = np.append(np.argsort(hessian.permutation), preconditioner.n)  # the last of what is held
+        position = np.append(np.argsort(hessian.permutation), preconditioner.n)  # the last: held
         for variables in self.variables.values():
             begin = pattern.offsets[variables.kind]
             variables.columns[:] = position[pattern.starts[begin : begin + len(variables)]]

@@ -14,8 +14,8 @@ A new pose whose odometry fits exactly changes nothing, and a new measurement of
 
     gap_new <= gap + |r|^2
 
-so nothing is solved while that is within tol of chi2. F is made anew, in a new order, when the iterations that its age
-costs and the columns that new rows fill have cost as much as making it.
+so nothing is solved while that is within tol of chi2. F is made anew, in a new order, when its age has cost as much as
+that: by more iterations, and by columns that new rows fill.
 
 Source: M. Kaess, H. Johannsson, R. Roberts, V. Ila, J. Leonard, F. Dellaert, "iSAM2: incremental smoothing and mapping
 using the Bayes tree", IJRR 31(2), 2012, for the problem; there the linearization of parts stays old and chi2 above its
@@ -159,9 +159,9 @@ class Incremental:
         try:
             yield
         except BaseException:
-            restore()
             for part, state in states:
                 vars(part).update(state)
+            restore()
             raise
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:

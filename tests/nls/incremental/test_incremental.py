@@ -14,10 +14,11 @@ import factors as f
 import nls
 import sim
 from factors import Between, DriftingStep, Factor, GemanMcClure, Huber, Isotropic, Position, Prior, Range, Shifted
+from factors.base import Model
 from factors.function import FunctionFactor
 from factors.keys import Keys
-from models import SE2, SE3, R
-from models.algebra import Index
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Values, kinds
 from nls.incremental.steps import steps
@@ -72,6 +73,30 @@ def test_a_loop_is_at_its_optimum_after_every_step(group: type) -> None:
     is_optimal(smoother)
     assert not smoother.waiting
     assert len(smoother.graph) == len(world.graph)
+
+
+class Doubled(Between):
+    """The last component counts twice."""
+
+    def innovation(self, model: Model, X: tuple[Array, ...], jacobians: bool = True) -> tuple[Array, tuple[Array, ...]]:
+        e, J = super().innovation(model, X, jacobians)
+        twice = np.append(np.ones(model.space.dim - 1), 2.0)
+        return e * twice, tuple([J_k * twice[:, None] for J_k in J])
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_a_subclass_is_linearized_by_its_own_innovation(group: LieGroup) -> None:
+    rng, d = np.random.default_rng(0), group.dim
+    truth = group.exp(np.zeros((1, d)))
+    smoother = Incremental()
+    smoother.update(Prior(x[0], truth[0], STEP), Values({x: (group, truth)}))
+    for k in range(1, 12):
+        truth = np.concatenate([truth, group.compose(truth[-1:], group.exp(np.append(np.eye(d)[0, :-1], 0.5)[None]))])
+        off = group.exp(rng.normal(0, 0.1, (2, d)))
+        z = group.compose(group.between(truth[[k - 1, max(k - 3, 0)]], truth[[k, k]]), off)
+        step, match = Between(x[k - 1], x[k], z[0], STEP, "g2o"), Doubled(x[max(k - 3, 0)], x[k], z[1], STEP, "g2o")
+        smoother.update([step, match] if k > 3 else step)
+        is_optimal(smoother)
 
 
 def test_a_range_alone_waits_for_the_third() -> None:

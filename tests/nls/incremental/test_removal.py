@@ -213,6 +213,25 @@ def test_a_window_is_as_before_after_a_refused_update() -> None:
     assert [one.left.stack("x").numbers.tolist() for one in smoothers] == [[0, 1, 2, 3, 4, 5]] * 2
 
 
+def test_a_function_that_fails_for_good_leaves_nothing_behind() -> None:
+    is_lost = False
+
+    def level(X: Array) -> Array:
+        if is_lost:
+            raise OSError("the sensor is gone")
+        return X[:, :1] - 1
+
+    smoother = Incremental()
+    steps = [Between(x[k], x[k + 1], [1, 0, 0.1], STEP) for k in range(3)]
+    given = [Prior(x[0], [0, 0, 0], STEP), Factor.from_function(level, x[0], dim=1), *steps[:2]]
+    last = [steps[2], Between(x[8], x[9], [1, 0, 0], STEP), Prior(x[0], [1, 2, 0.4], STEP)]
+    smoother.update(given, Values({x: (SE2, [[0, 0, 0]])}))
+    before, is_lost = (smoother.gap, smoother.pending, smoother.given), True
+    with pytest.raises(EvaluationError, match="the sensor is gone"):
+        smoother.update(last)
+    assert (smoother.gap, smoother.pending, smoother.given) == before
+
+
 def test_an_update_whose_decision_fails_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def undecided(*_: object, **__: object) -> None:
         raise GraphError("cannot decide")
