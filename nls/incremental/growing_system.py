@@ -128,7 +128,8 @@ class GrowingSystem:
         tables: list[Variables | GrowingBatch] = [*self.variables.values(), *self.batches]
         states = [(thing, kept(thing)) for thing in (self, *self.batches)]
         states += [(part, {**vars(part)}) for table in tables for part in table.parts()]
-        F, rows = self._preconditioner, self._preconditioner.rows if self._preconditioner else 0
+        F = self._preconditioner
+        rows = F.rows if F else 0
         states += [(F, {"used": F.used})] if F else []
 
         def restore() -> None:
@@ -162,12 +163,12 @@ class GrowingSystem:
 
         The preconditioner keeps the columns of what leaves. Its solutions for 0 there are those with the priors.
         """
-        if self._preconditioner is not None:
-            held = [gone[key.kind][self.variables[key.kind].index(key)].any() for key in self.held if key.kind in gone]
-            if self._age or self._preconditioner.rows > ROWS * AGED or any(held):
-                self.renew()  # else a heading that is hardly known seems settled before it is
-            else:
-                self._refreshed()
+        F = self._preconditioner
+        held = (gone[key.kind][self.variables[key.kind].index(key)].any() for key in self.held if key.kind in gone)
+        if F is not None and (self._age or self._aged(F) or any(held)):
+            self.renew()  # else a heading that is hardly known seems settled before it is
+        elif F is not None:
+            self._refreshed()
         self.drop(rows)
         self.leave(gone)
         for prior in priors:
@@ -305,13 +306,17 @@ class GrowingSystem:
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
         F = self._preconditioner
-        if F is None or self._age + F.rows / ROWS > AGED:
+        if F is None or self._aged(F):
             F = self._preconditioner = self._factorized()
         else:
             for batch in self.batches:
                 F.add(*batch.new_rows())
                 batch.entered = len(batch)
         return F
+
+    def _aged(self, F: Preconditioner) -> bool:
+        """Whether its age, in iterations, and the columns that its rows fill have cost as much as a new one."""
+        return self._age + F.rows / ROWS > AGED
 
     def _factorized(self) -> Preconditioner:
         """A'A at the present values, factorized in an order of little fill."""

@@ -23,7 +23,7 @@ minimum.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -154,15 +154,12 @@ class Incremental:
     @contextmanager
     def _unless_it_fails(self) -> Iterator[None]:
         """All is as before where something fails, also where the user interrupts."""
-        states = [(part, kept(part)) for part in (self, self._decision, self._window, self._arrivals)]
-        restore = self._system.restorer()
-        try:
+        with ExitStack() as undo:
+            for part in (self, self._decision, self._window, self._arrivals):
+                undo.callback(vars(part).update, kept(part))
+            undo.callback(self._system.restorer())
             yield
-        except BaseException:
-            for part, state in states:
-                vars(part).update(state)
-            restore()
-            raise
+            undo.pop_all()
 
     def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.

@@ -262,7 +262,8 @@ class Arrivals:
         """Variables that wait, in the order of their measurements, and the factors these are in."""
         unknown: dict[Variable, list[Factor]] = {}
         for _, factor in self._pending:
-            waits = [(k.kind, n) for k in factor.keys for n in self._known.missing(k)]
+            places = [(keys, self._known.place(keys.kind)) for keys in factor.keys]
+            waits = ((keys.kind, n) for keys, place in places for n in keys.numbers.tolist() if n not in place)
             for variable in dict.fromkeys(waits):
                 unknown.setdefault(variable, []).append(factor)
         return unknown

@@ -65,13 +65,12 @@ class Known:
 
     def has(self, keys: Keys, starts: Container[Variable] = ()) -> Mask:
         """Which variables (k,) are in the estimate, or have one of some starts."""
-        kind, place = keys.kind, self.system.variables[keys.kind].place if keys.kind in self.system.variables else {}
-        return np.array([n in place or (kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
+        place = self.place(keys.kind)
+        return np.array([n in place or (keys.kind, n) in starts for n in keys.numbers.tolist()], dtype=bool)
 
-    def missing(self, keys: Keys) -> list[int]:
-        """Numbers of variables that are not in the estimate."""
-        place = self.system.variables[keys.kind].place if keys.kind in self.system.variables else {}
-        return [n for n in keys.numbers.tolist() if n not in place]
+    def place(self, kind: str) -> dict[int, int]:
+        """Rows of the variables of a kind that are in the estimate, by number."""
+        return self.system.variables[kind].place if kind in self.system.variables else {}
 
     def ready(self, factor: Factor, starts: Container[Variable] = ()) -> Mask:
         """Which measurements (n,) of a factor are about such variables alone."""
